@@ -127,7 +127,12 @@ __all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name on first access."""
+    """Return a public name; its module is imported on first access.
+
+    Raises:
+        AttributeError: if there is no such name.
+        HiddenPackageError: if another package or module hides `protocols`.
+    """
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
     if (home := _HOMES[name]) not in sys.modules:

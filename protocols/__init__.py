@@ -71,7 +71,7 @@ KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
         },
     }
 )
-"""For each group, the home "module:class" of each kind; add a new protocol here.
+"""For each group of entry points, the class of each kind as "module:class"; add a new protocol here.
 
 A module is imported when a scenario selects its kind.
 """
@@ -91,7 +91,7 @@ PARTS = (
     "protocols.token:TokenRing",
     "protocols.token:TokenWalk",
 )
-"""The homes of the schedules and temperatures, which a script can import from here like the protocols."""
+"""The schedules and temperatures as "module:class"; a script can import them from `protocols`, like the protocols."""
 _HOMES = {
     home.partition(":")[2]: home for home in (*PARTS, *(home for group in KINDS.values() for home in group.values()))
 }
@@ -99,7 +99,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:
-    """Import a class on first access."""
+    """Return a class, and import its module if necessary."""
     if name not in _HOMES:
         raise AttributeError(f"module 'protocols' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name].partition(":")[0]), name)

@@ -5,10 +5,10 @@ pursuer bids for one evader at a time: among the evaders for which it outbids al
 first. Its announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
 
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
-(`bid_updater`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement that
-carries it. An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active
-pursuers differ by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both
-stay active.
+(`bid_updater`), so at any instant all pursuers rank bids alike. Otherwise a bid is at least as old as the announcement
+that carries it. An old bid of an active pursuer is too low, because the phi of the pursuer has fallen since. If the phi
+of two active pursuers differ by less than the age of the bids, each therefore outbids the bid that it knows of the
+other, and both stay active.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -41,7 +41,7 @@ NO_BID = Bid(NO_WINNER, -inf)
 
 
 Fields = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
-"""The action of a pursuer, and the winner and the winning bid of each evader; plain numbers for one evader."""
+"""The action of a pursuer, and the winner and the winning bid of each evader; plain numbers if there is one evader."""
 
 
 class Auction(Rule):
@@ -70,7 +70,7 @@ def offer(me: Agent, evader: int = 1) -> Bid:
 def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
     """Return the action of a pursuer, and the (M,) best bids with its own included.
 
-    The action is the evader of its highest bid among those for which it outbids all others, or 0 if there is none.
+    Among the evaders for which it outbids all others, the action is the one with its highest bid; 0 if there is none.
 
     Args:
         me: the bidder.
@@ -110,10 +110,10 @@ def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
-    """Yield the unread records with a claim, ordered by the id of the source, and mark them as read.
+    """Yield the unread records of `Agent.trusted` with a claim, by the id of the source, and mark them as read.
 
-    `read` maps each source to the sequence number of its last record read. With `announce.warm_start` the initial
-    records carry no claim.
+    `read` maps each source to the sequence number of the last record read. With `announce.warm_start` the initial
+    records carry no claim and are skipped.
     """
     for j, record in sorted(me.trusted().items()):
         if record.seq > read.get(j, -1) and isinstance(record.body, claim):

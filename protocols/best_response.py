@@ -5,8 +5,8 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
     2007, "Regret Based Dynamics".
 Parameters: schedule, utility; alpha (probability of changing).
 Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
-    one at a time, and in an equilibrium of the relay game under any schedule. Better reply with inertia ends in an
-    equilibrium under any revision order.
+    one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game`) under any schedule. Better
+    reply with inertia ends in an equilibrium under any revision order.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -43,7 +43,7 @@ class BetterReply(LearningRule):
     """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield a better action or the present one."""
+        """Yield a better action or the present one at each turn."""
         while True:
             utilities = self.utilities(me)
             current = current_action(me, utilities)

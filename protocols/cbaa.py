@@ -12,12 +12,12 @@ Assumes: a connected graph and constant bids. Then all agree on the winner of on
     the change, because a bidder has one evader at most (`one_each`).
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
     by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress" of
-    `scenarios.rivals` with L = 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the worst one;
-    with sensed positions it is 0.8 s and 1.8 s.
+    `scenarios.rivals` with a latency of 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the
+    worst one; with sensed positions it is 0.8 s and 1.8 s.
     No crashes. Claims have no time stamps, so a crash of the winner is not noticed, and its bid blocks all others for
     ever.
-Messages: announcements of 24 bytes plus 16 for each evader. Only a new action or winner triggers one at once, so bids
-    that change need heartbeats or the trigger `revision`.
+Messages: announcements of 24 bytes plus 16 for each evader. A new action or winner triggers an announcement, a new bid
+    of the same winner does not, so bids that change need heartbeats or the trigger `revision`.
 Robust to loss: yes, with heartbeats.
 """
 
@@ -44,7 +44,7 @@ class Claim(NamedTuple):
 
 
 class CBAA(Auction):
-    """Consensus on the highest bid for each evader; a pursuer that is outbid releases its claim."""
+    """Consensus on the highest bid for each evader; a pursuer that is outbid releases the evader."""
 
     assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "connected", "rounds", "no_crashes")
     kind: Literal["cbaa"] = "cbaa"
@@ -68,8 +68,8 @@ def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
 
     Args:
         best: the best bid so far.
-        claimed: by pursuer, the best bid in its new claim. What others report about these pursuers is ignored, because
-            a pursuer may have released the evader or bid anew since the others received its previous claim.
+        claimed: by pursuer, the best bid in its new claim. Reports of others about a bid of such a pursuer are ignored,
+            because it may have released the evader or bid anew since the others received its previous claim.
     """
     own_claims = [bid for j, bid in claimed.items() if bid.winner == j]
     reported = [bid for bid in (best, *claimed.values()) if bid.winner not in claimed]
@@ -77,9 +77,9 @@ def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
 
 
 def one_each(bids: Sequence[Bid]) -> list[Bid]:
-    """Return the (M,) bids with only the highest bid of each bidder kept, the last one among equal bids.
+    """Return the (M,) bids with `NO_BID` in place of all but the highest bid of each bidder (the last of equal ones).
 
-    A pursuer bids for one evader at a time, so its other bids are outdated.
+    A pursuer bids for one evader at a time, so its lower bids are outdated.
     """
     greatest_of = {bids[k].winner: k for k in sorted(range(len(bids)), key=lambda k: bids[k].amount)}
     return [bid if greatest_of[bid.winner] == k else NO_BID for k, bid in enumerate(bids)]

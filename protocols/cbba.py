@@ -1,4 +1,4 @@
-"""The consensus-based bundle algorithm with bundles of one task: an auction whose claims have time stamps and expire.
+"""The consensus-based bundle algorithm with bundles of one task: an auction with time stamps and a time-out of winners.
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Table I (see
     `decision`) for each evader; the evaders are the tasks. Differences: s_i[k] is the time at which k sent its latest
@@ -10,8 +10,8 @@ Assumes: a connected graph; otherwise each component has a winner. Announcements
     revision; otherwise every winner times out, and in the end each pursuer considers itself the winner and chases.
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
     by less than the age of the bids may both chase to the end. In the scenario "relay stress" of `scenarios.rivals`
-    with L = 0.2 s, the misassigned times are those given in `cbaa`; with sensed positions they are 0.9 s in the mean of
-    20 runs and 2.4 s in the worst one.
+    with a latency of 0.2 s, the misassigned times are those given in `cbaa`; with sensed positions they are 0.9 s in
+    the mean of 20 runs and 2.4 s in the worst one.
 Messages: announcements of 24 bytes plus 16 for each evader and 8 for each pursuer. A new action or winner triggers one.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over after `winner_timeout`.
 """
@@ -30,14 +30,14 @@ Verdict = Literal["update", "reset", "leave"]
 
 
 class StampedClaim(NamedTuple):
-    """The lists z, y and s of a pursuer: plain numbers or (M,) winners and bids, and (N,) time stamps."""
+    """The action and the lists z, y and s of a pursuer: (M,) winners and bids, or plain numbers; (N,) time stamps."""
 
     active: int
     winner: int | tuple[int, ...]
     amount: float | tuple[float, ...]
     """The winning bid y, s."""
     stamps: tuple[float, ...]
-    """s[m]: time stamp (s, clock of m) of the latest announcement of m known here, received directly or forwarded."""
+    """s[m]: time stamp (s, clock of m) of the latest announcement of m known to the pursuer, received or forwarded."""
 
     @property
     def news(self) -> tuple[int, int | tuple[int, ...]]:
@@ -51,7 +51,7 @@ class CBBA(Auction):
     assumes: ClassVar[tuple[str, ...]] = ("connected", "rounds", "announcements_repeated")
     kind: Literal["cbba"] = "cbba"
     winner_timeout: Timeout = 2.0
-    """Time after which a winner without a newer announcement is dropped, s. It should cover many heartbeats and many
+    """Time, s, after which a winner without a newer announcement is dropped. It should cover many heartbeats and many
     turns of the pursuers that forward claims: the default is 20 heartbeats, and 10 turns in a team of 20."""
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
@@ -85,9 +85,11 @@ class CBBA(Auction):
 def decision(
     i: int, k: int, z_i: int, y_i: float, s_i: Sequence[float], z_k: int, y_k: float, s_k: Sequence[float]
 ) -> Verdict:
-    """Return the action of receiver i, with winner z_i, on a claim z_k of sender k (Choi et al. 2009, Table I).
+    """Return the action of receiver i on a claim of sender k about one task (Choi et al. 2009, Table I).
 
-    A key of the table is (winner according to k, winner according to i); m and n are two pursuers other than i and k.
+    z_i, y_i and s_i are the winner, the winning bid and the time stamps that i knows; z_k, y_k and s_k are those of the
+    claim. A key of the table is (winner according to k, winner according to i); m and n are two pursuers other than i
+    and k.
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
     newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))

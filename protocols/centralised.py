@@ -1,12 +1,13 @@
-"""The centralised benchmark: at most one pursuer chases an evader, the one with the least capture time.
+"""The centralised benchmark: an omniscient planner assigns at most one pursuer to each evader.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
-    Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
+    Algorithm 3: the pursuer with the least capture time chases the evader. For several evaders, the optimal assignment
+    (`desim.pursuit.assignment`).
 Parameters: slot (time between two decisions).
 Assumes: an omniscient planner whose orders take effect at once. It does not use the network, so it is a benchmark for
     protocols on any network.
 Messages: none.
-Robust to loss: yes, for nothing is sent.
+Robust to loss: yes, because nothing is sent.
 """
 
 from collections.abc import Sequence
@@ -26,17 +27,17 @@ class Centralised(Value):
     """An omniscient planner, run by the process of pursuer 0, assigns pursuers to evaders in every slot."""
 
     announces: ClassVar[bool] = False
-    """There are no heartbeats."""
+    """Pursuers do not announce their actions."""
     embodied: ClassVar[bool] = False
     """The planner is not part of a robot and does not crash with pursuer 0."""
     omniscient: ClassVar[bool] = True
-    """Pursuers move by the knowledge of the planner, whatever their sensing range."""
+    """The planner and the pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time delta between two decisions, s."""
 
     def __call__(self, me: Agent) -> Process:
-        """In every slot, assign to each evader at most one pursuer, which can capture it before the horizon."""
+        """In every slot, assign to each evader at most one pursuer that can capture it before the horizon."""
         if me.id != 0:
             return
         for k in count():

@@ -1,7 +1,7 @@
 """Dissemination: how the announcements of a pursuer spread to its teammates.
 
-A dissemination is called with an agent and returns the process that forwards the announcements of others; its method
-`broadcast` sends the agent's own announcements.
+A dissemination is called with an agent, and returns the process that forwards the announcements of teammates. The
+agent's own announcements are sent by `broadcast`, a method of the dissemination.
 
 Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
     1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
@@ -24,7 +24,7 @@ from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
 PORT = "announcements"
-"""The port at which forwarded announcements arrive."""
+"""The port at which the announcements of flooding and gossip arrive."""
 
 
 class Dissemination(Protocol):
@@ -57,7 +57,7 @@ class OneHop(Value):
 class Flooding(Value):
     """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
 
-    A copy with more hops left than the last copy that was rebroadcast is not a duplicate and is rebroadcast, too.
+    A copy of the same announcement is rebroadcast again if it has more hops left than the copy rebroadcast before.
     Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, plus one
     for each such copy.
     """
@@ -66,7 +66,7 @@ class Flooding(Value):
     hops: Annotated[int, Field(ge=1, strict=True)] = 5
     """Largest number of hops that an announcement travels."""
     jitter: Time = 0.005
-    """Longest random delay J before a rebroadcast, s; it keeps neighbours from transmitting at once."""
+    """Longest random delay J before a rebroadcast, s; the delay keeps neighbours from transmitting simultaneously."""
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement to the neighbours."""
@@ -75,7 +75,7 @@ class Flooding(Value):
     def __call__(self, me: Agent) -> Process:
         """Rebroadcast each new announcement after a random delay."""
         rng = me.stream("flooding")
-        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy
+        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy rebroadcast
         while True:
             yield me.arrival(PORT, Phase.RELAY)
             for message in me.mail(PORT):

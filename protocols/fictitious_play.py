@@ -3,12 +3,14 @@
 Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Property for Games with Identical
     Interests". JointStrategyFictitiousPlay: Marden, Arslan & Shamma 2009, "Joint Strategy Fictitious Play with Inertia
     for Potential Games", with fading memory.
-Parameters: schedule, utility; alpha (probability of changing), rho (rate of forgetting).
-Assumes: announcements of all teammates, with revisions in any order. While capture times are constant, the empirical
+Parameters: schedule, utility; for JointStrategyFictitiousPlay alpha (probability of changing), rho (rate of
+    forgetting).
+Assumes: announcements of all teammates; revisions in any order. While capture times are constant, the empirical
     frequencies of fictitious play converge to the equilibria of every potential game. The frequencies are averages
     over all turns, so they adapt slowly when capture times change.
 Messages: announcements, see `announce` in the scenario.
-Robust to loss: yes, with heartbeats; the last action received counts again at each turn.
+Robust to loss: yes, with heartbeats; at each turn the last action received from a teammate counts again, until that
+    action expires (`announce.belief_timeout`).
 """
 
 from collections import defaultdict
@@ -28,7 +30,7 @@ from protocols.rule import LearningRule, argmax, current_action
 
 
 class FictitiousPlay(LearningRule):
-    """The best response to the empirical frequencies of the teammates' actions, which are taken as independent."""
+    """The best response to the empirical frequencies of the teammates' actions, assumed to be independent."""
 
     kind: Literal["fictitious_play"] = "fictitious_play"
 
@@ -57,7 +59,7 @@ class FictitiousPlay(LearningRule):
             yield argmax(utilities)
 
     def _counted_times(self, me: Agent, beliefs: dict[int, Belief]) -> dict[int, float]:
-        """Return the finite believed capture times of the teammates that count, s."""
+        """Return the believed capture time, s, of each teammate that counts in the utility, if that time is finite."""
         counted = me.counted_teammates(self.utility.scope)
         return {j: each.capture_time for j, each in beliefs.items() if j in counted and each.capture_time < inf}
 
@@ -72,7 +74,7 @@ class JointStrategyFictitiousPlay(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia."""
     rho: Probability = 0.03
-    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
+    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the action of highest average utility, or the present one."""

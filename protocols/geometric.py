@@ -1,4 +1,7 @@
-"""Geometric rules: each pursuer computes the owner of an evader from a measure known to all, without negotiation.
+"""Geometric rules: each pursuer computes for itself the owner of an evader, the pursuer that is to chase it.
+
+The owner is the pursuer with the least value of a measure that all know, such as the distance to the evader. The
+pursuers do not negotiate.
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
     Automatica 48 (cited from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the
@@ -6,17 +9,17 @@ Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target 
     velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
-Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
-    clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is more
-    than 10 % below the present owner's. A pursuer that would be late (phi >= r) is never an owner.
+Time: all pursuers compute the owner of each evader at the instants k * slot of their clocks. Ties go to the lowest id.
+    With a hysteresis of 0.1, another pursuer takes over only if its measure is more than 10 % below that of the present
+    owner. A pursuer that would be late, with a capture time phi of at least the time left r, is never an owner.
     With several evaders, owners are assigned greedily: first the pair (pursuer, evader) of least measure, then the pair
     of least measure among the other pursuers and evaders, and so on.
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
-    owner has stopped. With hysteresis all pursuers must store the same present owner, which requires equal clocks.
+    owner has stopped. With hysteresis all pursuers must store the same present owner; this requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
 Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
-    scenario; the present owner is then the best among the pursuers that announce a chase, so that disagreement
-    about the owner is resolved.
+    scenario. The present owner is then the pursuer of least measure among those that announce a chase, so that
+    disagreement about the owner is resolved.
 Robust to loss: yes if positions are sensed, because no messages are needed; otherwise with heartbeats.
 """
 
@@ -36,7 +39,7 @@ from desim.pursuit.state import coordinates, lengths
 from protocols.schedules import ticks
 
 Measure = Callable[[TeamEstimate], Floats]
-"""The measure of the n pursuers in an estimate, (n,); the pursuer of least measure becomes the owner."""
+"""A function that returns the (n,) measures of the n pursuers in an estimate of the team."""
 
 
 class Geometric(Value):
@@ -47,7 +50,7 @@ class Geometric(Value):
     slot: Period = 0.01
     """Time between two decisions, s."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
-    """Share by which a challenger must be better than the present owner to take over, in [0, 1)."""
+    """Share by which the measure of a challenger must be below that of the present owner to take over, in [0, 1)."""
 
     @property
     def assumes(self) -> tuple[str, ...]:
@@ -55,7 +58,7 @@ class Geometric(Value):
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the function that measures the pursuers for an evader; the function is called once per slot."""
+        """Return a function that computes the measures of the pursuers for an evader; it is called once per slot."""
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:
@@ -79,7 +82,7 @@ class Geometric(Value):
 
 
 class Voronoi(Geometric):
-    """The pursuer whose Voronoi cell contains the evader, so the nearest one, chases it."""
+    """The nearest pursuer, the one whose Voronoi cell contains the evader, chases the evader."""
 
     kind: Literal["voronoi"] = "voronoi"
 
@@ -89,7 +92,7 @@ class Voronoi(Geometric):
         return (*super().assumes, "positions_known", "equal_speeds")
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the distance to the evader as the measure, m."""
+        """Return the function that computes the distance, m, of each pursuer to the evader."""
         return lambda known: lengths(me.evader(evader) - known.positions)
 
 
@@ -98,10 +101,10 @@ class Argmin(Geometric):
 
     kind: Literal["argmin"] = "argmin"
     by: Literal["capture_time", "intercept_time"] = "capture_time"
-    """capture_time: for an evader that flees straight from each pursuer (phi); intercept_time: for one that keeps its
-    estimated velocity."""
+    """capture_time: phi, the time to capture an evader that flees straight from the pursuer; intercept_time: the time
+    to intercept an evader that keeps its estimated velocity."""
     time_constant: Time = 0.2
-    """Time constant of the low-pass filter that estimates the evader's velocity from its positions at the slots, s; 0:
+    """Time constant, s, of the low-pass filter that estimates the evader's velocity from its position in each slot; 0:
     the mean velocity in the last slot."""
 
     @property
@@ -110,7 +113,7 @@ class Argmin(Geometric):
         return (*super().assumes, "times_known" if self.by == "capture_time" else "positions_known")
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the capture or intercept time as the measure, s."""
+        """Return the function that computes the capture or intercept time, s, of each pursuer."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
         velocity = Velocity(self.time_constant)
@@ -126,8 +129,8 @@ class Argmin(Geometric):
 class Velocity:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
-    The estimate is 0 until two successive positions are known, then starts at the mean velocity between them. It is
-    constant while the position is unknown (nan).
+    w is the estimate, x the position and T the time constant. The estimate is 0 until two successive positions are
+    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan).
     """
 
     def __init__(self, time_constant: float):
@@ -156,13 +159,15 @@ def owners(
     present: Mapping[int, Collection[int | None]],
     hysteresis: float,
 ) -> dict[int, int]:
-    """Return the owner of each evader that has one; a pursuer owns at most one evader (see `first`).
+    """Assign owners to evaders greedily; return the owner of each evader that has one.
+
+    A pursuer owns at most one evader. The owner of a single evader is that of `first`.
 
     Args:
         ids: (n,) ids of the pursuers, ascending.
         measures: for each evader, (n,) measures of the pursuers.
-        present: for each evader, its present owner or owners.
-        hysteresis: share by which the measure of a pursuer must be below that of the present owner to take over.
+        present: for each evader, its present owner or owners; None stands for no owner.
+        hysteresis: share by which the measure of a challenger must be below that of the present owner to take over.
     """
     found: dict[int, int] = {}
     while measures:

@@ -1,13 +1,15 @@
-"""Rules without a utility: a pursuer chases if its capture time is the least among those of certain teammates.
+"""Rules without a utility: a pursuer chases if its capture time is less than those of certain teammates.
 
-These are its active neighbours (`LocalMin`) or all known teammates (`ArgminKnown`).
+These teammates are its active neighbours (`LocalMin`) or all whose announcements have not expired (`ArgminKnown`).
 
-Paper: LocalMin: the greedy maximal independent set of the communication graph, in order of (phi, id); computed in
-    local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a heuristic.
+Paper: LocalMin: the greedy maximal independent set of the communication graph, in order of (phi, id), where phi is the
+    capture time; computed in local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a
+    heuristic.
 Parameters: schedule.
 Assumes: symmetric links. LocalMin leaves at least one pursuer active in every neighbourhood, and no two neighbours
     chase the same evader. ArgminKnown leaves one active pursuer per evader in the whole team if announcements reach all
-    (over several hops: `announce.dissemination`); otherwise it may leave a neighbourhood without an active pursuer.
+    (if need be over several hops, see `announce.dissemination`); otherwise it may leave a neighbourhood without an
+    active pursuer.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """
@@ -21,10 +23,11 @@ from protocols.rule import Rule
 
 
 class LocalMin(Rule):
-    """Chase the evader of least phi among those without a better chaser in the neighbourhood.
+    """Chase the evader of least capture time phi among those without a better chaser in the neighbourhood.
 
     A better chaser is a neighbour that chases the evader with a smaller (phi, id). Evaders that the pursuer cannot
-    capture in time are left out.
+    capture in time are left out. Where positions are not sensed, all teammates whose announcements have not expired
+    count as neighbours.
     """
 
     kind: Literal["local_min"] = "local_min"
@@ -46,7 +49,8 @@ class LocalMin(Rule):
 class ArgminKnown(Rule):
     """Chase if a capture in time is possible and no known teammate, active or not, has a smaller (phi, id).
 
-    Several evaders are assigned greedily, in order of (phi, id), each to one pursuer at most.
+    A teammate is known as long as its last announcement has not expired. Several evaders are assigned greedily, in
+    order of (phi, id); each evader gets at most one pursuer, and each pursuer at most one evader.
     """
 
     assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "everyone_heard")

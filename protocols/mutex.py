@@ -2,14 +2,15 @@
 
 Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours.
     A pursuer that wants to decide sends a request to all neighbours. A neighbour replies at once, unless it has an
-    older request of its own (Lamport 1978); then it replies after its decision. Replies carry the replier's action.
+    older request of its own (by the time stamps of Lamport 1978); then it replies after its own decision. Replies carry
+    the replier's action.
 Parameters: rate (requests per second of an idle pursuer), attempts (unanswered requests after which a neighbour is left
     out), min_timeout (least time before a request is retransmitted).
 Assumes: symmetric links; a neighbour that does not answer `attempts` requests has crashed or is out of range. Mutual
-    exclusion holds only between neighbours, and a pursuer has up-to-date knowledge of their actions only.
-Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L. If it takes longer than
-    expected, requests are retransmitted, and neighbours that defer their reply answer with `Deferred`.
-    The transmission queues are stable while the channel can carry 2 d_i messages per decision.
+    exclusion holds only between neighbours, and a pursuer has up-to-date knowledge only of its neighbours' actions.
+Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L, where L is the one-way
+    latency. If it takes longer than expected, requests are retransmitted, and neighbours that defer their reply answer
+    with `Deferred`. The transmission queues are stable while the channel can carry 2 d_i messages per decision.
 Robust to loss: yes. Requests are retransmitted until they are answered. The pursuer with the oldest request waits
     only for neighbours that do not answer. These are left out after `attempts` requests, so no pursuer waits for ever.
     A neighbour that was left out still gets requests. Once it answers one, its replies are awaited again.
@@ -49,14 +50,14 @@ class Reply(NamedTuple):
 
 
 class Deferred(NamedTuple):
-    """Answers a retransmitted request that is not yet granted."""
+    """Answers a repeated request that is not yet granted."""
 
     stamp: Stamp
     """The stamp of the request."""
 
 
 class LocalMutex(Value):
-    """After an exponentially distributed wait, a pursuer requests permission to revise from all neighbours."""
+    """After an exponentially distributed wait, a pursuer asks all neighbours for permission to revise its action."""
 
     spreads_to: ClassVar[Literal["neighbours"]] = "neighbours"
     """Replies carry the replier's announcement, and requests are retransmitted until the replies arrive."""
@@ -64,21 +65,21 @@ class LocalMutex(Value):
     rate: Rate = 5.0
     """Rate of new requests of an idle pursuer, 1/s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
-    """Number of unanswered requests to a neighbour after which it is left out."""
+    """Number of unanswered requests to a neighbour after which the neighbour is left out."""
     min_timeout: Duration = 0.001
-    """Least time after which a request is retransmitted, s; the time-out is 5/4 of a round trip if that is longer."""
+    """Least time after which a request is retransmitted, s; the first time-out is 5/4 of a round trip if longer."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return the mean time between two decisions of the team, s: (1 / rate + 2 L + A) / N, at least (d + 1) L / N.
 
-        The lower bound is one decision per L in each neighbourhood. d is the mean degree of the team, so that all
-        pursuers compute the same value; A is the airtime of requests to d neighbours and of their replies.
+        The lower bound corresponds to one decision per L in each neighbourhood. d is the mean degree of the team, so
+        that all pursuers compute the same value; A is the airtime of requests to d neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the schedule without mutual exclusion."""
+        """Return the table of the schedule without mutual exclusion."""
         return {"kind": "poisson", "rate": self.rate}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
@@ -94,7 +95,7 @@ class LocalMutex(Value):
 
 
 def request_airtime(me: Agent, neighbours: float) -> float:
-    """Return the airtime of requests to a number of neighbours and of their replies on one channel, s."""
+    """Return the airtime, s, of requests to a number of neighbours and of their replies, all on one channel."""
     stamp, record = (0, 0), Record(me.id, 0, 0, me.announcement())
     return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
 
@@ -121,7 +122,7 @@ class CriticalSection:
             pass
 
     def enter(self) -> Process:
-        """Send a request to all neighbours, and wait until all have replied that are not left out."""
+        """Send a request to all neighbours, and wait until all that are not left out have replied."""
         self._ask()
         attempt = 0
         while self._missing:
@@ -130,11 +131,11 @@ class CriticalSection:
                 if (yield from self._wait(until)):
                     self._ask_again()
                     break
-            if self._me.now > until + self._time_out():  # the pursuer was down: its beliefs may be outdated
+            if self._me.now > until + self._time_out():  # so late only after a crash: beliefs may be outdated
                 self._ask()
 
     def leave(self) -> None:
-        """Reply to all deferred requests."""
+        """End the pursuer's own request, and reply to all deferred requests."""
         self._own_request = None
         for j, stamp in self._deferred.items():
             self._reply(j, stamp)
@@ -164,7 +165,7 @@ class CriticalSection:
                 self._silent.add(j)
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
+        """Wait for a message or until a time (s, local clock), process all messages; return whether the time is up."""
         due = yield from arrival_or_timeout(self._me, PORT, until)
         for message in self._me.mail(PORT):
             self._process(message.src, message.body)

@@ -1,16 +1,16 @@
 """Regret matching: a pursuer draws each action with probability proportional to its regret for not having taken it.
 
 Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
-    unconditional variant: the regret of an action is the mean gain if it had been taken at every turn. The conditional
-    procedure of the paper (a regret for each pair of actions, and an inertia constant) is not implemented; it is the
-    one that leads to correlated equilibria.
+    unconditional variant: the regret of an action is the mean gain if the action had been taken at every turn. The
+    conditional procedure of the paper (a regret for each pair of actions, and an inertia constant) is not implemented.
+    Only that procedure leads to correlated equilibria.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
-Assumes: announcements of all teammates; any revision order. With the default parameters, regret matching has no regret
-    in the long run, and the empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay
-    profile in the relay game with one evader and constant capture times. Generalised regret matching settles in a pure
-    equilibrium.
+Assumes: announcements of all teammates; revisions in any order. With the default parameters, regret matching has no
+    regret in the long run, and the empirical frequencies of profiles (joint actions) tend to the coarse correlated
+    equilibria. In the relay game with one evader and constant capture times, the only one is the relay profile
+    (`desim.pursuit.game`). Generalised regret matching settles in a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -28,7 +28,7 @@ from protocols.sap import categorical
 
 
 class RegretMatching(LearningRule):
-    """Each action is drawn with probability proportional to its positive regret.
+    """Each action is drawn with probability proportional to the positive part of its regret.
 
     The regret of an action is its utility minus that of the action taken, averaged over the turns. If no regret is
     positive, the present action is kept; with a uniform draw instead, most runs would not settle.
@@ -36,7 +36,7 @@ class RegretMatching(LearningRule):
 
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
-    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
+    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
     alpha: RevisionProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""
 
@@ -62,6 +62,6 @@ class GeneralisedRegretMatching(RegretMatching):
 
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
-    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
+    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
     alpha: RevisionProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""

@@ -1,8 +1,8 @@
 """Retransmission time-outs with exponential back-off, for the schedules that exchange messages.
 
-A round trip takes two latencies and, once each, the airtimes of the request, its answer and the messages that may be
-queued in front of them. The first time-out is 5/4 of a round trip, at least `min_timeout`. In each later time-out the
-airtime counts 1.5 times as much as in the one before, because the channel may be busy.
+A round trip takes two latencies plus the airtimes of the request, its answer and the messages that may be queued in
+front of them. The first time-out is 5/4 of a round trip, at least `min_timeout`. In each later time-out the airtime
+counts 1.5 times as much as in the one before, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -23,7 +23,7 @@ class RetransmissionTimer:
 
     Args:
         me: the sender of the requests.
-        airtime: airtime of a request, its answer, and the messages that may be queued in front of them, s.
+        airtime: total airtime, s, of a request, its answer, and the messages that may be queued in front of them.
         min_timeout: the least time-out, s.
     """
 
@@ -32,12 +32,12 @@ class RetransmissionTimer:
         self._first = max(2.5 * me.latency + self._airtime, min_timeout)
 
     def __call__(self, attempt: int = 0) -> float:
-        """Return the time-out of a transmission after a number of attempts without an answer, s."""
+        """Return the time-out, s, of a transmission after a number of attempts without an answer."""
         return self._first + self._airtime * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
 def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for a message at a port or a time on the local clock, s; return whether the time has been reached."""
+    """Wait for a message at a port, at most until a time on the local clock, s; return whether that time is reached."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

@@ -47,7 +47,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`.
+        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`, or 0 without a choice.
 
         Raises:
             TypeError: if `actions` is not a generator.
@@ -73,9 +73,9 @@ class LearningRule(Rule):
     """Utility of an active pursuer."""
 
     def utilities(self, me: Agent) -> dict[int, float]:
-        """Return the utility of each action that a pursuer may choose, s: 0 for inactivity, the gain for chasing.
+        """Return the utility, s, of each action that a pursuer may choose: 0 for inactivity, the gain for chasing.
 
-        A gain is at least -1e9 s (`-MAX_TIME`), also if the pursuer can never capture, so that averages are finite.
+        A gain is at least -1e9 s (`-MAX_TIME`), even if the pursuer can never capture, so that averages are finite.
         """
         utilities = {0: 0.0}
         for evader in me.options()[1:]:
@@ -84,7 +84,7 @@ class LearningRule(Rule):
 
 
 def current_action(me: Agent, actions: Collection[int]) -> int:
-    """Return the current action of a pursuer, or 0 if it is not among the actions that it may choose."""
+    """Return the current action of a pursuer, or 0 if that action is not one of `actions`."""
     return me.action if me.action in actions else 0
 
 

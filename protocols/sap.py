@@ -3,8 +3,8 @@
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithms 1 and 2; the rule is log-linear learning (Blume 1993; Young 1998).
 Parameters: tau (temperature), schedule (who revises when), utility.
-Assumes: revisions one at a time and zero latency, for the Gibbs law and the paper's results; on a complete graph
-    neither is needed for convergence as tau -> 0.
+Assumes: revisions one at a time and zero latency, for the stationary Gibbs distribution and the paper's results; on a
+    complete graph neither is needed for convergence as tau -> 0.
 Messages: announcements, see `announce` in the scenario: by default one broadcast per change of action and one per
     heartbeat. The schedule may send messages of its own.
 Robust to loss: yes, with heartbeats.
@@ -47,7 +47,7 @@ class SpatialAdaptivePlay(LogLinear):
 
 
 def categorical(chances: list[float], rng: np.random.Generator) -> int:
-    """Return an index drawn with the given probabilities, using one random number of `rng`."""
+    """Draw an index with the given probabilities, using one random number of `rng`."""
     uniform = rng.random()
     for which in range(len(chances) - 1, 0, -1):
         if uniform < chances[which]:

@@ -5,8 +5,8 @@ and lets the pursuer announce its action. `mean_slot(me)` is delta, the mean tim
 team.
 
 Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
-    synchronous learning; if q < 1, independent revisions as in Marden & Shamma 2012. Periodic: none; it models the
-    timers of real robots.
+    synchronous learning; if participation < 1, independent revisions as in Marden & Shamma 2012. Periodic: none; it
+    models the timers of real robots.
 Parameters: for each, the period or rate of revisions.
 Assumes: for SharedSeed and Rounds, equal clocks; for Poisson and Periodic, nothing.
 Messages: none.
@@ -27,7 +27,7 @@ from desim.pursuit.agent import Agent, Process
 class Schedule(Protocol):
     """When a pursuer revises: `schedule(me, revise)` is the process that calls `revise()` at each of its turns.
 
-    It may have the attributes of `desim.pursuit.traits.ScheduleTraits`.
+    A schedule may have the attributes of `desim.pursuit.traits.ScheduleTraits`.
     """
 
     def mean_slot(self, me: Agent) -> float:
@@ -53,7 +53,7 @@ class SharedSeed(Value):
         return self.slot
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the schedule under which all pursuers revise in every slot."""
+        """Return the table of the schedule under which all pursuers revise in every slot."""
         return {"kind": "synchronous", "schedule": self}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
@@ -66,7 +66,7 @@ class SharedSeed(Value):
 
 
 class Poisson(Value):
-    """Each pursuer revises at the ticks of its own Poisson clock, so the order of revisions is i.i.d. and uniform."""
+    """Each pursuer revises at the ticks of its own Poisson clock, so the revising pursuers are i.i.d. and uniform."""
 
     kind: Literal["poisson"] = "poisson"
     rate: Rate = 5.0
@@ -90,8 +90,8 @@ class Rounds(Value):
 
     The stationary distribution is not the Gibbs distribution, but in the relay game this schedule settles fastest,
     because all pursuers revise at once.
-    The theorem of Marden & Shamma 2012 on independent revisions does not apply: there the probability of revising
-    tends to 0 with tau, as exp(-m / tau), while `participation`, q, is constant.
+    The theorem of Marden & Shamma 2012 on independent revisions does not apply. In the theorem the probability of
+    revising tends to 0 with tau, as exp(-m / tau) for a constant m; here `participation`, q, is constant.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
@@ -104,7 +104,7 @@ class Rounds(Value):
     """Probability that a pursuer revises in a round, in (0, 1]."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return period / (q N), s."""
+        """Return period / (q N), s, where q is `participation`."""
         return self.period / (self.participation * me.team_size)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:

@@ -1,7 +1,8 @@
 """A central server over the network: pursuers report their states, and the server sends orders.
 
-Paper: the decision is that of the centralised benchmark (`centralised`), Algorithm 3 of Lee & Bakolas, "Relay Pursuit
-    of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"; reports and orders have latency and loss.
+Paper: the decision is that of the centralised benchmark (`protocols.centralised`), Algorithm 3 of Lee & Bakolas, "Relay
+    Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"; reports and orders have latency
+    and loss.
 Parameters: host (the pursuer that carries the server), period (time between two reports).
 Time: every pursuer reports at the start, and then every period with a random phase. (If all reported at once, a
     period of an even number of motion steps would always sample a chattering evader in the same state; see
@@ -10,10 +11,11 @@ Time: every pursuer reports at the start, and then every period with a random ph
     period.
 Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
     assume that a pursuer just ordered to chase is still inactive, and its orders would oscillate for ever. The server
-    therefore extrapolates each pursuer's last report, using the orders sent since. Each order, the present one
-    included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader in the
-    meantime, the lost time is added to its phi. With constant latency and no loss this is an omniscient planner whose
-    orders are delayed by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
+    therefore extrapolates each pursuer's last report, using the orders sent since. It assumes that each order, the
+    present one included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader
+    in the meantime, the lost time is added to its capture time phi. With constant latency and no loss the server acts
+    as an omniscient planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at
+    the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
     extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
@@ -21,10 +23,10 @@ Assumes: links in both directions between the host and every other pursuer, and 
 Messages: a first report of each pursuer; per period, N - 1 reports of 72 bytes and N - 1 orders of 24 bytes plus 8
     for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
-    discarded. The server assumes that its orders are obeyed: if one is lost or late, the predicted position is wrong by
-    at most the distance covered since the last report, and only until the repetition. A pursuer without a recent report
-    (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If no reports arrive for
-    3 periods and a round trip, the server decides without them.
+    discarded. The server assumes that its orders are obeyed. If an order is lost or late, the predicted position is
+    wrong by at most the distance covered since the last report, and only until the order is repeated. A pursuer without
+    a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If no reports
+    arrive for 3 periods and a round trip, the server decides without them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -60,7 +62,7 @@ class Order(NamedTuple):
 
 
 class Server(Value):
-    """A server on one pursuer receives the states of all and orders the best one to chase each evader."""
+    """A server on one pursuer receives the states of all pursuers and assigns at most one of them to each evader."""
 
     assumes: ClassVar[tuple[str, ...]] = ("host_in_range", "no_crashes")
     announces: ClassVar[bool] = False
@@ -129,7 +131,7 @@ class Server(Value):
         yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
 
     def _chaser(self, me: Agent, orders: Orders, delay: float) -> int | tuple[int | None, ...] | None:
-        """Return the best chaser of each evader among the host and the pursuers with a recent report; see `Order`.
+        """Return the best chaser of each evader, as `Order.chaser`, among the host and pursuers with a recent report.
 
         Args:
             me: the host.
@@ -138,7 +140,7 @@ class Server(Value):
             delay: delay of an order from sending to effect, s.
         """
         now = nanoseconds(me.now)
-        # In a static world no time passes while an order is in flight.
+        # In a static world the time left is constant, so an order takes effect without a loss of time.
         static = me.time_left(delay) == me.time_left()
         effect = now if static else nanoseconds(me.now + delay)
         phi = []
@@ -159,7 +161,7 @@ def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
-    """Return the time for which a pursuer does not chase an evader before an order sent now takes effect, ns.
+    """Return the time, ns, for which a pursuer does not chase an evader from now until an order sent now takes effect.
 
     Args:
         reported: the action that the pursuer reported.
@@ -174,7 +176,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
 
 
 def apply_order(me: Agent, order: Order) -> None:
-    """Chase the evader named by the order; be inactive if there is none or it has been captured."""
+    """Chase the evader named by the order; be inactive if it names none or that evader has been captured."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0
     if me.action != action:

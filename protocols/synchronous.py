@@ -1,9 +1,9 @@
-"""All pursuers revise at once in every slot of a schedule with turns: a baseline for the cost of taking turns.
+"""All pursuers revise together in every slot of a one-at-a-time schedule: a baseline for the cost of taking turns.
 
 Paper: none for this combination: synchronous learning (Marden & Shamma 2012) in the slots of another schedule.
-Parameters: schedule, the other schedule.
+Parameters: schedule (the other schedule).
 Assumes: equal clocks.
-Messages: none; in particular, the messages of the other schedule are not sent.
+Messages: none; in particular, the other schedule sends none of its messages.
 Robust to loss: yes, for nothing is sent.
 """
 

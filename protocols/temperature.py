@@ -1,7 +1,8 @@
 """Temperatures of log-linear learning: the randomness of decisions and its cooling schedule.
 
-A temperature is a function of eta = t / delta, the number of slots that have passed. It returns the *inverse*
-temperature 1/tau in 1/s, which is 0 for an infinite temperature.
+A temperature is a function of eta = t / delta, the number of slots that have passed, where delta is the mean time
+between two revisions in the team (`Schedule.mean_slot`). It returns the *inverse* temperature 1/tau in 1/s, which is 0
+for an infinite temperature.
 """
 
 from collections.abc import Iterator
@@ -34,7 +35,7 @@ class PaperTau(Value):
 
 
 class ConstantTau(Value):
-    """A constant temperature. In a static potential game with one revision at a time, the Gibbs law is stationary."""
+    """A constant temperature. In a static potential game with serial revisions the Gibbs distribution is stationary."""
 
     kind: Literal["constant"] = "constant"
     value: Positive = 0.1
@@ -54,9 +55,9 @@ class LogarithmicTau(Value):
 
     kind: Literal["logarithmic"] = "logarithmic"
     scale: Positive = 1.0
-    """The constant c, s."""
+    """The constant c in tau = c / ln(eta + k0), s."""
     offset: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 2.0
-    """The constant k0 > 1, slots."""
+    """The constant k0 in tau = c / ln(eta + k0), slots; greater than 1."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
@@ -97,11 +98,11 @@ class AdaptiveTau(Value):
     another pursuer now has the least capture time for an evader, as far as known."""
 
     def __call__(self, eta: float) -> float:
-        """Return 1/tau at eta slots after the last reheating event, 1/s."""
+        """Return 1/tau, 1/s, at eta slots after the last reheating event."""
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield at each turn the number of slots (of length `slot`, s) since the start or the last reheating event."""
+        """Yield at each turn the slots (of length `slot`, s) since the start, a restart or the last reheating event."""
         since, known, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()
@@ -117,7 +118,7 @@ class AdaptiveTau(Value):
 
 
 def _first(me: Agent, evader: int) -> int:
-    """Return the pursuer with the least capture time for an evader; teammates of unknown capture time do not count."""
+    """Return the pursuer with the least known capture time for an evader; unknown capture times (nan) do not count."""
     known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
     return min([*known, (me.capture_time(evader), me.id)])[1]
 

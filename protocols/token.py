@@ -2,7 +2,7 @@
 
 Paper: TokenRing: Le Lann 1977; on graphs that are not complete the rule "least recently visited" of Malpani, Chen,
     Vaidya & Welch 2005, "Distributed Token Circulation in Mobile Ad Hoc Networks". TokenWalk: Metropolis et al. 1953.
-Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up).
+Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up).
 Assumes: a connected graph; otherwise each component has a token of its own.
 Messages: two per revision, the token and its receipt, besides announcements. The token carries the known records of all
     pursuers, so it is long.
@@ -33,14 +33,15 @@ class _WithToken(Value):
     """Number of transmissions of the token to a neighbour before the neighbour is given up."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return the length of a slot with a hop, s: holding_time + L + A, where A is the airtime of a full token.
+        """Return the time from one revision to the next, s, if the token is forwarded: holding_time + L + A.
 
-        A slot without a hop lasts holding_time.
+        L is the one-way latency, and A the airtime of a token with the records of all pursuers. If the token is kept,
+        the time is holding_time.
         """
         return self.holding_time + hop_time(me)
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the schedule under which all pursuers revise whenever the token would be forwarded."""
+        """Return the table of the schedule under which all pursuers revise whenever the token would be forwarded."""
         return {"kind": "synchronous", "schedule": self}
 
 
@@ -71,7 +72,10 @@ def least_recent(me: Agent, token: Token) -> int | None:
 
 
 def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
-    """Return neighbour j with probability min(1/d_i, 1/d_j), else None; d_i counts i's non-absent neighbours."""
+    """Draw the next holder: neighbour j with probability min(1/d_i, 1/d_j), else None, which keeps the token.
+
+    Pursuer i is the present holder, and d_i the number of its neighbours that are not absent.
+    """
     candidates = not_absent(token, me.neighbours())
     degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
     shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]

@@ -2,12 +2,13 @@
 
 Paper: Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring. Here each
     regenerated token has its own epoch, and a node discards any token older than the newest epoch it has seen.
-Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
+Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up);
+    both belong to the schedule.
 Assumes: nothing; in the end each component of the graph has a single token. A token is not regenerated needlessly if a
     round takes less than 3 N (L + holding_time).
 Messages: two per hop, the token and its receipt. A node broadcasts a notice when it gives the token a new epoch, and
-    when the token has not visited some pursuer for long. Receivers forward the notice to neighbours that its sender
-    does not reach.
+    when the token has not visited some pursuer for long. Receivers forward a new notice to those of their neighbours
+    that the sender of the notice does not reach.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated; the time-out is shorter for lower ids. Crashes, partitions and delayed messages can
@@ -43,7 +44,7 @@ class Token(NamedTuple):
 
 
 class TokenReceipt(NamedTuple):
-    """Answers a token or a probe; an epoch newer than that of the token rejects the token as outdated."""
+    """Answers a token, a probe or an outdated message; an epoch newer than that of the token rejects the token."""
 
     epoch: Epoch
     hop: int
@@ -69,12 +70,15 @@ def visited(token: Token, pursuer: int) -> tuple[int, ...]:
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a pursuer was last visited over N hops ago and is not absent; it may think the token lost."""
+    """Return whether a pursuer that is not absent was last visited over N hops ago; it may think the token lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
 def longest_absent(token: Token, pursuers: list[int]) -> int | None:
-    """Return the absent pursuer whose last visit, delivery or probe is the oldest, if at least N hops ago, or None."""
+    """Return the one of these pursuers that is to be probed next, or None.
+
+    It is the absent pursuer whose last visit, failed delivery or probe was the longest ago, at least N hops.
+    """
     long_ago = token.hop - len(token.visits)
     due = [j for j in pursuers if j in token.absent and token.visits[j] <= long_ago]
     return min(due, key=token.visits.__getitem__, default=None)
@@ -88,7 +92,10 @@ Choice = Callable[[Agent, Token], int | None]
 
 
 def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attempts: int, choose: Choice) -> Process:
-    """Hold each token for the holding time, then revise, announce and forward it; regenerate a lost token."""
+    """Hold each token for the holding time, then revise, announce the action, and forward the token.
+
+    Pursuer 0 makes the first token. A lost token is regenerated.
+    """
     node = TokenNode(me, holding_time, attempts)
     if me.id == 0:
         node.regenerate()
@@ -108,7 +115,7 @@ def full_token(me: Agent) -> Token:
 
 
 def hop_time(me: Agent) -> float:
-    """Return the typical delay of a token with the records of all pursuers, its airtime included, s."""
+    """Return the typical delay, s, of a token with the records of all pursuers, its airtime included."""
     return me.latency + me.airtime(full_token(me))
 
 
@@ -117,7 +124,7 @@ class TokenNode:
 
     A node has three states:
 
-    - watching: it has no token; after `loss_timeout` without a sign of the token it regenerates it;
+    - watching: it has no token; after `loss_timeout` without a sign of the token it regenerates the token;
     - holding: it keeps the token for `holding_time`;
     - forwarding: it has sent the token and awaits the receipt.
 
@@ -134,7 +141,7 @@ class TokenNode:
         self._newest: Age = (UNHEARD, 0)  # age of the newest message about a token
         self._taken: Age = (UNHEARD, 0)  # age of the last token held
         self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
-        self._answered: set[int] = set()  # pursuers that answered since the last token left or a new epoch began
+        self._answered: set[int] = set()  # pursuers that answered since the last forwarding or new epoch
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
         self._hop_time = hop_time(me)
         # The time-out covers a round trip and the airtime of messages queued ahead of the token and of its receipt.
@@ -146,10 +153,11 @@ class TokenNode:
 
     @property
     def loss_timeout(self) -> float:
-        """The time without a sign of the token after which this pursuer regenerates it, s.
+        """The time, s, without a sign of the token after which this pursuer regenerates it.
 
-        It is three rounds plus the time to give up a neighbour, and two hops more for each pursuer of lower id. After
-        one pursuer has regenerated the token, its notice therefore reaches the next before this one does the same.
+        It is the time of three rounds and of all attempts to reach a silent neighbour, plus two hops for each pursuer
+        of lower id. Because of these hops, the notice of a regenerated token reaches the pursuer of next higher id
+        before its own time-out.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
@@ -167,7 +175,7 @@ class TokenNode:
         self._renew(self._last_token)
 
     def keep(self, token: Token) -> Waiting:
-        """Hold the token for `holding_time` s; return whether it is still valid then."""
+        """Hold the token for the holding time; return whether it is still valid then."""
         until = self._me.now + self._holding_time
         while self.token is token:
             if (yield from self._wait(until)):
@@ -175,7 +183,10 @@ class TokenNode:
         return False
 
     def forward(self, token: Token, choose: Choice) -> Process:
-        """Update the token with all known records and send it to chosen neighbours in turn until one confirms it."""
+        """Update the token with all known records, and send it to neighbours in turn until one confirms it.
+
+        `choose` selects each neighbour; if it returns None, the token is kept.
+        """
         token = self._updated(token)
         while (dst := choose(self._me, token)) is not None:
             yield from self._deliver(token, dst)
@@ -213,7 +224,7 @@ class TokenNode:
     # Messages.
 
     def _process(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
-        """Process a message; a newer epoch discards the token held here."""
+        """Process a message; if its epoch is newer, discard the token held here."""
         age = (body.epoch, body.hop)
         newer = age > self._newest
         if isinstance(body, Token):
@@ -234,7 +245,7 @@ class TokenNode:
                 self._forward_notice(src, body._replace(asks=False))
 
     def _record_age(self, age: Age) -> None:
-        """Record the age of a newer message about the token."""
+        """Record the age of a newer message about the token; discard the token held here if the epoch is newer."""
         if age[0] > self._newest[0]:
             self.token = None
             self._answered.clear()
@@ -242,7 +253,10 @@ class TokenNode:
         self._reset_deadline()
 
     def _receive(self, src: int, token: Token) -> None:
-        """Confirm the receipt of a token and, unless it is a duplicate, hold it."""
+        """Confirm the receipt of a token and, unless it is a duplicate, hold it.
+
+        A node that has lost its memory may not recognise a duplicate, so it gives the token a new epoch.
+        """
         age = (token.epoch, token.hop)
         self._answer(src, age)
         if age > self._taken:
@@ -251,7 +265,7 @@ class TokenNode:
                 self._renew(token)
 
     def _release(self, src: int, age: Age) -> None:
-        """Give up the token if the message from `src` is its receipt."""
+        """Give up the token if the receipt from `src` confirms it."""
         self._answered.add(src)
         if self.token is not None and (src, age) == (self._next, self._taken):
             self.token = None
@@ -261,7 +275,7 @@ class TokenNode:
         self._me.send(dst, TokenReceipt(*age), PORT)
 
     def _forward_notice(self, src: int, notice: TokenNotice) -> None:
-        """Forward a notice to the neighbours that its sender does not reach."""
+        """Forward a notice to the neighbours that its sender, `src`, does not reach."""
         reached = {src, *self._me.neighbours(src)}
         for j in self._me.neighbours():
             if j not in reached:
@@ -291,16 +305,20 @@ class TokenNode:
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _without(self, token: Token, dst: int) -> Token:
-        """Return the token in a new epoch, with a silent pursuer recorded as absent.
+        """Hold the token in a new epoch, with a silent pursuer recorded as absent, and return it.
 
-        The new epoch invalidates the old token, in case the pursuer has received it.
+        The new epoch invalidates the old token, in case the silent pursuer has received it.
         """
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token
 
     def _updated(self, token: Token) -> Token:
-        """Return the token after a revision: one more hop, all known records, and no absentee that has answered."""
+        """Update the token after a revision, hold it and return it.
+
+        The token gets one more hop and all known records. Absentees that have answered are no longer absent, and one
+        absentee may be probed. Every N hops a notice is broadcast if the token has not visited some pursuer for long.
+        """
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
@@ -313,7 +331,7 @@ class TokenNode:
         return token
 
     def _probed(self, token: Token) -> Token:
-        """Probe an absent neighbour (each at most once in N hops), and return the token with the probe recorded."""
+        """Probe an absent neighbour, each at most once in N hops, and record the probe; return the token."""
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._next_probe:
             return token

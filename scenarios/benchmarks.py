@@ -1,13 +1,14 @@
-"""Measure the speed of desim: deliveries per second, compared with other implementations and simulators; other costs.
+"""Measure deliveries per second of desim, other implementations and other simulators; also other costs of desim.
 
 Nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the number of the turn.
-Several ways deliver the broadcasts. `publish` and `send` are the two ways of desim. `heapq` is a bare loop over a heap
-with one entry per broadcast. simpy-broadcast uses one SimPy event per broadcast. simpy-message uses one Timeout per
-delivery; simpy-drawn-at-once does so, too, but draws all latencies of a broadcast at once. simpy-documented uses a
-store per node and a process per message. All of these must end with the same tables of received numbers. The other
-simulators are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian packages that are
-unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. They must make the same number of deliveries. The
-ways run in rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The costs of large
+The broadcasts are delivered in several ways (`--only`). `publish` and `send` are the two ways of desim. `heapq` is a
+bare loop over a heap with one entry per broadcast. simpy-broadcast uses one SimPy event per broadcast. simpy-message
+uses one Timeout per delivery; simpy-drawn-at-once does so, too, but draws all latencies of a broadcast at once.
+simpy-documented uses a store per node and a process per message. All of these must end with the same tables of received
+numbers. The other simulators are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian
+packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. Each of them must make the right
+number of deliveries; mango runs a tenth of the turns only. Every way runs once in each lap (`--runs`), or only in the
+first if it takes more than 5 s there. A rate is the median over the laps, per second of CPU time. The costs of large
 teams, whole runs, recording and starting follow, in time and memory; some have a limit.
 """
 
@@ -32,7 +33,7 @@ from scenarios.benchmarks_runs import BROADCASTS, DESIM_WAYS, WORKLOAD_NAMES, Ra
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
-    """Return as text the rates, the ratios of desim's rates to the others, and the missing simulators."""
+    """Return as text the rates, the ratios of desim's rates to those of others, and the missing simulators."""
     works, ways = list(dict.fromkeys(each.workload for each in rates)), list(dict.fromkeys(each.way for each in rates))
     found = {(each.workload, each.way): each.per_second for each in rates}
     heads = [short(work) for work in works]

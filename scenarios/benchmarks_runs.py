@@ -28,13 +28,13 @@ def short(workload: str) -> str:
 
 
 DESIM_WAYS = ("publish", "send")
-"""The ways that are calls of desim."""
+"""The ways of delivery that are calls of desim; see `scenarios.benchmarks`."""
 BROADCASTS = "broadcasts"
 """The name in `--parts` of the delivery rates, which this module measures; the other parts are `costs.PARTS`."""
 SLOW_LAP = 5.0
-"""A way whose first lap takes more CPU time than this, s, has no further laps."""
+"""Limit of CPU time, s: a way whose first lap takes longer has no further laps."""
 Commands = Mapping[str, Sequence[str]]
-"""By name of another simulator: the command that runs its program."""
+"""The command that runs the program of each other simulator, by the name of the simulator."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,10 @@ class Rate:
 
 
 class Laps:
-    """The laps of all ways on one workload; a simulator that fails is skipped from then on, and the reason is kept."""
+    """The laps of all ways on one workload, where a lap is one run of a way.
+
+    A simulator that fails is skipped from then on, and the reason is kept.
+    """
 
     def __init__(self, work: Workload, commands: Commands, missing: dict[str, str]):
         self._work, self._commands, self._missing = work, commands, missing
@@ -100,7 +103,10 @@ class Laps:
 
 @contextmanager
 def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Commands]:
-    """Create temporary environments of other simulators; add the reason for each unavailable one to `missing`."""
+    """Create temporary environments of other simulators; note in `missing` why a simulator is unavailable.
+
+    Yield the commands that run their programs.
+    """
     with TemporaryDirectory(prefix="peers-") as folder:
         commands = {}
         for name in tqdm(names, desc="environments", unit="", disable=None):
@@ -113,7 +119,7 @@ def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Comm
 
 
 def measure(options: Options, works: Sequence[Workload], ways: Sequence[str]) -> tuple[list[Rate], dict[str, str]]:
-    """Return the rate of each way on each workload, and the reason for each simulator that is missing."""
+    """Measure the rate of each way on each workload; return the rates, and why each missing simulator is missing."""
     missing: dict[str, str] = {}
     rates: list[Rate] = []
     bar: tqdm[Any]

@@ -39,13 +39,13 @@ from scenarios.study import SCENARIOS, Options
 from scenarios.table1 import configuration, decentralised
 
 SIZES = (100, 1_000, 10_000, 100_000)
-"""Numbers of nodes of the disk graphs; the cost of the largest is compared with that of the second."""
+"""Numbers of nodes of the disk graphs; the cost of a message in the largest is compared with that in the second."""
 DEGREE = 20
 """Mean number of neighbours on the disk graph."""
 DURATION = 2.0
 """Simulated time of a run on a disk graph, s."""
 LARGE_TEAM, HORIZON = 1_000, 10.0
-"""Number of pursuers on the complete graph, and their simulated time, s."""
+"""Number of pursuers on the complete graph, and the simulated time, s."""
 SLOT = 0.001
 """Slot delta, s."""
 TABLE1_RUNS = 100
@@ -82,9 +82,9 @@ class Drifting(PositionSource):
 
 
 def disk(size: int, seed: int) -> tuple[float, float]:
-    """Simulate nodes on a disk graph that broadcast once a second.
+    """Simulate nodes that broadcast once a second on a disk graph.
 
-    Return the CPU time per message sent, s (one message per receiver), and the rise of peak memory per node, B.
+    Return the CPU time, s, per message sent (one per receiver), and the rise of memory to its peak, B, per node.
     """
     before, env = memory("VmRSS"), Clock()
     places = Drifting(env, size, sqrt(pi * size / DEGREE), seed)
@@ -121,7 +121,10 @@ def disk_graphs(options: Options) -> list[Cost]:
 
 
 def large_team(count: int, horizon: float) -> Scenario:
-    """Return a scenario with a complete graph, so large that no evader is captured before the horizon."""
+    """Return a scenario of a team on a complete graph that runs until the horizon.
+
+    The area is so large that no evader is captured before.
+    """
     return Scenario(
         name="large_team",
         horizon=horizon,
@@ -132,7 +135,7 @@ def large_team(count: int, horizon: float) -> Scenario:
 
 
 def large_team_cost(count: int, horizon: float, seed: int) -> tuple[float, float]:
-    """Return the time, s, and the peak memory, B, of a run of `large_team`."""
+    """Run `large_team`; return the wall time of the run, s, and the peak memory of the process, B."""
     begin = time.perf_counter()
     result = run(large_team(count, horizon), seed)
     took = time.perf_counter() - begin
@@ -151,7 +154,7 @@ def complete(options: Options) -> list[Cost]:
 
 
 def table_1(_: Options) -> list[Cost]:
-    """Measure the time of the command of the Table I study with two worker processes."""
+    """Measure the wall time and the CPU time of the Table I study, run as a command with two worker processes."""
     with TemporaryDirectory() as folder:
         arguments = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
         before = os.times()
@@ -165,9 +168,9 @@ def table_1(_: Options) -> list[Cost]:
 
 
 def loop(options: Options) -> list[Cost]:
-    """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages.
+    """Measure the CPU time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages.
 
-    The motion step h is one slot delta, or ten.
+    The motion step h is one slot delta in one variant, and ten slots in another.
     """
     fine = decentralised(configuration(40), SLOT)
     coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
@@ -214,7 +217,7 @@ def streamed(scenario: Scenario, seed: int) -> int:
 
 
 def peak_of_stream(count: int, seed: int) -> float:
-    """Return the peak memory of a run that streams `count` messages to disk, B."""
+    """Stream the messages of a run, about `count`, to disk; return the peak memory of the process, B."""
     streamed(many_messages(count), seed)
     return memory("VmHWM")
 

@@ -2,10 +2,11 @@
 
 The law: if all pursuers start active and decide greedily, the excess active time is g_N(L lambda) N^2 delta. The excess
 is the integral of max(n - 1, 0) over time, where n is the number of active pursuers. L is the one-way latency, lambda
-the decision rate of a pursuer, and delta = 1 / (N lambda). First, g is measured on static games, for several schedules.
-Then the sum of active times of the moving pursuit is predicted, without any fit, over a grid of latencies and slots: it
-is the active time of the centralised benchmark plus g N^2 delta. Where the prediction exceeds about 30 s, the evader is
-captured before the excess has decayed, so the measured sum is lower.
+the decision rate of a pursuer, and the slot delta = 1 / (N lambda) the mean time between two decisions of the team.
+First, the function g is measured on static games, for several schedules. Then the sum of active times of a pursuit with
+motion is predicted, without any fit, over a grid of latencies and slots. The prediction is the active time of the
+centralised benchmark plus g N^2 delta. Where it exceeds about 30 s, the evader is captured before the excess has
+decayed, so the measured sum is lower.
 """
 
 from collections.abc import Sequence
@@ -57,7 +58,7 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
-    """Return a figure of the law for each schedule, and of the heat map with the prediction of the law."""
+    """Draw the law for each schedule, and the heat map with the prediction of the law."""
     from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:

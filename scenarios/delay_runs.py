@@ -52,7 +52,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Cell:
-    """The mean sum of active times of the pursuit at one latency and slot, and the prediction of the law, s."""
+    """The mean sum of active times of the pursuit at one latency and slot, and the prediction of the law; all in s."""
 
     latency: float
     slot: float
@@ -87,7 +87,7 @@ def pursuit(latency: float, slot: float) -> Scenario:
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Return g for each schedule and each dimensionless latency of `DELAYS`.
+    """Measure g for each schedule and each dimensionless latency of `DELAYS`.
 
     The token ring is measured without latency only, because the time between its revisions grows with the latency.
     """
@@ -107,7 +107,7 @@ def law(points: Sequence[Point]) -> Callable[[float], float]:
 
 
 def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
-    """Return the active times over the grid of latencies and slots, measured and predicted by the law."""
+    """Measure the active times over the grid of latencies and slots, and predict them by the law."""
     g = law(points)
     keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
     alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})
@@ -121,6 +121,6 @@ def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
 def means(
     scenarios: Sequence[Scenario], options: Options, label: str, metric: Callable[..., float]
 ) -> list[tuple[float, float]]:
-    """Return the mean and the standard error of a metric over the runs of each scenario."""
+    """Run each scenario; return the mean and the standard error of a metric over its runs."""
     estimates = [estimate(values) for values in options.measure(scenarios, label, metric)]
     return [(each.mean, each.standard_error) for each in estimates]

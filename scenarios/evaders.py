@@ -1,14 +1,16 @@
 """Which evasion strategy survives longest against each protocol, and what does limited sensing of the evader cost?
 
-The first part uses the scenario of the paper, in which one pursuer is twice as fast as the others. Each strategy of the
-evader plays against Spatial Adaptive Play on an ideal network, and against several protocols at one latency. Each
-pursuer decides ten times a second on average. All strategies run with the same seeds, so each is compared run by run
-with that of the paper: pure evasion, which flees from the nearest pursuer whether it is active or not.
+The first part uses the scenario of Lee & Bakolas, in which one pursuer is twice as fast as the others. Each strategy of
+the evader plays against Spatial Adaptive Play on an ideal network, and against several protocols with a latency
+(`--latency`). Each pursuer decides ten times a second on average. All strategies run with the same seeds, so each is
+compared run by run with pure evasion, the strategy of the paper: the evader flees from the nearest pursuer, whether or
+not that pursuer is active.
 
-In the second part the evader diffuses among robots, most of which are too slow to capture it. The slow robots watch and
-report their sightings; two fast ones chase, and use the reports where they do not see the evader. The sensing radius
-varies, and so does the estimate of the evader's position from an old sighting: its last position; its last position
-extrapolated with its last velocity; or the worst case, the farthest position it can have reached.
+In the second part the evader moves in a random direction that changes gradually (`diffusion`). Most of the pursuers are
+too slow to capture it: they watch and report their sightings. Two fast ones chase, and use the reports where they do
+not see the evader. The sensing radius varies, and so does the estimate of the evader's position from an old sighting:
+its last position; its last position extrapolated with its last velocity; or the worst case, anywhere that it can have
+reached since.
 """
 
 from collections.abc import Callable, Sequence
@@ -73,7 +75,10 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 
 def claims(cells: Sequence[Cell]) -> list[str]:
-    """Return a line per network: whether an evader that ignores inactive pursuers survives longer under SAP."""
+    """Return a line for each of the two networks: whether an evader that ignores inactive pursuers survives longer.
+
+    The protocol is Spatial Adaptive Play in both.
+    """
     lines = []
     for each in cells:
         if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):
@@ -115,13 +120,13 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
                 f"{each.report_transmissions:.1f}",
             )
         )
-    lost = f"lost: seen, and later by no pursuer for longer than {WATCHED.sensing.track_timeout:g} s"
+    lost = f"lost: seen, and later out of sight of all pursuers for more than {WATCHED.sensing.track_timeout:g} s"
     what = f"{WATCHERS} watchers, {CHASERS} chasers, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
     return f"Limited sensing: {what}\n{lost}\n{aligned(rows, right_from=2)}"
 
 
 def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
-    """Draw the gain of each strategy over pure evasion, and below it the cost of limited sensing."""
+    """Draw the difference in survival of each strategy from pure evasion, and below it the cost of limited sensing."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(plots.COLUMN, 4.6), font=7.0) as figure:
@@ -133,7 +138,7 @@ def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
 
 
 def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
-    """Draw paired differences to pure evasion, a row per strategy; only Spatial Adaptive Play has intervals."""
+    """Draw paired differences in survival from pure evasion, a row per strategy; only those of SAP have intervals."""
     from desim.analysis import palette
 
     here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}

@@ -59,7 +59,7 @@ PROTOCOLS = (IDEAL, "sap", "local_min", "cbba", "server", "voronoi", "centralise
 NEAREST = "voronoi"
 """The protocol under which the nearest pursuer chases, not necessarily the fast one."""
 MORE = 3
-"""Factor by which the second table has more runs than the first, since it estimates shares."""
+"""The second table has this many times the runs of the first, because it estimates shares."""
 RADII = (2.0, 4.0, 8.0, 16.0, inf)
 """Sensing radii R_s, m."""
 HELD = "hold"
@@ -92,12 +92,12 @@ class Cell:
     survival: float
     """Time to capture, or t_f where there was none, s."""
     half_width: float
-    """Half width of its 95 % interval, s."""
+    """Half width of the 95 % interval of the survival, s."""
     difference: float
     """Paired difference to the survival of pure evasion, s."""
     difference_half_width: float
     captured: float
-    """Share of the runs."""
+    """Share of the runs with capture."""
     active_time: float
     active_half_width: float
     handovers: float
@@ -111,9 +111,9 @@ class Sighted:
     """Sensing radius R_s, m."""
     estimate: str
     captured: float
-    """Share of the runs."""
+    """Share of the runs with capture."""
     captured_low: float
-    """Lower end of its 95 % Wilson interval."""
+    """Lower end of the 95 % Wilson interval of this share."""
     captured_high: float
     survival: float
     """Time to capture, or t_f where there was none, s."""
@@ -137,7 +137,7 @@ class Sighted:
 
 
 class Watched(NamedTuple):
-    """The measurements of one run with limited sensing; see `Sighted`."""
+    """The measurements of one run with limited sensing; see `Sighted`. Reports are counts here, not rates."""
 
     captured: bool
     survival: float
@@ -163,7 +163,7 @@ def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
 
 
 def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the second table: a sensing radius, m, an estimate of the evader, and a latency, s."""
+    """Return one scenario of the second table, given a sensing radius, m, a kind of estimate, and a latency, s."""
     sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
     return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
 

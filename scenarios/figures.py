@@ -3,8 +3,8 @@
 The figures show the configurations of Table I, N = 20 and 40: decentralised (Algorithm 2) for three slots delta, and,
 except for the utilities, centralised (Algorithm 3). Each figure shows the run of the first seed; the table has
 means over all seeds.
-The utility of a pursuer i is its wonderful-life utility for the true actions S, U_E(S) - U_E(S without i). It is 0 for
-an inactive pursuer.
+The utility of a pursuer i is its wonderful-life utility U_E(S) - U_E(S without i). S is the true set of active pursuers
+and U_E the global utility (`desim.pursuit.game`). The utility of an inactive pursuer is 0.
 """
 
 from dataclasses import asdict, dataclass
@@ -38,7 +38,7 @@ SAMPLING = 0.02
 PRINT = 300
 """Resolution of the PNG, dots per inch."""
 SHORT_SHARE = 0.1
-"""If a pursuer is first alone before this share of a run, the beginning is also drawn enlarged."""
+"""If a pursuer first chases alone before this share of a run has passed, an inset shows the beginning enlarged."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ def run_metrics(result: Result) -> RunMetrics:
 
 
 def panels(count: int) -> dict[str, Scenario]:
-    """Return the scenario of each panel: centralised, and one for each slot, with positions recorded."""
+    """Return the scenario of each panel: centralised, and decentralised for each slot, with positions recorded."""
     base = configuration(count).model_copy(update={"record": Recording(trajectory=SAMPLING)})
     found = {"centralised": centralised(base, min(DELTAS))}
     return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
 
 
 class IndividualUtilities(NamedTuple):
-    """The utilities of the pursuers between the breakpoints of a run."""
+    """The utilities of the pursuers between the breakpoints of a run (see `desim.analysis.timeline`)."""
 
     times: "NDArray[np.int64]"
     """(k + 1,) breakpoints, ns."""
@@ -186,7 +186,7 @@ def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> N
 
 
 def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
-    """Draw the utility of each active pursuer, bold if only it is active, and one line at 0 for the inactive ones."""
+    """Draw the utility of each active pursuer, bold while no other is active, and a line at 0 for the inactive ones."""
     from desim.analysis import palette
 
     times, active, utilities = found

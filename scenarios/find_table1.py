@@ -1,10 +1,11 @@
 """Find the initial configurations of Table I, which the paper does not print; write table1_20.toml and table1_40.toml.
 
-Configurations are drawn at random from the paper's boxes (x_i in [0, 20]^2, x_e in [8, 12]^2, rounded to mm). A
+Configurations are drawn at random from the paper's boxes (pursuers in [0, 20]^2, evader in [8, 12]^2, rounded to mm). A
 candidate is a configuration for which the active time of the *centralised* Algorithm 3 is within 0.5 % of the published
-one at all three delta. The chosen candidate is the one whose decentralised active times, with all pursuers initially
-active, have the least sum of squared log ratios to the published times. These runs have other seeds than the study.
-Nothing else is fitted: no parameter of the game, the protocol or the simulator.
+time for each of the three slots delta. Of the first candidates (`--most`), the one is chosen whose decentralised active
+times, with all pursuers initially active, have the least sum of squared log ratios to the published times. The choice
+takes several rounds, each with fewer candidates and more runs. Its seeds are not those of `scenarios.table1`. Nothing
+else is fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -34,7 +35,7 @@ FIRST_SEED = 1_000_000
 
 
 def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
-    """Return the (M,) active times of Algorithm 3, sampled every delta, for M configurations at once, s.
+    """Return the (M,) active times, s, of Algorithm 3, sampled every delta, for M configurations at once.
 
     The time is inf if there is no capture by the horizon.
 
@@ -64,7 +65,7 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
 
 
 def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int) -> list[Scenario]:
-    """Return the candidates among `draws` random configurations (rounded up to whole batches)."""
+    """Draw configurations (`draws`, rounded up to whole batches), and return the candidates among them."""
     rng = np.random.default_rng(seed)
     count, kept = base.team.count, []
     for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
@@ -88,7 +89,7 @@ def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Sce
 
 
 def misfits(candidates: list[Scenario], published: dict[float, float], runs: dict[float, int]) -> list[float]:
-    """Return for each candidate the sum of squared log ratios of measured to published decentralised active times.
+    """Run the candidates; return for each the sum of squared log ratios of decentralised to published active times.
 
     `runs` is the number of runs for each delta (s).
     """
@@ -100,7 +101,7 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
-    """Return the candidate of best decentralised fit; each round has fewer candidates and more runs per candidate."""
+    """Find the candidate of best decentralised fit, in rounds with fewer candidates and more runs per candidate."""
     for keep, runs in (
         (12, {0.1: 100, 0.01: 20}),
         (4, {0.1: 400, 0.01: 100, 0.001: 20}),

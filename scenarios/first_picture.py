@@ -1,7 +1,7 @@
-"""Draw the picture at the top of the README: one pursuit, and the effect of one-way latency on it.
+"""Draw the picture on the first page of the documentation: one pursuit, and the effect of one-way latency.
 
-Left: the pursuit of scenarios/relay.toml. Right: the number of active pursuers over time, averaged over the runs that
-have not ended, for several latencies of the same network.
+Left: the pursuit of scenarios/relay.toml. Right: the mean number of active pursuers over time for several latencies of
+the same network. The mean at each time is over the runs that have not yet ended.
 """
 
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LATENCIES = (0.0, 0.1, 0.5, 1.0)
 """One-way latencies, s."""
 TIMES = np.arange(0.0, 5.0, 0.02)
-"""Times at which the active pursuers are counted, s."""
+"""Times, s, at which the active pursuers are counted."""
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1.5)), (0, (1, 1)))
 """Line styles by latency: a longer latency has shorter dashes."""
 FILE = SCENARIOS / "relay.toml"
@@ -51,7 +51,7 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
         right.axhline(1.0, color=palette.GREY, lw=0.8, ls=":")
         right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
         right.set_yticks(range(0, 21, 5))
-        right.legend(title="one-way latency", handlelength=3, reverse=True)  # the order of the lines
+        right.legend(title="one-way latency", handlelength=3, reverse=True)  # in the order of the lines
     return figure
 
 

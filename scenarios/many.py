@@ -1,10 +1,11 @@
 """Several evaders: how good an assignment the team finds, and how soon all evaders are captured.
 
-With one evader the game has one equilibrium. With several it has many, some of them poor: if two pursuers should swap
-their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0: the
-welfare of the final profile is divided by that of the best assignment, for several numbers of negotiation slots,
-constant temperatures and protocols. In a second experiment all players move, and the time until all evaders are
-captured is measured.
+With one evader the game has one equilibrium. With several it often has many, some of them poor: if two pursuers should
+swap their evaders, neither gains by changing first. Cooling, a temperature that falls during log-linear learning, can
+help to leave poor profiles. Its value is measured in the static game at t = 0, in which no player moves. The study
+gives the welfare (global utility) of the final profile divided by that of the best assignment, and the share of games
+that end in the best assignment, by protocol, number of negotiation slots and constant temperature. In a second
+experiment all players move, and the time until all evaders are captured is measured.
 """
 
 from collections.abc import Sequence

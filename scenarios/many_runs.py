@@ -22,28 +22,28 @@ from scenarios.study import Options
 SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
 """Numbers of pursuers N and evaders M."""
 HARD = (4, 4)
-"""The size for the study of cooling: with M = N no pursuer is free to correct a poor assignment."""
+"""N and M of the games that compare temperatures: with M = N no spare pursuer can correct a poor assignment."""
 HORIZON = 15.0
-"""Horizon t_f and, in the static game, reward r, s."""
+"""Horizon t_f, s. In the static game the reward r, the time left, is always t_f."""
 BOX = (0.0, 20.0)
 """Interval of both initial coordinates, m."""
 SPEED = 2.0
 """Speed of the pursuers, m/s; evaders have the speed of the paper."""
 GAMES_PER_RUN = 3
-"""Number of static games of size `HARD` for each run."""
+"""Number of static games of size `HARD` per run requested with --runs."""
 BUDGETS = (30, 100, 300, 1000)
 """Numbers of slots for negotiation in a static game."""
 BUDGET = 300
 TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Constant temperatures, s."""
 HOT, COLD = 5.0, 0.05
-"""First and last temperature, s: about the utility of a chase, and a typical difference between two utilities."""
+"""First and last temperature of cooling, s: about the utility of a chase, and a typical difference of utilities."""
 SETTLING = 0.1
-"""Share of the slots that remains after the temperature has reached `COLD`."""
+"""Share of the slots that remains after slow cooling has reached `COLD`."""
 COOLING = 100
-"""Number of slots over which slow cooling takes place in moving pursuits: one second."""
+"""Number of slots given to `slow` if the players move: one second."""
 SLOT = 0.01
-"""Slot of moving pursuits, s."""
+"""Length of a slot if the players move, s."""
 FAST = GeometricTau(first=HOT, ratio=0.5, floor=COLD)
 CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
     {
@@ -57,11 +57,12 @@ CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
         "centralised": ("centralised", None),
     }
 )
-"""Kind of protocol and its cooling, by name."""
+"""By name of a contender: the kind of protocol and its cooling, if any."""
 COOLED = tuple(name for name, (_, cooling) in CONTENDERS.items() if cooling)
 REFERENCE = "SAP, slow"
 Key = tuple[tuple[int, int], str, int, float | None]
-"""Of static games: (N, M), protocol, number of slots, and the temperature if it is constant, s."""
+"""Identifies a set of static games: (N, M), name in `CONTENDERS` or kind of protocol, number of slots, and the
+temperature, s, if it is constant."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Outcome:
     """The result of one negotiation."""
 
     share: float
-    """Welfare of the final profile / welfare of the best assignment."""
+    """Welfare of the final profile / welfare of the best assignment; 1 if the latter is 0."""
 
     @property
     def best(self) -> bool:
@@ -86,17 +87,17 @@ class NegotiationSummary:
     protocol: str
     slots: int
     temperature: float | None
-    """The temperature if it is constant, s."""
+    """The temperature, s, if it is constant."""
     share: float
-    """Mean welfare / optimum."""
+    """Mean of welfare / optimum over the games."""
     half_width: float
-    """Half width of its 95 % interval."""
+    """Half width of the 95 % interval of `share`."""
     least: float
-    """Least welfare / optimum."""
+    """Least welfare / optimum of a game."""
     best: float
     """Share of the games that end in the best assignment."""
     best_low: float
-    """Lower end of its 95 % Wilson interval."""
+    """Lower end of the 95 % Wilson interval of `best`; the upper end is `best_high`."""
     best_high: float
 
 
@@ -107,7 +108,7 @@ class Chase:
     captured: float
     """Share of the evaders captured by t_f."""
     duration: float
-    """Time until all were captured, or t_f, s."""
+    """Time until all evaders were captured, or t_f if not all were, s."""
 
 
 @dataclass(frozen=True)
@@ -121,30 +122,30 @@ class PursuitSummary:
     """Mean share of the evaders captured by t_f."""
     captured_half_width: float
     all_captured: float
-    """Share of the runs in which all were captured."""
+    """Share of the runs in which all evaders were captured."""
     duration: float
-    """Mean time until all were captured, or t_f, s."""
+    """Mean time until all evaders were captured, or t_f if not all were, s."""
     half_width: float
-    """Half width of its 95 % interval, s."""
+    """Half width of the 95 % interval of `duration`, s."""
     difference: float
-    """Paired difference to the duration of slowly cooled Spatial Adaptive Play, s."""
+    """Mean paired difference of `duration` from that of `REFERENCE`, slowly cooled Spatial Adaptive Play, s."""
     difference_half_width: float
 
 
 def slow(slots: int) -> GeometricTau:
-    """Return a temperature that falls from `HOT` to `COLD` over the first 1 - `SETTLING` of a number of slots."""
+    """Return a cooling schedule that falls from `HOT` to `COLD` in the first (1 - `SETTLING`) * `slots` slots."""
     ratio = (COLD / HOT) ** (1.0 / ((1.0 - SETTLING) * slots))
     return GeometricTau(first=HOT, ratio=ratio, floor=COLD)
 
 
 def cooled(name: str, slots: int) -> Temperature | None:
-    """Return the temperature of a contender; None without one. `slots` is the duration of slow cooling."""
+    """Return the cooling schedule of a contender, None if its protocol has none; `slots` is the argument of `slow`."""
     cooling = CONTENDERS[name][1]
     return None if cooling is None else slow(slots) if cooling == "slow" else FAST
 
 
 def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
-    """Return a protocol of a kind with a slot, s; if it has a schedule, one pursuer decides in each slot."""
+    """Return a protocol of a kind with slots of `slot` seconds; if it has a schedule, one pursuer decides per slot."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings: dict[str, Any] = {"slot": slot} if "slot" in fields else {}
     if "schedule" in fields:
@@ -158,7 +159,7 @@ def moving_game(pursuers: int, evaders: int, kind: str, tau: Temperature | None 
 
 
 def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
-    """Return the game of `moving_game` with all players at rest, negotiated for a number of slots."""
+    """Return the game of `moving_game` with all players at rest and a number of slots for negotiation."""
     return _game(pursuers, evaders, kind, protocol(kind, HORIZON / slots, tau), Motion(static=True))
 
 
@@ -175,7 +176,7 @@ def _game(pursuers: int, evaders: int, kind: str, negotiation: Any, motion: Moti
 
 
 def capture_times(scenario: Scenario, seed: int) -> Floats:
-    """Return the (N, M) capture times phi at t = 0, s."""
+    """Return the (N, M) capture times phi, s, at t = 0."""
     at, speeds = scenario.team.start(seed), scenario.team.all_speeds()
     columns = [
         capture_time(evader.start(seed, index), at, speeds, evader.speed, scenario.capture.radius)
@@ -201,7 +202,7 @@ def chase(result: Result) -> Chase:
 
 
 def run_static_games(options: Options) -> list[NegotiationSummary]:
-    """Run static games: all protocols at each size, and at size `HARD` the SAP variants by slots and temperature."""
+    """Run the static games: all contenders at each size; at size `HARD`, the SAP variants by slots and temperature."""
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
@@ -246,7 +247,7 @@ def run_pursuits(options: Options) -> list[PursuitSummary]:
 def summarize_pursuits(
     size: tuple[int, int], name: str, candidate: Sequence[Chase], reference: Sequence[Chase]
 ) -> PursuitSummary:
-    """Return the results of pursuits, with the paired difference to the reference runs with the same seeds."""
+    """Return the results of pursuits, with the paired difference from reference runs with the same seeds."""
     captured = estimate([each.captured for each in candidate])
     duration = estimate([each.duration for each in candidate])
     paired = estimate([each.duration - other.duration for each, other in zip(candidate, reference, strict=True)])

@@ -1,4 +1,8 @@
-"""Measurement of time and memory: in alternating laps, in a separate process, or of a command; and their table."""
+"""Functions that measure time and memory, and a table of the results.
+
+`per_unit` compares variants in alternating laps, `apart` calls a function in a new process, and `command` times a
+Python command.
+"""
 
 import gc
 import subprocess
@@ -29,7 +33,7 @@ class Cost:
 
 
 def table(found: Mapping[str, Sequence[Cost]]) -> str:
-    """Return all costs as text, one section per part; costs above their limit are marked."""
+    """Return all costs as text, one section per part; a cost with a limit is marked if it is above the limit or nan."""
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():
         rows.append((part, "", "", "", ""))
@@ -41,13 +45,13 @@ def table(found: Mapping[str, Sequence[Cost]]) -> str:
 
 
 def apart(function: Callable[..., Answer], *given: object) -> Answer:
-    """Return the result of a module-level function called in a new process."""
+    """Call a module-level function in a new process and return its result."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
         return fresh.submit(function, *given).result()
 
 
 def memory(what: str) -> float:
-    """Return the resident memory of this process, B: current ("VmRSS") or peak ("VmHWM"); nan unless on Linux."""
+    """Return the current ("VmRSS") or peak ("VmHWM") resident memory, B, of this process; nan unless on Linux."""
     status = Path("/proc/self/status")
     if not status.exists():
         return nan
@@ -56,9 +60,9 @@ def memory(what: str) -> float:
 
 
 def per_unit(variants: Mapping[str, Callable[[int], int]], seeds: Sequence[int]) -> dict[str, float]:
-    """Return the median CPU time per unit of each variant, s.
+    """Run the variants in turn, each once per seed, and return the median CPU time per unit, s, of each variant.
 
-    A variant runs with a seed and returns its number of units. The variants alternate, one lap of each per seed.
+    A variant is called with a seed and returns the number of units that it processed, for example messages.
     """
     laps: dict[str, list[float]] = {name: [] for name in variants}
     for seed in seeds:
@@ -71,7 +75,11 @@ def per_unit(variants: Mapping[str, Callable[[int], int]], seeds: Sequence[int])
 
 
 def command(*arguments: str) -> float:
-    """Return the wall time of Python with these arguments, s."""
+    """Run Python with these arguments and return the wall time, s.
+
+    Raises:
+        CalledProcessError: if its exit code is not 0.
+    """
     begin = time.perf_counter()
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
     return time.perf_counter() - begin

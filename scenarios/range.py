@@ -1,11 +1,14 @@
-"""How much range do pursuers need? Active time by communication range, and games of neighbours without equilibrium.
+"""How much range do pursuers need? Active time by communication range, and the share of games without an equilibrium.
 
-A pursuer receives announcements from the pursuers within range R. The study compares five rules: the paper's utility
-over the active neighbours only; the same over the whole network component, by flooding; a penalty for each active
-neighbour; and the heuristics `local_min` and `argmin_known`. For the games at t = 0, the study also gives the number of
-components, the size of a greedy independent set, and the share of games without a pure equilibrium if the utility is
-that over the active neighbours. All profiles are enumerated. There are two teams: in that of the paper, only the fast
-pursuer and those near the evader can capture it in time; in the other, most pursuers can.
+A pursuer receives announcements from the pursuers within range R. The study compares five rules. Three are Spatial
+Adaptive Play with different utilities: `local mean` is the paper's utility over the active neighbours only; `component`
+is the paper's utility over the whole network component, and needs flooding; `edge penalty` subtracts a penalty for
+each active neighbour. The other two are the heuristics `local min` and, with flooding, `argmin known`.
+
+For the games at t = 0, the study also gives the number of network components, the size of the greedy maximal
+independent set, and the share of games without a pure equilibrium under the utility `local mean`. This share is found
+by enumeration of all profiles. There are two teams. In the team "paper", only the fast pursuer and those near the
+evader can capture it in time; in the team "all able", most pursuers can.
 """
 
 from collections.abc import Sequence

@@ -32,10 +32,10 @@ RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """Communication ranges R, m."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 GAMES_PER_RUN = 20
-"""Number of enumerated games of t = 0 for each run."""
+"""Number of games at t = 0 that are enumerated per run requested with --runs."""
 CLOCKS = Poisson(rate=10.0)
 HEARTBEAT = 0.3
-"""Time between two announcements without a change, s."""
+"""Time, s, between two heartbeats: announcements that are sent even without a change of action."""
 PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
     {
         "component": (SpatialAdaptivePlay(schedule=CLOCKS, utility=Component()), Flooding(hops=N)),
@@ -50,20 +50,20 @@ REFERENCE = "component"
 
 @dataclass(frozen=True)
 class Games:
-    """Statistics of the games of one team at one range, at t = 0."""
+    """Statistics of the games at t = 0 of one team at one range."""
 
     team: str
     range: float
     games: int
     unsettled: float
-    """Share without a pure equilibrium under the utility of neighbours (`LocalMean`), in [0, 1]."""
+    """Share of the games without a pure equilibrium if only neighbours count (utility `LocalMean`), in [0, 1]."""
     unsettled_low: float
-    """Lower end of its 95 % Wilson interval."""
+    """Lower end of the 95 % Wilson interval of `unsettled`; the upper end is `unsettled_high`."""
     unsettled_high: float
     components: float
     """Mean number of network components."""
     independent: float
-    """Mean size of the greedy independent set."""
+    """Mean size of the greedy maximal independent set."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,14 @@ class Pursuits:
     protocol: str
     active_time: float
     half_width: float
-    """Half width of its 95 % interval, s."""
+    """Half width of the 95 % interval of `active_time`, s."""
     difference: float
-    """Paired difference to the active time of the game per component, s."""
+    """Mean paired difference of the active time from that of `REFERENCE`, s."""
     difference_half_width: float
 
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
-    """Return the scenario of the paper with a team whose members communicate up to a range, m."""
+    """Return the scenario of the paper with a team, a communication range (m) and a protocol of this study."""
     chosen, dissemination = PROTOCOLS[protocol]
     settings = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(
@@ -103,7 +103,7 @@ def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.D
 
 
 def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
-    """Return the statistics of the games of a team at one range, at t = 0."""
+    """Return the statistics of the games at t = 0 of a team at one range, m."""
     base = scenario(team, range, "local mean")
     seeds = seeds_from(options.seed, options.runs * GAMES_PER_RUN)
     unsettled, components, independent = 0, [], []

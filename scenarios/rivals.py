@@ -3,9 +3,12 @@
 There are three scenarios: that of the paper, with one pursuer twice as fast as the others; one that stresses the relay,
 with all pursuers equally fast; and that of the paper without sensing of teammates, so that announcements also carry
 positions. A pursuer announces exactly ten times a second, so protocols send equally many messages of unequal sizes.
-The centralised benchmark and, where positions are sensed, the geometric rules do not announce. Each pursuer decides ten
-times a second on average. The value of communication is the difference from a silent team, in which each pursuer
-decides alone. The cost of delay is the difference from the same protocol with the same seeds and without delay.
+There are three exceptions: the centralised benchmark and, where positions are sensed, the geometric rules send nothing;
+under `server`, reports and orders replace the announcements, and are about as many. A pursuer, or the planner of the
+centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The value of
+communication is the decrease of active time compared with a silent team, in which each pursuer decides alone. The cost
+of delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
+seeds and without delay.
 """
 
 from collections import defaultdict
@@ -72,7 +75,7 @@ def _number(value: float | None, unit: str, digits: int = 2) -> str:
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
-    """Draw the active time of each protocol at each latency; protocols are in ascending order of their total."""
+    """Draw the active time of each protocol at each latency; protocols are in ascending order of total active time."""
     from desim.analysis import plots
 
     total: dict[str, float] = defaultdict(float)

@@ -17,7 +17,7 @@ from scenarios.study import Options
 LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)
 """One-way latencies L, s."""
 SHOWN = 0.2
-"""The latency of the table of all metrics, s."""
+"""Latency, s, for which a table shows all metrics."""
 PERIOD = 0.1
 """Time between two announcements of a pursuer, and mean time between two of its decisions, s."""
 STEP = 0.01
@@ -44,19 +44,19 @@ class Cell:
     latency: float
     active_time: float
     half_width: float
-    """Half width of its 95 % interval, s."""
+    """Half width of the 95 % interval of `active_time`, s."""
     difference: float
-    """Paired difference to the active time of Spatial Adaptive Play, s."""
+    """Mean paired difference of the active time from that of Spatial Adaptive Play, s."""
     difference_half_width: float
     captured: float
     """Share of the runs with capture."""
     relayed: float
-    """Share of the runs in which the relay pursuer chased alone for at least 2 (L + `PERIOD`)."""
+    """Share of the runs in which the relay pursuer chased alone for at least 2 (L + `PERIOD`) or until the end."""
     time_to_relay: float | None
-    """Mean over those runs, s; None without any."""
+    """Mean, over the runs that `relayed` counts, of the time at which this began, s; None if there are none."""
     misassigned_time: float
     network_regret: float
-    """Increase of the potential gap by delay, s^2."""
+    """Mean increase of the potential gap compared with zero latency, s^2."""
     handovers: float
     transmissions: float
     """Transmissions per second."""
@@ -65,11 +65,11 @@ class Cell:
     saved_per_transmission: float | None
     """Decrease of active time compared with a silent team, s per transmission; None without transmissions."""
     saved_per_kilobyte: float | None
-    """The same, s per kilobyte."""
+    """Decrease of active time compared with a silent team, s per kilobyte; None without transmissions."""
 
 
 def contender(kind: str) -> object:
-    """Return a protocol of a kind; its period, or the mean time between decisions of its schedule, is `PERIOD`."""
+    """Return a protocol of a kind with slot or period `PERIOD`, or with a Poisson schedule of this mean time."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings = {key: PERIOD for key in ("slot", "period") if key in fields}
     schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
@@ -77,7 +77,7 @@ def contender(kind: str) -> object:
 
 
 def scenario(world: str, protocol: str, latency: float) -> Scenario:
-    """Return the scenario of one protocol in one world at one latency, s."""
+    """Return a scenario of `WORLDS` with a protocol (or `SILENT`) and a latency, s."""
     sending = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
     announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | sending)
     return WORLDS[world].model_copy(
@@ -92,7 +92,7 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
 
 
 def measure(options: Options) -> list[Cell]:
-    """Run each protocol in each world at each latency; return their results."""
+    """Run each protocol in each scenario of `WORLDS` at each latency, and return the results."""
     protocols = [*PROTOCOLS.choices(), SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
     runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
@@ -111,7 +111,7 @@ def measure(options: Options) -> list[Cell]:
 def measured(result: Result) -> tuple[Summary, float | None]:
     """Return the summary of a run and its time to relay, s.
 
-    The window in which the relay pursuer must chase alone is 2 (L + `PERIOD`) with every protocol.
+    The relay pursuer must chase alone for a window of 2 (L + `PERIOD`), the same for every protocol.
     """
     latency = result.scenario.network.latency
     assert isinstance(latency, Constant)
@@ -129,7 +129,7 @@ def cell(
     """Return the results of one protocol, and their differences from other runs with the same seeds.
 
     Args:
-        key: world, protocol and latency.
+        key: name in `WORLDS`, protocol and latency (s).
         found: the summary and the time to relay of each run.
         reference: the same for Spatial Adaptive Play.
         silent: the same for a team without announcements.

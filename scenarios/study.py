@@ -39,15 +39,15 @@ class Options:
     def measure(
         self, scenarios: Sequence["Scenario"], label: str, metric: Callable[["Result"], Measured]
     ) -> list[list[Measured]]:
-        """Return the metric of each run of each scenario; run k of every scenario has the same seed."""
+        """Run each scenario and return the metric of each of its runs; run k of every scenario has the same seed."""
         seeds = seeds_from(self.seed, self.runs)
         values = iter(run_many([(each, seed) for each in scenarios for seed in seeds], self.jobs, label, metric))
         return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
-        """Print the table, or the document as JSON if requested, and write both and the figure to the folder.
+        """Print the table, or the document as JSON if requested; write both and the figure to the folder `out`.
 
-        NAME.run.json in the same folder records their provenance; several studies can share the folder.
+        The file NAME.run.json, with the name of the study, records their provenance. Studies can share a folder.
         """
         text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
         click.echo(text if self.as_json else table)
@@ -62,9 +62,9 @@ class Options:
             self.save_figures(lambda: [(self.name, figure())])
 
     def save_figures(self, figures: Callable[[], Iterable[tuple[str, "Figure"]]], *, dpi: int = 150) -> None:
-        """Write the named figures to the folder, as SVG and as PNG with `dpi` dots per inch.
+        """Write the named figures to the folder `out`, as SVG and as PNG with `dpi` dots per inch.
 
-        Without matplotlib none is drawn, and a line on stderr says so.
+        Without matplotlib no figure is drawn, and a line on stderr says so.
         """
         if not can_plot():
             click.echo("no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
@@ -84,7 +84,7 @@ def study(
     Args:
         name: name of the study.
         doc: help text of the command.
-        runs: default number of runs per cell.
+        runs: default number of runs per cell, which is one combination of settings.
         own: options that only this study has; see `Options.own`.
     """
 

@@ -1,10 +1,10 @@
 """Reproduce Table I of Lee & Bakolas: the sum of active times, centralised and decentralised, N = 20 and 40.
 
-In the decentralised cells pursuers exchange action messages over a complete graph with zero latency, with slot delta =
-motion step h as in Algorithm 2. According to the paper each pursuer starts "with a random action", but the published
-figures match a start with all pursuers active, so both starts are shown. A centralised cell has a single run: it
-has no random draws, and the planner decides before any pursuer moves, so the start does not matter. The initial
-configurations are in table1_20.toml and table1_40.toml; `python -m scenarios.find_table1` finds them.
+In the decentralised cells pursuers exchange action messages over a complete graph with zero latency. As in Algorithm 2,
+the slot delta equals the motion step h. According to the paper each pursuer starts "with a random action", but the
+published figures match a start with all pursuers active, so both starts are shown. A centralised cell has a single run:
+there are no random draws, and the planner decides before any pursuer moves, so the initial actions do not matter. The
+initial configurations are in table1_20.toml and table1_40.toml; `python -m scenarios.find_table1` searches for them.
 """
 
 from dataclasses import asdict, dataclass
@@ -65,17 +65,17 @@ class Cell:
 
 
 def configuration(count: int) -> Scenario:
-    """Return the scenario in the file for N = 20 or 40."""
+    """Load the scenario of Table I with `count` = 20 or 40 pursuers."""
     return load(SCENARIOS / f"table1_{count}.toml")
 
 
 def centralised(base: Scenario, delta: float) -> Scenario:
-    """Return a configuration under Algorithm 3."""
+    """Return a configuration under Algorithm 3, with slot and motion step `delta`, s."""
     return _with_protocol(base, Centralised(slot=delta), delta)
 
 
 def decentralised(base: Scenario, delta: float, active_at_start: float = 1.0) -> Scenario:
-    """Return a configuration under Algorithm 2."""
+    """Return a configuration under Algorithm 2, with slot and motion step `delta`, s."""
     start = base.team.model_copy(update={"active_at_start": active_at_start})
     protocol = SpatialAdaptivePlay(schedule=SharedSeed(slot=delta))
     return _with_protocol(base.model_copy(update={"team": start}), protocol, delta)

@@ -1,7 +1,8 @@
 """Which time step determines Table I? Active time over a grid of negotiation slot delta and motion step h.
 
-The paper's time-stepped loop uses one number for both. Here the pursuers of Table I negotiate every delta and move
-every h, for all pairs of five values. A change along delta is due to negotiation, a change along h to integration.
+The time-stepped loop of Lee & Bakolas uses one number for both. Here the 20 pursuers of Table I negotiate every delta
+and set their headings every h, for all pairs of five values. A change of active time with delta is due to negotiation,
+a change with h to the integration of motion.
 """
 
 from dataclasses import asdict, dataclass
@@ -71,7 +72,7 @@ def table(cells: list[Cell], runs: int) -> str:
 
 
 def picture(cells: list[Cell]) -> "Figure":
-    """Draw the active time over delta and over h, one line per value of the other; the paper has delta = h."""
+    """Draw the active time over delta, one line per h, and over h, one line per delta; the paper has delta = h."""
     from desim.analysis import palette, plots
 
     found = {(cell.slot, cell.step): cell for cell in cells}

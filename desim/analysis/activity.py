@@ -1,8 +1,8 @@
 """Metrics of the actions alone: active times, changes of action, handovers.
 
-S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run. With several
-evaders n_j(t) is the number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders
-at large, so the integral of an n_j ends at the capture of j.
+n(t) is the number of active pursuers; integrals run from 0 to the end of the run. With several evaders n_j(t) is the
+number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet
+captured), so the integral of an n_j ends at the capture of j.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -39,11 +39,11 @@ class EvaderPursuit:
     """The pursuers of one evader over time."""
 
     start: tuple[bool, ...]
-    """(N,) whether each pursuer chased it at the start."""
+    """(N,) whether each pursuer chased the evader at the start."""
     steps: list[tuple[int, int, int]]
-    """(time (ns), pursuer, 1 or -1) for each pursuer that joined or left."""
+    """(time (ns), pursuer, 1 or -1) for each change: 1 if the pursuer joined, -1 if it left."""
     end: int
-    """Time of its capture or of the end of the run, ns."""
+    """Time, ns, of the capture of the evader, or of the end of the run if it was not captured."""
 
 
 @remembered
@@ -56,7 +56,7 @@ def decisions(result: Result) -> list[Decided]:
 def changes(result: Result) -> list[Change]:
     """Return the changes of action in order; a capture yields one `Released` for each pursuer of the evader.
 
-    A capture at the end of the run yields none: the pursuers of that evader chase it until then.
+    A capture at the instant of the end of the run yields none: the pursuers of that evader stay active up to the end.
     """
     actions, end = list(started(result).active), ended(result).t
     changed: list[Change] = []
@@ -92,7 +92,7 @@ def changes_with_previous(result: Result) -> Iterator[tuple[Change, int]]:
 
 @remembered
 def evader_pursuits(result: Result) -> list[EvaderPursuit]:
-    """Return the pursuers of each evader over time, (M,)."""
+    """Return the pursuers of each of the M evaders over time."""
     start = started(result)
     ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
     ends |= {capture.evader: capture.t for capture in captures(result)}
@@ -114,7 +114,7 @@ def activity(result: Result) -> Steps:
 
 @remembered
 def pressure(result: Result) -> list[Steps]:
-    """Return n_j(t), the number of pursuers of each evader, up to its capture."""
+    """Return n_j(t), the number of pursuers of each evader j, up to its capture or the end of the run."""
     return [
         _step_function(sum(pursuit.start), ((t, by) for t, _, by in pursuit.steps), pursuit.end)
         for pursuit in evader_pursuits(result)
@@ -131,7 +131,7 @@ def _step_function(start: int, steps: Iterable[tuple[int, int]], end: int) -> St
 
 
 def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
-    """Return the integral over time of a function of the counts, s; the sum over step functions is rounded once."""
+    """Return the integral over time, s, of the function `of` of the counts, summed over step functions by `fsum`."""
     return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
 
 
@@ -141,7 +141,7 @@ def active_time(result: Result) -> float:
 
 
 def idle_time(result: Result) -> float:
-    """Return the time without an active pursuer, int sum_j 1{n_j = 0} dt, s, summed over the evaders.
+    """Return the time, s, without an active pursuer, summed over the evaders: int sum_j 1{n_j = 0} dt.
 
     Active time - excess time + idle time is the time for which an evader is at large, summed over the evaders.
     """
@@ -149,22 +149,22 @@ def idle_time(result: Result) -> float:
 
 
 def crowded_time(result: Result) -> float:
-    """Return the time with more than one active pursuer, int sum_j 1{n_j > 1} dt, s, summed over the evaders."""
+    """Return the time, s, with more than one active pursuer, summed over the evaders: int sum_j 1{n_j > 1} dt."""
     return _integral(pressure(result), lambda counts: counts > 1)
 
 
 def excess_time(result: Result) -> float:
-    """Return the active time in excess of one pursuer per evader, int sum_j (n_j - 1)+ dt, s."""
+    """Return the active time, s, in excess of one pursuer per evader: int sum_j max(n_j - 1, 0) dt."""
     return _integral(pressure(result), lambda counts: np.maximum(counts - 1, 0))
 
 
 def energy(result: Result) -> float:
-    """Return the energy of the chase, int sum_i v_i^2 a_i dt with a_i = 1{i is active}, m^2/s.
+    """Return the energy of the chase, m^2/s: int sum_i v_i^2 a_i dt with a_i = 1{i is active}.
 
-    In a static game, where no pursuer moves, it is the energy that the same actions would need with motion.
+    In a static game, where no pursuer moves, it is the energy that pursuers with the same actions would need to move.
     """
     end = ended(result).t
-    own = [end * bool(active) for active in started(result).active]  # ns, whole numbers
+    own = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
     for change, before in changes_with_previous(result):
         own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
     return float(sum(speed**2 * time for speed, time in zip(started(result).speeds, own, strict=True)) / SECOND)
@@ -201,14 +201,14 @@ def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
 
 
 def handovers(result: Result) -> int:
-    """Return the number of handovers: changes of the single pursuer of an evader (n_j = 1), over all evaders."""
+    """Return the number of handovers: changes of the only pursuer of an evader (n_j = 1), over all evaders."""
     return sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 
 def ping_pongs(result: Result, within: float = 1.0) -> int:
     """Return the number of handovers i -> j less than `within` s after the handover j -> i.
 
-    The term is that of cellular networks (3GPP TR 36.839, where this minimum time of stay is 1 s).
+    The term is that of cellular networks (3GPP TR 36.839, in which the minimum time of stay, here `within`, is 1 s).
     """
     return sum(
         before == after and back - there < nanoseconds(within)

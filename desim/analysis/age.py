@@ -2,7 +2,8 @@
 
 The age of information of a reader about a source is the time since the source announced the newest record that the
 reader has received (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). The age grows at
-rate 1 and drops at each reception of a newer record, so it is a sawtooth (`desim.analysis.knowledge`).
+rate 1 and drops at each reception of a newer record, so it is a sawtooth. `desim.analysis.knowledge` defines records,
+sources and readers.
 
 These metrics need the messages of a run: `record.messages = true`.
 """
@@ -38,7 +39,7 @@ class Ages:
 
 @remembered
 def ages(result: Result) -> Ages:
-    """Return the ages of information of all pairs.
+    """Return the ages of information of all pairs of a reader and a source.
 
     A pair counts from its first reception on. After a reader has lost its memory, its pairs count again from their next
     reception on.
@@ -51,7 +52,7 @@ def ages(result: Result) -> Ages:
     pair, created = pieces["reader"] * size + pieces["source"], pieces["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
-        """Return total / weight summed by pair, (N, N)."""
+        """Return the sum of `total` over the sum of `weight` for each pair, (N, N); nan if the weights sum to 0."""
         totals, weights = (np.bincount(pair, each, minlength=size * size) for each in (total, weight))
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
@@ -70,27 +71,44 @@ def over_pairs(age: Floats) -> float:
 
 
 def age_mean(result: Result) -> float:
-    """Return the age of information, averaged over time and then over pairs, s."""
+    """Return the age of information, s, averaged over time and then over pairs; nan without a measurement.
+
+    Raises:
+        ValueError: if messages were sent and not recorded.
+    """
     return over_pairs(ages(result).mean)
 
 
 def age_peak(result: Result) -> float:
-    """Return the age of information just before a newer record arrived, averaged over updates, then over pairs, s."""
+    """Return the age of information, s, just before a newer record arrived, averaged over arrivals and then over pairs.
+
+    The result is nan without a measurement.
+
+    Raises:
+        ValueError: if messages were sent and not recorded.
+    """
     return over_pairs(ages(result).peak)
 
 
 def age_at_decision(result: Result) -> float:
-    """Return the age of information at the decisions of the reader, averaged over these and then over pairs, s."""
+    """Return the age of information, s, at the decisions of the reader, averaged over these and then over pairs.
+
+    The result is nan without a measurement.
+
+    Raises:
+        ValueError: if messages were sent and not recorded.
+    """
     return over_pairs(ages(result).at_decision)
 
 
 def belief_error(result: Result) -> float:
-    """Return the share of ordered pairs in which the source's action differs from the last one the reader received.
+    """Return the share of ordered pairs in which the source's action differs from that in the reader's newest record.
 
-    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start, readers know all
-    actions or, without `announce.warm_start`, take all pursuers for inactive. The time-out of beliefs
-    (`announce.belief_timeout`) has no effect on this metric, which compares the received records only. With several
-    evaders, a record is wrong if it names an evader that the source does not chase, such as one captured since.
+    The share, in [0, 1], is averaged over time; it is nan if there are no pairs or no time passed. At the start,
+    readers know all actions or, without `announce.warm_start`, take all pursuers for inactive. After a loss of memory,
+    a reader takes all pursuers for inactive, too. The time-out of beliefs (`announce.belief_timeout`) has no effect,
+    because this metric compares records only. With several evaders, a record is also wrong if it names an evader that
+    the source does not chase, such as an evader captured since.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -142,7 +160,7 @@ class _TrueActions:
     """(M + 1, k) cumulative time of each action at the start times, ns."""
 
     def time(self, action: int | Integers, t: Integers) -> Integers:
-        """Return the (n,) cumulative times of one action, or of (n,) actions, at (n,) times, ns."""
+        """Return the cumulative time, ns, of one action, or of each of (n,) actions, at each of (n,) times, ns."""
         k = np.searchsorted(self.began, t, side="right") - 1
         found: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
         return found

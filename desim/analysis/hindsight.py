@@ -1,9 +1,10 @@
-"""Hindsight: the profile compared with the optimum of the game, at the true capture times.
+"""Hindsight: the actions of the pursuers compared with the optimum of the game, at the true capture times.
 
-S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, r(t) the time that is left. The relay
-pursuer i*(t) is the pursuer with the least phi among those that are not broken; ties go to the lowest id. If its phi is
-at least r, there is no relay pursuer, and {i*} is empty. The potential of the game is Phi(S) = r - mean of phi over S,
-with Phi(empty) = 0. It is largest for S = {i*}. Integrals run from 0 to the end of the run.
+S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, and r(t) the time left, which is constant in
+a static game. The relay pursuer i*(t) is the pursuer with the least phi among those that have not broken down; ties go
+to the lowest id. If its phi is at least r, there is no relay pursuer, and {i*} is empty. The potential of the game is
+Phi(S) = r - mean of phi over S, with Phi(empty) = 0. It is largest for S = {i*}. Integrals run from 0 to the end of the
+run.
 
 With several evaders, there is one such game for each evader that is not yet captured. S_j is the set of the pursuers
 that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.assignment`). Phi is largest for
@@ -13,11 +14,11 @@ pursuers that `optimal_assignment` gives.
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
 samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
 For example, take 12 seeds of scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every
-0.002 s does not change the misassigned time and the time to relay, and changes the potential gap by 0.01 % and the
+0.002 s does not change the misassigned time or the time to relay. It changes the potential gap by 0.01 % and the
 regret by 0.02 %. With all speeds 1.1 m/s, i* may change at every motion step, when the evader runs between two equally
-near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; the error in one run
-is 0.16 s. The time to relay restarts at each change of i*, and is 1.25 s instead of 1.34 s. If that matters, sample at
-every motion step.
+near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the
+error is 0.16 s. The time to relay restarts at each change of i*, and is 1.25 s instead of 1.34 s. If such errors
+matter, sample at every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +39,7 @@ from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 ALIKE = 20
-"""Number of nodes used to estimate the mean latency of a complete graph, whose links are all alike."""
+"""Largest number of nodes used to estimate the mean latency of a complete graph, whose links are all alike."""
 NO_PURSUER = -1
 
 
@@ -70,6 +71,7 @@ def hindsight(result: Result) -> Hindsight:
     """
     evaders, size = len(started(result).evaders), len(started(result).active)
     times, relayed, gap = [np.zeros(1, np.int64)], [np.zeros(0, bool)], [np.zeros(0)]
+    # Integrals of the gains, s^2: (M, N) from chasing one evader throughout, and (N,) from the actions taken.
     fixed, played = np.zeros((evaders, size)), np.zeros(size)
     for parts in zip(*(timeline(result, j + 1) for j in range(evaders)), strict=True):
         best = _optimal_pursuers(parts)
@@ -87,10 +89,10 @@ def hindsight(result: Result) -> Hindsight:
 
 
 def gains(part: Timeline) -> Floats:
-    """Return the (k, N) gain of each pursuer from chasing the evader in each piece, given the others' actions, s.
+    """Return the (k, N) gain, s, of each pursuer from chasing the evader in each piece, given the others' actions.
 
-    U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.gain`; 0 for a pursuer
-    that cannot capture the evader (phi = inf) and so has no choice.
+    The gain is U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.gain`, but 0 for a
+    pursuer that cannot capture the evader (phi = inf), because it can only be inactive.
     """
     able = np.isfinite(part.phi)
     phi = np.where(able, part.phi, 0.0)
@@ -102,7 +104,7 @@ def gains(part: Timeline) -> Floats:
 
 
 def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
-    """Return the (M, k) optimal pursuer of each evader, or `NO_PURSUER`; for one evader, the relay pursuer."""
+    """Return the (M, k) optimal pursuer of each evader in each piece, or `NO_PURSUER`; see the top of this module."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
     best[np.array([_single_potential(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
@@ -115,20 +117,20 @@ def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
 
 
 def _single_potential(part: Timeline, chaser: Integers) -> Floats:
-    """Return the (k,) potential if one given pursuer per piece chased the evader alone, s; 0 where it would be late."""
+    """Return the (k,) potential, s, if `chaser` chased the evader alone; 0 if it would be late or is `NO_PURSUER`."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
     return np.where(chaser == NO_PURSUER, 0.0, found)
 
 
 def _relayed(part: Timeline, best: Integers) -> Bools:
-    """Return (k,) whether the optimal pursuer chases alone; where there is none, whether no pursuer chases."""
+    """Return (k,) whether the optimal pursuer chases the evader alone; without one, whether no pursuer chases it."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
     found: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
     return found
 
 
 def _potential(part: Timeline) -> Floats:
-    """Return the (k,) potential of the pursuers that chase the evader, s; as `desim.pursuit.game.potential`."""
+    """Return the (k,) potential, s, of the pursuers that chase the evader, as `desim.pursuit.game.potential` does."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
     mean = np.where(counted, part.phi, 0.0).sum(axis=1) / np.maximum(n, 1)
@@ -136,9 +138,9 @@ def _potential(part: Timeline) -> Floats:
 
 
 def misassigned_time(result: Result) -> float:
-    """Return the time for which the active pursuers were not the relay pursuer alone, int 1{S != {i*}} dt, s.
+    """Return the time, s, for which the relay pursuer was not the only active pursuer: int 1{S != {i*}} dt.
 
-    With several evaders: the time for which S_j differed from the optimum for any evader.
+    With several evaders, it is the time for which S_j differed from the optimum for at least one evader.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -148,9 +150,9 @@ def misassigned_time(result: Result) -> float:
 
 
 def potential_gap(result: Result) -> float:
-    """Return the gap to the largest potential, int (Phi* - Phi(S)) dt with Phi* = max(0, r - phi_min), s^2.
+    """Return the gap to the largest potential, s^2: int (Phi* - Phi(S)) dt with Phi* = max(0, r - phi_min).
 
-    With several evaders Phi* is the potential of an optimal assignment of pursuers to them.
+    With several evaders, Phi* is the potential of an optimal assignment of pursuers to evaders.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -160,7 +162,7 @@ def potential_gap(result: Result) -> float:
 
 
 def regret(result: Result) -> float:
-    """Return the external regret of the pursuers, averaged over them and over time, s; 0 if no time passed.
+    """Return the external regret, s, averaged over the pursuers and over time; 0 if no time passed.
 
     The external regret of pursuer i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play") is the utility of its
     best fixed action minus the utility of the actions that it took, given the others' actions:
@@ -179,13 +181,13 @@ def regret(result: Result) -> float:
 
 
 def time_to_relay(result: Result, window: float | None = None) -> float | None:
-    """Return the first time from which S = {i*} holds for a window or until the end of the run, s; None if never.
+    """Return the first time, s, from which S = {i*} holds for a window or until the end of the run; None if never.
 
     With several evaders, S = {i*} stands for an optimal profile.
 
     Args:
         result: the result of a run whose positions were recorded.
-        window: the time for which S = {i*} has to hold, s; if None, W = 2 (L + N delta), see `settling_window`.
+        window: the time, s, for which S = {i*} has to hold; if None, that of `settling_window`.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -201,11 +203,12 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
 
 
 def settling_window(result: Result) -> float:
-    """Return the time after which an unchanged profile is taken as settled, W = 2 (L + N delta), s.
+    """Return the time W = 2 (L + N delta), s, after which an unchanged profile counts as settled.
 
-    L is the mean latency of the scenario's links, with the airtime of a message and without queueing. N delta is the
-    time between two decisions of one pursuer: the `slot` or `period` of the protocol, or the mean in this run for a
-    protocol with a schedule. inf if there were no decisions.
+    L is the mean latency of the scenario's links, with the airtime of a message and without queueing. delta is the mean
+    time between two decisions of the team, so N delta is that between two decisions of one pursuer: the `slot` of the
+    protocol, otherwise its `period`, otherwise the mean in this run. W is inf in the last case if there were no
+    decisions.
     """
     protocol = result.scenario.protocol_traits
     between = protocol.period if protocol.slot is None else protocol.slot

@@ -1,9 +1,10 @@
-"""Invariants of pursuits: watchers of one run that raise AssertionError if an invariant is broken.
+"""Invariants of pursuits: watchers that raise AssertionError if an invariant is broken in a run.
 
     result = watched(scenario, seed)
     result = run(scenario, seed, MotionWatcher(scenario), PotentialWatcher(scenario))
 
-A watcher can also be called with the events of a finished trace. The invariants of messages are in
+A watcher is a function called with each event of a run (`desim.kernel.events.Watcher`). It can also be called with the
+events of a finished trace. A new watcher is needed for each run. The invariants of messages are in
 `desim.kernel.invariants`.
 """
 
@@ -36,8 +37,8 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    These watchers are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`. Use this function in tests of a protocol
-    or a model.
+    These watchers are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`; `watchers` are added to them. Use this
+    function in tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
@@ -49,13 +50,13 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
 
 
 class ActiveTimeWatcher:
-    """A watcher with a stopwatch for each pursuer, which runs while the pursuer is active.
+    """A watcher that measures the active time of each pursuer with a stopwatch.
 
     After the run, `judge` compares the metrics of active time and energy with the stopwatches.
 
     Attributes:
         profile: (N,) actions of the pursuers, as in `Decided`.
-        end: time of the end of the run, ns.
+        end: time of the end of the run, ns; 0 before it.
     """
 
     def __init__(self) -> None:
@@ -81,7 +82,7 @@ class ActiveTimeWatcher:
             handler(event)
 
     def until(self, t: int) -> NDArray[np.int64]:
-        """Return the (N,) active times of the pursuers up to time t, ns; t is not before the last event."""
+        """Return the (N,) active times, ns, of the pursuers up to time t (ns), which is not before the last event."""
         running = np.array(self.profile) > 0
         return np.array(self._stopped) + np.where(running, t - np.array(self._since), 0)
 
@@ -160,15 +161,15 @@ class PotentialWatcher:
     """A watcher that checks that no decision lowers the potential; the invariant needs the assumptions below.
 
     The potential is the global utility Phi of the profile, with the capture times and the time left at the instant
-    of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, a change of action changes the
-    pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
+    of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, that of the paper, a change of action
+    changes the pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
 
     - each decision is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
-    - pursuers decide one at a time, under neither `synchronous` nor `rounds`;
+    - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
     - the beliefs of pursuers are true: an ideal complete network, a warm start, every change announced, no time-out of
       beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any payload).
 
-    Players may move, because positions do not change at an instant; the potential may fall between decisions. In a
+    Players may move, because positions do not change during a decision; the potential may fall between decisions. In a
     static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
 
     Args:

@@ -1,8 +1,8 @@
 """The newest record that each pursuer had of every other pursuer, over time.
 
-The source of a record is the pursuer that created it; a reader receives it directly or over several hops. Of each
-source, a reader keeps the record with the highest sequence number that has arrived. An older record that arrives later
-is ignored.
+A record is a state, such as an action, that a pursuer has announced (`desim.kernel.records`). This pursuer is its
+source; a reader receives the record directly or over several hops. Of the records of one source that have arrived, a
+reader keeps the one with the highest sequence number. An older record that arrives later is ignored.
 """
 
 from dataclasses import dataclass
@@ -21,20 +21,23 @@ from desim.pursuit.announcements import announced_action, records_in, relayed_re
 from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]
-"""Rows of `PIECE`, in order of reader, source and time."""
+"""Rows of `PIECE`: each is a period in which a reader had the same newest record of a source.
+
+They are in order of reader, period between losses of memory, source and time.
+"""
 
 PIECE = np.dtype(
     [
         ("reader", np.int64),
         ("source", np.int64),
-        ("created", np.int64),  # time of the announcement by the source, ns
+        ("created", np.int64),  # time of the announcement by the source, ns; for an initial belief, `begin`
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
         ("presumed", np.bool_),  # whether it is an initial belief, not a record received
-        ("begin", np.int64),  # time of arrival, ns
-        ("after", np.int64),  # at `begin`, only events after this position in the trace saw the record
-        ("until", np.int64),  # time at which it was superseded or lost with the memory, or the run ended, ns
-        ("before", np.int64),  # at `until`, only events before this position saw the record
-        ("superseded", np.bool_),  # whether it ended with a newer record
+        ("begin", np.int64),  # time of arrival, ns; for an initial belief, the start of the run or the loss of memory
+        ("after", np.int64),  # position in the trace: at time `begin`, the record was known at later positions only
+        ("until", np.int64),  # time at which a newer record arrived, the memory was lost or the run ended, ns
+        ("before", np.int64),  # position in the trace: at time `until`, the record was known at earlier positions only
+        ("superseded", np.bool_),  # whether the arrival of a newer record ended the period
     ]
 )
 FIRST, LAST = -1, int(np.iinfo(np.int64).max)
@@ -43,10 +46,10 @@ FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 
 @remembered
 def knowledge(result: Result) -> Pieces:
-    """Return the newest record that each pursuer had of every other over time; O(n log n) in the records received.
+    """Return the newest record that each pursuer had of every other over time; O(n log n) for n received records.
 
     A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
-    memory. A body without an attribute `active` does not change the known action.
+    memory. A record without an action (an attribute `active` of its body) does not change the known action.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -78,7 +81,7 @@ class _Announcements:
     seq: Integers
     created: Integers
     active: Integers
-    """The evader that the source chases, or 0; -1 if the body does not carry it."""
+    """The evader that the source chases, or 0; -1 if the record has no action."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +92,7 @@ class _Receptions:
     arrival: Integers
     place: Integers
     first: Integers
-    """The first record carried, a row of `_Announcements`."""
+    """The row in `_Announcements` of the first record carried."""
     count: Integers
     """Number of records carried."""
 
@@ -99,7 +102,7 @@ class _Receptions:
         return _Receptions(*(column[first:last] for column in columns))
 
     def unpacked(self) -> tuple[Integers, Integers]:
-        """Return, for each record received, the row of its reception and its row of `_Announcements`."""
+        """Return, for each record received, the row of its reception in this table and its row in `_Announcements`."""
         reception = np.repeat(np.arange(len(self.dst)), self.count)
         start = np.cumsum(self.count) - self.count
         return reception, self.first[reception] + np.arange(len(reception)) - start[reception]
@@ -107,7 +110,7 @@ class _Receptions:
 
 @dataclass(frozen=True, slots=True)
 class _Life:
-    """A period in which a reader keeps its memory, with the initial beliefs of the reader."""
+    """A period in which a reader keeps its memory; `profile` holds its initial beliefs, the action of each pursuer."""
 
     reader: int
     begin: int
@@ -115,7 +118,7 @@ class _Life:
     before: int
     profile: Integers
     seq: int
-    """Sequence number of the initial beliefs; older records are ignored."""
+    """Sequence number of the initial beliefs; records with this or a lower number are ignored."""
 
     def pieces(self, announced: _Announcements, receptions: _Receptions) -> Pieces:
         """Return the newest records of the reader over time, given its receptions in this period."""
@@ -151,10 +154,11 @@ class _Life:
 
 
 def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Receptions]:
-    """Return the records sent, and their receptions up to `end`, ns."""
+    """Return the records sent, and their receptions up to `end` (ns)."""
     records: list[Record] = []
     fates: list[tuple[int, int]] = []
-    carried: list[tuple[int, int, int, int, int]] = []  # receivers, transmission, place, first record, records
+    # (number of receivers, transmission, place in the trace, first record, number of records) of each transmission
+    carried: list[tuple[int, int, int, int, int]] = []
     lost: list[int] = []
     clocks = _Clocks(result, size)
     for place, event in enumerate(result.trace):
@@ -198,7 +202,7 @@ def _columns(records: list[Record]) -> _Announcements:
 
 
 def _memory_losses(result: Result) -> dict[int, list[int]]:
-    """Return the times at which each pursuer lost its memory, ns: at its recovery from a crash without memory."""
+    """Return the times, ns, at which each pursuer lost its memory: at the end of each crash with `memory` = false."""
     memory_losses: dict[int, list[int]] = {}
     for over in result.trace.of(FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:

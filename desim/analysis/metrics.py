@@ -1,8 +1,8 @@
-"""Metrics, functions that compute a number from the trace of a run; and `Summary`, the metrics of one run.
+"""Metrics: functions that compute a number from the trace of a run. `Summary` holds the metrics of one run.
 
 A built-in metric is an entry in `Summary`: its name, its function, its unit and its note in the table of a run. Tables,
-JSON, stores and stopping rules follow from the entry. Only `network_regret` has no entry, because it executes another
-run for comparison.
+JSON, the stores of sweeps and the option --until use these entries. Only `network_regret` has no entry, because it
+executes another run for comparison.
 
 A user's metric is a function of a result that returns a number, True, False or None, or a `Metric` of such a function.
 It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
@@ -92,23 +92,23 @@ def captured(result: Result) -> bool:
 
 
 def capture_time(result: Result) -> float | None:
-    """Return the time at which the evader, or the last of several, was captured, s; None if it was not."""
+    """Return the time, s, of the capture that ended the run; None if the run ended otherwise."""
     return end_time(result) if captured(result) else None
 
 
 def end_time(result: Result) -> float:
-    """Return the time at which the run ended, s: that of the (last) capture, the horizon, or the stop by a watcher."""
+    """Return the time, s, at which the run ended: by a capture, at the horizon, or by a watcher."""
     return seconds(ended(result).t)
 
 
 def mean_capture_time(result: Result) -> float:
-    """Return the time of capture averaged over the captured evaders, s; nan if none was captured."""
+    """Return the time of capture, s, averaged over the captured evaders; nan if none was captured."""
     times = [seconds(each.t) for each in captures(result)]
     return sum(times) / len(times) if times else nan
 
 
 def capture_times(result: Result) -> dict[str, float]:
-    """Return the capture time of each captured evader, s, by its number (a string), in order of time."""
+    """Return the capture time, s, of each captured evader by its number (a string), in order of time."""
     return {str(each.evader): seconds(each.t) for each in captures(result)}
 
 
@@ -120,13 +120,14 @@ def capturers(result: Result) -> dict[str, int]:
 class Metric(NamedTuple):
     """A metric: the function that computes it, and its form in tables.
 
-    A user's module can define one: `gap = Metric(closest, "m", "closest approach")`.
+    A user's module can define one: `gap = Metric(closest, "m", "closest approach")` for a function `closest`.
     """
 
     of: Callable[[Result], Any]
     unit: str = ""
     note: str | Callable[[Mapping[str, Any]], str] | None = None
-    """The note in its row of the table of one run; a built-in metric without a note has no row there."""
+    """The note in its row of the table of one run: a text, or a function of the summary. A built-in metric without a
+    note (None) has a row there only if --metric names it."""
     given: Callable[[Result], bool] | None = None
     """Returns whether the recordings that the metric needs exist; without them its value is None. None if the
     metric needs no recordings."""
@@ -142,13 +143,13 @@ class Metric(NamedTuple):
     """Whether a greater value is better or worse for the pursuers; None: neither, or not known."""
 
     def __call__(self, result: Result) -> Any:
-        """Return the value for a run; None if it is undefined or a recording that it needs is missing."""
+        """Return the value for a run; None if it is undefined or if a recording that the metric needs is missing."""
         value = self.of(result) if self.given is None or self.given(result) else None
         return None if isinstance(value, float) and isnan(value) else value
 
 
 def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown: Any) -> Any:
-    """Return an entry of `Summary`; see `Metric`."""
+    """Create a metric as an entry of `Summary`; the arguments are the fields of `Metric`."""
     return Metric(of, unit, note, **shown)
 
 
@@ -157,10 +158,11 @@ IN_REPR = ("seed", "captured", "capture_time", "active_time", "messages_sent")
 
 
 class Summary(Mapping[str, Any]):
-    """The metrics of one run by name, in the order of tables: `summary["active_time"]`.
+    """The metrics of one run by name, in the order of tables; for example, `summary["active_time"]`.
 
-    A metric is None if an event did not happen or a recording is missing. The built-in metrics are attributes, too:
-    `summary.active_time`. A run that was stored before a metric existed lacks it: `summary.get(name)` is None.
+    A metric is None if it is undefined, as a capture time without a capture, or if a recording that it needs is
+    missing. The built-in metrics are attributes, too: `summary.active_time`. A run that was stored before a metric
+    existed lacks it: `summary.get(name)` is None.
 
     `str` returns a line with the unit for each metric that is not None.
 
@@ -314,18 +316,18 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 )
 """The built-in metrics by name."""
 Metrics = Mapping[str, Metric | Callable[[Result], Any]]
-"""Metrics of a user by name: functions of a result that return a number, True, False or None."""
+"""Metrics of a user by name: functions of a result that return a number, True, False or None, or `Metric` objects."""
 COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
-"""The columns in tables of runs that are not metrics."""
+"""The columns that are not metrics, in tables of runs."""
 UsersMetrics = tuple[tuple[str, Metric], ...]
-"""The names of a user's metrics and the metrics; tuples, so that user code in them is found and sent to workers."""
+"""A user's metrics, each with its name; tuples, so that user code in them is found and sent to workers."""
 
 for _name in METRICS:
     setattr(Summary, _name, property(itemgetter(_name)))
 
 
 class MetricError(RuntimeError):
-    """Raised when a user's metric fails or returns a wrong type; the text names the metric, the scenario and seed."""
+    """Raised when a user's metric fails or returns a wrong type; the text names metric, scenario and seed."""
 
 
 def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
@@ -338,7 +340,7 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
         metrics: further metrics by name: functions of a result that return a number, True, False or None.
 
     Raises:
-        ValueError: if the name of a metric is already taken or is not an identifier.
+        ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
         MetricError: if a user's metric fails, or returns a value of another type.
     """
     return measured(users_metrics(result.scenario.record.metrics, metrics), result)
@@ -353,7 +355,7 @@ def measured(own: UsersMetrics, result: Result) -> Summary:
 
 
 def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | None:
-    """Return the value of a user's metric.
+    """Return the value of a user's metric for a run; None instead of nan.
 
     Raises:
         MetricError: if the metric raises an exception, or does not return a number, True, False or None.
@@ -370,7 +372,7 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
 
 
 def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType({})) -> UsersMetrics:
-    """Return the metrics that a scenario names (its `record.metrics`) and further ones (`more`), each with its name.
+    """Return the metrics that a scenario names (`record.metrics`), then those of `more`, each with its name.
 
     Raises:
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
@@ -393,7 +395,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 
 def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
-    """Raise ValueError unless a metric is a built-in one with `is_number` or one of a user (`own`); all are names."""
+    """Raise ValueError unless a name is that of a built-in metric with `is_number`, or one of the names in `own`."""
     numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
     if metric not in numeric:
         close = get_close_matches(metric, numeric, n=1)
@@ -419,7 +421,7 @@ def more_is(name: str, own: Mapping[str, Metric]) -> Literal["better", "worse"] 
 
 
 def unit_of(name: str, units: Mapping[str, str]) -> str:
-    """Return the unit of a metric, given the units of those that are not built in; "" if it has none."""
+    """Return the unit of a metric, "" if it has none; `units` are those of the metrics that are not built in."""
     return METRICS[name].unit if name in METRICS else units.get(name, "")
 
 

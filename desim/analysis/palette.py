@@ -28,9 +28,9 @@ PURSUER_MARK = "o"
 EVADER_MARK = "D"
 CAPTURE_MARK = "*"
 HANDOVER_MARK = "s"
-"""The place and time at which a pursuer takes over the chase of an evader from another one."""
+"""The place and time at which a pursuer takes over the chase of an evader from another pursuer."""
 LOST_MARK = "x"
 EVADER_MARKS = (EVADER_MARK, "^", "v", "P")
 """Marks of the evaders, if there are several."""
 HUES = (BLUE, GREEN, PURPLE)
-"""Hues of the pursuers that chase the first, second, ... of several evaders; they repeat from the fourth on."""
+"""Hues of the pursuers that chase the first, second, ... of several evaders; they repeat from the fourth evader on."""

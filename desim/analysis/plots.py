@@ -51,7 +51,7 @@ __all__ = [
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, inches."""
 NARROW = 12.0 / 2.54
-"""The minimum width of a figure with the usual size of text and several columns in its legend, in."""
+"""The minimum width, inches, of a figure with the usual size of text and several columns in its legend."""
 STYLE: dict[Any, Any] = {
     "text.usetex": False,  # a matplotlibrc in the working folder may set it; names would then run as TeX
     "svg.fonttype": "none",
@@ -68,12 +68,14 @@ EVADER_PATH: Mapping[str, Any] = {
 }
 """Style of an evader's path: a diamond at its start, and dashes that distinguish it from pursuers in greyscale, too."""
 UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
-"""The metadata to omit from each format."""
+"""The option `metadata` of `savefig` for each format: None leaves out the date."""
 
 
 @contextmanager
 def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
-    """Yield an empty figure in the common style; its layout is computed at the end, and whenever its size changes.
+    """Yield an empty figure in the common style.
+
+    Its layout is computed at the end of the block, and again at each drawing if its size or a text has changed.
 
     Args:
         figsize: width and height, inches.
@@ -88,7 +90,7 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
 
 
 class _StyledFigure(Figure):
-    """A figure that any caller saves in the common style: with TrueType fonts in a PDF, for example."""
+    """A figure that `savefig` always writes in the common style, for example with TrueType fonts in a PDF."""
 
     def savefig(self, *args: Any, **options: Any) -> None:
         """Write the figure; see `matplotlib.figure.Figure.savefig`."""
@@ -117,7 +119,7 @@ def _extent(figure: Figure) -> object:
 
 
 def as_it_is(text: str) -> dict[str, Any]:
-    """Return the keyword arguments of a title without mathematics; a long title is wrapped unless it contains "$"."""
+    """Return the options of a title that is shown without mathematics; a long one is wrapped unless it has a "$"."""
     return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
 
 
@@ -125,7 +127,7 @@ SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.
 UNITS = {"cm": 2.54, "mm": 25.4, "in": 1.0}
 """Units of length per inch."""
 LENGTHS = 1.0, 100.0
-"""The least and the greatest width and height of a figure, in."""
+"""The least and the greatest width and height of a figure, inches."""
 
 
 def size_of(text: str) -> tuple[float, float | None]:
@@ -134,7 +136,7 @@ def size_of(text: str) -> tuple[float, float | None]:
     The height is None if only a width is given.
 
     Raises:
-        ValueError: if the text is not a size, or the size is not from 1 in to 100 in.
+        ValueError: if the text is not a size, or the width or the height is not from 1 in to 100 in.
     """
     found = SIZE.fullmatch(text.replace(" ", ""))
     units = [found["unit"], found["last"]] if found else []
@@ -149,7 +151,7 @@ def size_of(text: str) -> tuple[float, float | None]:
 
 
 def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
-    """Write a figure, without a date, and return the files written: one, or SVG and PNG if the path has no suffix.
+    """Write a figure without a date, as SVG and PNG if the path has no suffix, and return the paths of the files.
 
     Args:
         figure: a figure made by `styled`.
@@ -158,6 +160,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
 
     Raises:
         ValueError: if the suffix is not one of `PICTURE_SUFFIXES`.
+        OSError: if a file cannot be written.
     """
     paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
     with mpl.rc_context(STYLE):
@@ -178,14 +181,14 @@ def html_image(figure: Figure, name: str) -> str:
 
 
 def trajectory(result: Result, size: str | None = None) -> Figure:
-    """Return a figure of the paths of the evaders, their capturers, and all other pursuers that moved.
+    """Draw the paths of the evaders, their capturers and all other pursuers that moved, and return the figure.
 
     Args:
         result: the result of a run with recorded positions.
         size: the width and perhaps the height; see `size_of`.
 
     Raises:
-        ValueError: if the run recorded no positions.
+        ValueError: if the run recorded no positions, or the size is invalid.
     """
     width, height = (5.2, None) if size is None else size_of(size)
     with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0) as figure:
@@ -197,14 +200,14 @@ def trajectory(result: Result, size: str | None = None) -> Figure:
 
 
 def set_plane(axes: Axes) -> None:
-    """Set axes to the plane: equal scales, labels in metres, and the same tick spacing on both."""
+    """Prepare axes for positions: equal scales, labels in metres, and at most five intervals of ticks on each axis."""
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
 
 
 def draw_trajectory(axes: Axes, result: Result) -> None:
-    """Draw the paths of all players on given axes; see `trajectory`."""
+    """Draw the starts of the pursuers, and the paths of the players that `trajectory` shows, on given axes."""
     samples = sampled(result)
     evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)

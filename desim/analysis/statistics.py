@@ -4,7 +4,7 @@ All intervals are 95 % intervals, unless a function takes another confidence. A 
 runs of a study suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
-from 200,000 simulated samples each (s.e. at most 0.11). The last two are for sequential studies, 40,000 each (s.e. at
+from 200,000 simulated samples each (s.e. at most 0.11). The last two are from 40,000 sequential studies each (s.e. at
 most 0.22). Their target half width is 1.96 sigma / sqrt(20), which 20 values reach if sigma is known. A study ends as
 soon as a look finds a half width of at most the target. Its looks begin at 3 or at 30 values.
 
@@ -63,10 +63,10 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate:
-    """Return the mean of independent values.
+    """Return the mean of independent values with its standard error.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if there are no values.
     """
     count = len(values)
     if not count:
@@ -152,7 +152,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least
-    `first_look` values that are not missing; until then the prediction is the number of runs that gives so many. If all
+    `first_look` values that are not missing; until then the predicted number is that which gives so many values. If all
     values are equal numbers, the t interval has width 0, and the look ends the study.
 
     The runs should be independent and in the order of their seeds; in the order in which they end, short runs would

@@ -65,7 +65,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
-    """Return "mean +- half width of the 95 % interval", with the number of values if there are fewer than runs."""
+    """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`."""
     if not found.count:
         return "-"
     digits = 3 if abs(found.mean) < 100.0 else 1
@@ -79,7 +79,7 @@ def as_json(found: Estimate) -> dict[str, Any]:
 
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
-    """Return the estimate that `as_json` has given as JSON values, up to rounding."""
+    """Return the estimate that `as_json` converted to JSON values, up to rounding."""
     from scipy.special import stdtrit
 
     mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
@@ -91,7 +91,7 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     """Yield the row of the capture.
 
     With several evaders, yield the number of captures, then a row for each evader: first the captured ones, in order of
-    capture, then the others; at most `SHOWN`.
+    capture, then the others. After `SHOWN` evaders, a last row gives the number of the remaining ones.
     """
     outcome = (
         f"after {run.capture_time:.3f} s by pursuer {run.capturer}"

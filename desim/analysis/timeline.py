@@ -1,10 +1,10 @@
 """The timeline of a run: the active pursuers and the capture times, piece by piece.
 
-A piece is the time between two successive breakpoints. The breakpoints are the changes of action, samples, crashes and
-recoveries of robots, and captures. No action changes within a piece, so metrics of the actions alone are exact. The
-capture times phi are evaluated in the middle of a piece, at positions interpolated between the samples. They are exact
-in a static game; otherwise see `desim.analysis.hindsight` for their error. Each evader has its own timeline; the
-timelines of all evaders have the same pieces.
+A piece is the time between two successive breakpoints. The breakpoints are the changes of action, samples of positions,
+crashes and recoveries of robots, and captures. No action changes within a piece, so metrics of the actions alone are
+exact. The capture times phi are evaluated in the middle of a piece, at positions interpolated between the samples.
+They are exact in a static game; for other games `desim.analysis.hindsight` gives examples of the error. Each evader
+has its own timeline; the timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
 PART = 1 << 18
-"""Number of capture times held in memory at once."""
+"""Number of capture times that one part of a timeline holds; a part has at least one piece."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class Timeline:
     active: Bools
     """(k, N) whether each pursuer chases the evader."""
     phi: Floats
-    """(k, N) capture times at the middle of the piece, s; inf for a broken robot, and for all after the capture."""
+    """(k, N) capture times, s, at the middle of the piece; inf for a robot that is down, and after the capture."""
     left: Floats
-    """(k,) time left r at the middle of the piece, s; constant and equal to the horizon in a static game."""
+    """(k,) time left r, s, at the middle of the piece; in a static game, always the horizon."""
 
     @property
     def durations(self) -> Floats:
@@ -100,7 +100,7 @@ class _Counts:
         self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
 
     def during(self, times: Integers) -> Bools:
-        """Return (k, N) whether each counter is positive in each of the k pieces between (k + 1,) times, ns."""
+        """Return (k, N) whether each counter is positive in each of the k pieces between the (k + 1,) times (ns)."""
         piece = np.searchsorted(times, self.t)  # for each step, the first piece that begins at its time or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start

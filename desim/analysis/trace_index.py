@@ -22,7 +22,7 @@ class TraceIndex(Result):
 
 
 def trace_index(result: Result) -> TraceIndex:
-    """Return a result with an empty cache; use it to call several metrics on one result."""
+    """Return a result with the same trace and an empty cache; use it to call several metrics on one result."""
     return TraceIndex(result.scenario, result.seed, result.trace)
 
 
@@ -95,7 +95,7 @@ def lacks_messages(result: Result) -> bool:
 
 
 def require_messages(result: Result) -> None:
-    """Check that the messages of a run can be read.
+    """Check that the trace of a run has its messages.
 
     Raises:
         ValueError: if messages were sent and not recorded.

@@ -19,7 +19,7 @@ from desim.cli.start import examples, new
 from desim.config.trust import no_cwd_import
 
 RENAMED = {"draw": "plot"}
-"""Names under which a command is looked for, and its name."""
+"""Names that users may try instead of the name of a command, and the name of the command."""
 
 
 class Commands(Program, click.Group):
@@ -28,7 +28,11 @@ class Commands(Program, click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that the arguments begin with, and the rest of them."""
+        """Return the name of the command that the arguments begin with, the command, and the remaining arguments.
+
+        Raises:
+            click.UsageError: if there is no such command; for a name in `RENAMED`, with the right name.
+        """
         if args[0] in RENAMED:
             ctx.fail(f"No such command {args[0]!r}. Did you mean {RENAMED[args[0]]!r}?")
         return super().resolve_command(ctx, args)

@@ -66,7 +66,7 @@ def keys(key: str | None) -> None:
 
 @click.command()
 def metrics() -> None:
-    """List the built-in metrics with their units and whether more is worse, and the installed ones."""
+    """List the built-in metrics, with units and whether more is better or worse, and the installed metrics."""
     from desim.analysis.metrics import METRICS, Summary, with_unit
     from desim.config.model import docs_of
     from desim.scenario.named_metrics import installed_metrics

@@ -1,7 +1,7 @@
 """Shell completion of keys, kinds of protocols and names of examples, without slow imports.
 
-A shell runs the program on every press of Tab, so the keys are read from `keys.txt`. A test compares this file with the
-models, and rewrites it if RENEW=1.
+A shell runs the program on every press of Tab, so the keys are read from `keys.txt`. A test compares `keys.txt` with
+the models, and rewrites it if RENEW=1.
 """
 
 from importlib.metadata import entry_points
@@ -12,7 +12,7 @@ import click
 from desim.config.packages import check_visible
 
 KEYS = Path(__file__).with_name("keys.txt")
-"""The keys of scenario files as --set takes them: KEY= and, where it has kinds, KEY.kind=KIND."""
+"""The file of the keys of scenarios, in the form of --set: KEY= and, for a key with kinds, KEY.kind=KIND."""
 
 
 def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:

@@ -31,7 +31,7 @@ def described(
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
-    """Yield lines that describe the traits of a model and their values, except traits that are parameters."""
+    """Yield lines with the traits (`desim.config.traits`) of a model and their values, except its parameters."""
     yield "    traits:"
     fields = fields_of(type(traits))
     for name in traits.names():
@@ -49,7 +49,7 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
         model: the outermost model.
 
     Raises:
-        ValueError: if there is no such key or kind.
+        ValueError: if there is no such key or kind, or the key depends on a kind that `place` lacks.
     """
     (name, *rest), fields = place, fields_of(model)
     if name == "kind" or name not in fields:
@@ -92,7 +92,7 @@ def summary(model: Any) -> str:
 
 
 def default_of(field: FieldInfo) -> str:
-    """Return " = " and the default of a field, for a model its kind; "" if there is no default or no kind."""
+    """Return " = " and the default of a field; if the default is a model, its kind. "" without a default or a kind."""
     if field.is_required():
         return ""
     default = field.get_default(call_default_factory=True)

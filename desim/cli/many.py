@@ -41,7 +41,7 @@ PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
 
 
 class Shard(click.ParamType[tuple[int, int]]):
-    """An option K/N: part K of N."""
+    """The type of an option K/N: part K of N."""
 
     name = "K/N"
 
@@ -54,7 +54,7 @@ class Shard(click.ParamType[tuple[int, int]]):
 
 
 class Precision(click.ParamType[tuple[str, float]]):
-    """An option METRIC:HALFWIDTH."""
+    """The type of an option METRIC:HALFWIDTH."""
 
     name = "METRIC:HALFWIDTH"
 
@@ -246,7 +246,7 @@ def _stores_in(folder: Path) -> list[Path]:
 def _plan_text(
     plan: "SweepPlan", jobs: "list[Job]", there: set[tuple[str, int]], until: tuple[str, float] | None
 ) -> str:
-    """Return the planned runs of each configuration and the number of them already stored, as text."""
+    """Return as text how many runs of each configuration are planned, and how many of these are stored."""
     from desim.analysis.tables import aligned
 
     wanted = [(configuration.key, k) for configuration, k in jobs]

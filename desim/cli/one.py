@@ -114,7 +114,7 @@ def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "
 
 
 def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
-    """Return the metrics of a run and its wall time, s; write the run if there is an output folder."""
+    """Run a scenario, and return the metrics and the wall time, s; write the run if there is an output folder."""
     start = time.perf_counter()
     if into is None:
         from desim.analysis.metrics import summary
@@ -133,7 +133,7 @@ def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tu
 def _run_several(
     scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None", timeout: float | None
 ) -> "list[Summary]":
-    """Return the metrics of several runs; write the runs if there is an output folder."""
+    """Run a scenario with several seeds, and return the metrics; write the runs if there is an output folder."""
     from functools import partial
 
     from desim.results import provenance, run_folder

@@ -25,7 +25,7 @@ FAILED = 3
 WRONG_INPUT = 2
 """Exit code if a file or an option is invalid."""
 RAISED = 1
-"""Exit code if a metric of a user raises an exception."""
+"""Exit code if a metric of a user raises an exception or returns a wrong type."""
 OUT_OF_TIME = 1
 """Exit code if a run exceeds its time limit."""
 
@@ -35,7 +35,8 @@ FILE = click.argument("file", type=click.Path(path_type=Path))
 def _one_word_each(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> tuple[str, ...]:
     """Return the settings; end the program if one has no "=".
 
-    In `--set KEY = VALUE` only KEY is the setting. Without this check, the error would be about superfluous arguments.
+    In `--set KEY = VALUE`, with spaces, only KEY is the value of --set. Without this check, the error message would be
+    about superfluous arguments.
     """
     for each in given:
         if "=" not in each:
@@ -125,7 +126,7 @@ TIMEOUT = click.option(
 def source_of(
     file: Path, overrides: tuple[str, ...], metrics: tuple[str, ...] = (), grid: tuple[str, ...] = ()
 ) -> "tuple[Source, Scenario]":
-    """Return the source of a scenario file, with the metrics of --metric and the keys of --grid, and its scenario.
+    """Return the source of a scenario file and its scenario, both with the metrics of --metric and the keys of --grid.
 
     Print warnings, and end the program if the scenario is invalid; see `valid`.
     """
@@ -202,7 +203,7 @@ def valid(source: "Source") -> "Scenario":
 
 
 def make_folder(folder: Path) -> None:
-    """Create the output folder; end the program if it cannot be written."""
+    """Create the output folder; end the program if it cannot be written. Print a warning without matplotlib."""
     from desim.results.run_folder import can_plot
 
     try:
@@ -216,7 +217,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write(page: bytes, path: Path) -> None:
-    """Write a page and create missing folders; end the program if it cannot be written."""
+    """Write a page, and create missing folders; end the program if the page cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         without_symlink(path).write_bytes(page)

@@ -21,14 +21,14 @@ OF_RUNS: Mapping[str, Sequence[str]] = {
     "film": ["begin", "end", "speed", "fps"],
     "perfetto": [],
 }
-"""The kinds of pictures of a run, and the options of each; the first is drawn by default."""
+"""The kinds of pictures of a run, with the options of each kind; the first kind is the default."""
 OF_SWEEPS: Mapping[str, Sequence[str]] = {
     "means": ["y", "x", "by", "against", "labels", "xlabel", "ylabel", "size"],
     "phase": ["y"],
 }
-"""The same for a sweep."""
+"""The kinds of pictures of a sweep, with the options of each kind; the first kind is the default."""
 SUFFIXES = {"film": [".gif"], "perfetto": [".json"]}
-"""The suffixes of kinds that are not diagrams."""
+"""The file suffixes of the kinds of pictures that are not diagrams."""
 NAMES = {"perfetto": "trace.perfetto"}
 """File names (without suffix) that differ from the name of the kind."""
 
@@ -86,8 +86,8 @@ class Pair(click.ParamType[tuple[str, str]]):
     "--by",
     multiple=True,
     metavar="KEY",
-    help="The key whose values are lines; can be repeated. The other keys make panels. Default: all keys but that of -x"
-    " are lines.",
+    help="Draw a line for each value of this key; can be repeated. The other keys make panels. Default: all keys but"
+    " that of -x.",
 )
 @click.option(
     "--against",
@@ -116,8 +116,8 @@ class Pair(click.ParamType[tuple[str, str]]):
     "--to",
     "end",
     type=click.FloatRange(min=0),
-    help="End of the window, s; default: the end of the run; for a space-time diagram, as late as its messages stay"
-    " legible.",
+    help="End of the window, s; default: the end of the run, or earlier if a space-time diagram would show too many"
+    " messages to be legible.",
 )
 @click.option(
     "--pursuers",
@@ -162,7 +162,7 @@ def plot(
 def _draw(
     result: "Result | SweepResult", source: Path, kind: str | None, out: Path | None, options: dict[str, Any]
 ) -> None:
-    """Draw a result, and write the files.
+    """Draw a result, and write the files; end the program if the kind of picture does not fit the result.
 
     Raises:
         ValueError: if the result lacks the data for the picture.
@@ -221,10 +221,10 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
 
 
 def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
-    """Return the value and the text of a --label, of which `first` and `second` are the parts around the first "=".
+    """Return the value and the text of a --label; `first` and `second` are its parts before and after the first "=".
 
-    A value of the sweep may contain "=", so the label is split after the shortest text that is such a value. If there
-    is none, it is split at the first "=".
+    A value of the sweep may contain "=", so the label is split after its shortest beginning that is a value of the
+    sweep. If no beginning is a value, the label is split at the first "=".
     """
     from desim.study.runs import text
 
@@ -246,7 +246,7 @@ def _check_options(kind: str) -> None:
 
 
 def _output(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:
-    """Return the files of a picture: those of `out`, by default in the folder of the results or the working directory.
+    """Return the paths of a picture; by default in the folder of the results or, for a scenario, the working directory.
 
     End the program if the suffix of `out` is wrong.
     """

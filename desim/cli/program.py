@@ -1,4 +1,4 @@
-"""The response of `desim` and of the studies to interrupts, time-outs and a closed or full stdout."""
+"""The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout."""
 
 import os
 import sys

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 SAMPLES = 0.05
-"""Time between samples of a run that is simulated for a command, if its scenario records none, s."""
+"""Time between position samples, s, of a run simulated for a command, if its scenario records no trajectory."""
 
 
 def is_recorded(source: Path) -> bool:
@@ -24,7 +24,7 @@ def is_recorded(source: Path) -> bool:
 
 
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return the run in a folder or of a scenario file; end the program if it cannot be read, or is a sweep."""
+    """Read the run in a folder, or run a scenario file; end the program if the source is unreadable or a sweep."""
     from desim.simulation.run import Result
 
     found = results_of(source, seed, overrides)
@@ -48,7 +48,11 @@ def check_no_run(folder: Path) -> None:
 
 
 def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result | SweepResult":
-    """Return the run or the sweep in a folder, or the run of a scenario file; end the program if it cannot be read."""
+    """Read the run or the sweep in a folder, or run a scenario file; end the program if the source is unreadable.
+
+    Raises:
+        click.UsageError: if results in a folder are given with a seed or overrides.
+    """
     if not is_recorded(source):
         return _simulated(source, seed, overrides)
     if seed is not None or overrides:

@@ -37,7 +37,7 @@ def examples(name: str | None, target: Path) -> None:
 @click.argument("what", type=click.Choice(TEMPLATES))
 @click.argument("name")
 def new(what: str, name: str) -> None:
-    """Write a commented file to start from, which runs at once, to the working directory.
+    """Write a commented starting file, ready to run, to the working directory.
 
     A scenario is NAME.toml. A protocol, latency model, evasion strategy or metric is NAME.py with a NAME.toml that uses
     it. Nothing is overwritten.
@@ -51,7 +51,7 @@ def new(what: str, name: str) -> None:
 
 @contextmanager
 def _writing() -> Iterator[None]:
-    """End the program if files cannot be written, or their name is invalid."""
+    """End the program if files cannot be written, or the given name is invalid or unknown."""
     try:
         yield
     except ValueError as error:
@@ -61,5 +61,5 @@ def _writing() -> Iterator[None]:
 
 
 def _show(written: Sequence[Path], command: str) -> None:
-    """Print the paths of new files, and the command that runs them."""
+    """Print the paths of new files, and the command that runs the scenario among them."""
     echo("\n".join([*(f"wrote {path}" for path in written), f"run it: {command}"]))

@@ -133,7 +133,11 @@ class OneOf:
         return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
-        """Return the model that a table describes, or a model itself; raise an error of pydantic if it is invalid."""
+        """Return the model that a table describes; a value that is a model already is validated and returned.
+
+        Raises:
+            ValueError: if the table or the model is invalid; errors of pydantic are subclasses.
+        """
         if not (isinstance(table, dict) or hasattr(table, "kind")):
             text = "should be a table with a kind, a built-in model or an object that can be called"
             raise PydanticCustomError("union_tag_not_found", text)
@@ -168,7 +172,7 @@ class OneOf:
         return value
 
     def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:
-        """Raise ValueError if a function does not accept the arguments `first` followed by `takes`."""
+        """Raise ValueError, with a message about `value`, if a function does not accept `first` followed by `takes`."""
         if not self.takes:
             return
         try:
@@ -177,9 +181,9 @@ class OneOf:
             raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
 
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
-        """Return the function, or the model with its parameters, that a table of the kind "module:name" selects.
+        """Return the function, or create the model, that a table of the kind "module:name" selects.
 
-        An unlisted module is imported only if the file is trusted; see `is_unlisted_import`.
+        A "module:name" that `protocols.KINDS` and the entry points do not list is imported only if the file is trusted.
         A class is instantiated only if its instances are callable.
         """
         kind = table["kind"]
@@ -221,12 +225,12 @@ def is_unlisted_import(kind: Any) -> bool:
 
 
 def _builtin_points(group: str) -> list[EntryPoint]:
-    """Return an entry point for each kind of a group in `protocols.KINDS`; no distribution needs to declare it."""
+    """Create an entry point for each kind of a group in `protocols.KINDS`; no distribution needs to declare these."""
     return [EntryPoint(kind, definition, group) for kind, definition in _builtin_kinds().get(group, {}).items()]
 
 
 def _builtin_kinds() -> Mapping[str, Mapping[str, str]]:
-    """Return `protocols.KINDS`."""
+    """Return `protocols.KINDS`; raise HiddenPackageError if another package hides `protocols`."""
     check_visible("protocols")
     kinds: Mapping[str, Mapping[str, str]] = import_module("protocols").KINDS
     return kinds
@@ -251,14 +255,17 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 
 
 def load_named(kind: str, folder: Path | None) -> Any:
-    """Return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
+    """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    An object that `protocols.KINDS` or an entry point refers to is loaded from there. For any other object, `folder` is
-    first added to `sys.path`, so that worker processes, which copy `sys.path`, find the module, too. An import runs the
-    code of the module. The caller must first check that the file that names it is trusted; see `is_unlisted_import`.
+    If `protocols.KINDS` or an entry point of a group `desim.*` lists the object, that entry point loads it. For any
+    other object, `folder` is first appended to `sys.path`, which worker processes copy, so they find the module, too.
+
+    An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first
+    check that the file that names the object is trusted.
 
     Raises:
-        ValueError: if the object cannot be imported.
+        ValueError: if an object that is not listed cannot be imported.
+        ImportError, AttributeError: if an entry point does not lead to an object.
     """
     if (point := _named_by_entry_points().get(kind)) is not None:
         return point.load()
@@ -270,7 +277,7 @@ def load_named(kind: str, folder: Path | None) -> Any:
     except (ImportError, AttributeError, ValueError) as error:
         where = "" if folder is None else f"; also searched in the folder of the file, {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
-    except PydanticUserError as error:  # a model that is not well defined, such as a field without a type
+    except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
     except SystemExit as error:
         raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error

@@ -1,4 +1,4 @@
-"""Data files of models; their content is part of the identity of a run."""
+"""Data files of models; their content is part of the identity of a run, see `desim.study.config_hash`."""
 
 import hashlib
 import sys
@@ -28,9 +28,10 @@ def open_data(path: str | Path) -> BytesIO:
 
         DELAYS = np.loadtxt(open_data(Path(__file__).with_name("delays.txt")))
 
-    A sweep then never reuses stored results of another version of the file. If a parameter of a model names the file,
-    declare the file in `depends_on` instead: an attribute of the model with a tuple of paths, or a method that returns
-    one.
+    A sweep then never reuses results that were stored with another version of the file.
+
+    If a parameter of a model names the file, declare the file in `depends_on` instead: an attribute of the model with a
+    tuple of paths, or a method that returns such a tuple.
 
     Raises:
         OSError: if the file cannot be read.
@@ -81,5 +82,5 @@ def identified_run() -> Iterator[None]:
 
 
 def content_hash(content: bytes) -> str:
-    """Return the first 16 hexadecimal digits of the SHA-256 hash of a content."""
+    """Return the first 16 hexadecimal digits of the SHA-256 hash of some bytes."""
     return hashlib.sha256(content).hexdigest()[:16]

@@ -1,4 +1,7 @@
-"""Values in JSON: infinity and NaN, which JSON lacks, become strings; `Plain` values convert themselves."""
+"""Conversion of values to and from JSON: infinity and NaN, which JSON lacks, become strings.
+
+The protocol `Plain` marks values that convert themselves; the functions of this module do not call `plain`.
+"""
 
 from collections.abc import Mapping
 from functools import cache
@@ -40,7 +43,7 @@ def to_json(value: Any) -> Any:
 
 
 def json_number(value: Any) -> Any:
-    """Return None for NaN, the mean of no values, and `to_json(value)` for any other value."""
+    """Return None for NaN (the mean of no values), and `to_json(value)` for any other value."""
     return None if isinstance(value, float) and isnan(value) else to_json(value)
 
 

@@ -32,7 +32,7 @@ else:
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 MAX_COORDINATE = 1e9
-"""Largest absolute coordinate, m, or speed, m/s."""
+"""Largest length or absolute coordinate, m; also the largest speed, m/s."""
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m"""
 
@@ -55,9 +55,9 @@ Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(from_json)]
 """A positive number or infinity; in JSON, infinity is the string "Infinity"."""
 Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(from_json)]
-"""An upper bound, possibly infinite."""
+"""An upper bound >= 0, possibly infinite; in JSON, infinity is the string "Infinity"."""
 MAX_TIME = 1e9
-"""Longest time, about thirty years, s."""
+"""Longest time, s: about thirty years."""
 RESOLUTION = 1e-9
 """Resolution of the clock, s. Times up to half of it are rounded to 0."""
 MIN_PERIOD = 1e-6
@@ -129,7 +129,7 @@ class Value(BaseModel):
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return the fields of a model by name, with their descriptions."""
+    """Return the fields of a model by name, after setting the descriptions that are missing."""
     docs = docs_of(model)
     for name, field in model.model_fields.items():
         field.description = field.description or docs.get(name)
@@ -156,8 +156,8 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models_in(inner)
 
 
-# The strings below fields are their descriptions. They are parsed from the source of a module on demand.
-# pydantic's `use_attribute_docstrings` would parse them as each class is created, which takes longer than a short run.
+# The string below a field is its description. These strings are parsed from the source of a module on demand.
+# With pydantic's `use_attribute_docstrings`, parsing when each class is created would take longer than a short run.
 
 Docs = Mapping[str, str]
 """The descriptions of the fields of a class, by name; fields without a string below them are absent."""

@@ -1,6 +1,6 @@
-"""The packages installed beside `desim`, which are `protocols` and `scenarios`: their folders, and their visibility.
+"""The packages `protocols` and `scenarios`, installed beside `desim`: their folders, and a check that none is hidden.
 
-A folder or module of the same name that comes first in `sys.path`, such as one beside a script, hides a package.
+A folder or module of the same name that comes earlier in `sys.path`, such as one beside a script, hides a package.
 """
 
 import sys
@@ -22,7 +22,7 @@ def folder_of(package: str) -> Path:
 
 
 def check_visible(package: str) -> None:
-    """Raise HiddenPackageError if an import would find another package or module; the package is not imported."""
+    """Raise HiddenPackageError if another package or module of this name would be imported; import nothing."""
     ours = folder_of(package)
     spec = find_spec(package)
     if spec is None or spec.origin is None or not ours.is_dir():
@@ -49,6 +49,6 @@ class _HiddenModuleFinder:
 
 
 def explain_hidden_packages() -> None:
-    """Make the import of a module of a hidden package raise HiddenPackageError instead of "No module named"."""
+    """Make the import of a module of a hidden package raise HiddenPackageError, not ModuleNotFoundError."""
     if not any(isinstance(each, _HiddenModuleFinder) for each in sys.meta_path):
         sys.meta_path.append(_HiddenModuleFinder())

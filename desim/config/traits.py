@@ -1,12 +1,12 @@
 """Optional attributes of models: a class of traits lists them in one place, with types, defaults and descriptions.
 
-A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. Each
-of its attributes, own or inherited, with the name of a trait sets this trait; all other traits have their defaults. No
+A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. An
+attribute, own or inherited, that has the name of a trait sets this trait; all other traits have their defaults. No
 base class is needed.
 
-An attribute of a function or a class whose name is one letter off that of a trait is an error, because its value would
-have no effect. It is allowed if the same function or class also has the trait. Attributes set in `__init__`, or on a
-partial, are not checked.
+An attribute of a function or a class is an error if its name is one letter off that of a trait and its value is valid
+for the trait, because the attribute would have no effect. It is allowed if the same function or class also has the
+trait. Private attributes, and those set in `__init__` or on a `functools.partial`, are not checked.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -21,16 +21,16 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from desim.config.model import Value, annotated
 
 SHORTEST = 5
-"""Least length of a name that is checked for typing errors; one letter makes other words of a shorter name."""
+"""Minimum length of a name that is checked for typing errors; shorter names are one letter off many other words."""
 
 
 class Parameter(BeforeValidator):
-    """Marks a trait that is a parameter of some models; a value of another type counts as absent (None).
+    """Marks a trait that is a parameter of some models; a value of a type not in `types` counts as absent (None).
 
     The name of the trait is not checked for typing errors, because a model rejects unknown parameters itself.
 
     Args:
-        types: the types of the parameter.
+        types: the allowed types of the parameter.
     """
 
     def __init__(self, *types: type):
@@ -38,12 +38,12 @@ class Parameter(BeforeValidator):
 
 
 class Traits(Value):
-    """The base of the classes of traits. Each field is a trait; its default holds for values without this attribute."""
+    """Base of the classes of traits. Each field is a trait; its default holds for objects without this attribute."""
 
     kind: Annotated[str | None, Parameter(str)] = None
-    """Name in messages."""
+    """The name that is shown; if absent, the name of the class or function is shown."""
     depends_on: tuple[str | Path, ...] | Callable[[], Any] = ()
-    """Paths of its data files, or a method that returns them; see `desim.open_data`."""
+    """Paths of the data files of the model, or a method that returns them; see `desim.open_data`."""
 
     @classmethod
     def of(cls, value: Any) -> Self:
@@ -112,7 +112,7 @@ def name_of(value: Any) -> str:
 def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield (attribute, trait) for each name of an attribute that is one letter off a trait.
 
-    Private attributes are ignored, and so are attributes similar to a trait that is among the names.
+    Private attributes are ignored, and so are traits that are among the names or shorter than `SHORTEST`.
     """
     for trait in traits:
         if len(trait) >= SHORTEST and trait not in names:
@@ -121,14 +121,14 @@ def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple
 
 @lru_cache(maxsize=256)
 def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str], ...]:
-    """Return `_misspelt` for a class and its base classes."""
+    """Return the pairs that `_misspelt` yields for a class and each of its base classes."""
     return tuple(
         each for base in model.__mro__ for each in _misspelt(traits, dict.fromkeys([*annotated(base), *vars(base)]))
     )
 
 
 def is_one_letter_off(word: str, other: str) -> bool:
-    """Return whether two words differ by one inserted, deleted or replaced letter, or by two swapped neighbours."""
+    """Return whether two words differ by one inserted, deleted or replaced letter, or by two adjacent ones swapped."""
     begin = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(word, other, strict=False)))
     shorter, longer = sorted((word[begin:], other[begin:]), key=len)
     if len(shorter) < len(longer):

@@ -1,4 +1,4 @@
-"""Handling of untrusted input: terminal escaping, symbolic links, pipes, files that exist, import safety."""
+"""Handling of untrusted input: terminal escaping, symbolic links, pipes, existing files, import safety."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -98,11 +98,11 @@ def resolve_path(path: Any, info: "ValidationInfo") -> Path:
 
 
 def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
-    """Return a path that a file in a folder names, relative to the folder.
+    """Return a path that is named in a file in `folder`; a relative path starts at `folder`.
 
     Raises:
-        ValueError: if the value is not a path, the path exists and is not a regular file, or it leads out of the folder
-            and the file that names it is not trusted.
+        ValueError: if the value is not a path, the path cannot be resolved, it exists and is not a regular file, or it
+            leads out of the folder and the file that names it is not trusted.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")

@@ -3,7 +3,7 @@
 Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
 rounding never separates simultaneous events. Simultaneous events of different phases happen in the order of `Phase`.
 
-No other module uses private parts of SimPy.
+No other module of `desim` uses private parts of SimPy.
 """
 
 import gc
@@ -31,11 +31,11 @@ class Phase(IntEnum):
 
     The priority of a decision is `DECISION` plus the id of the node, so the lowest id decides first. SimPy's own events
     (priorities 0 and 1), such as a condition that is met, come before all phases. A process that waits for a condition
-    therefore resumes in the phase of the event that met it.
+    therefore resumes in the phase of the event that met the condition.
     """
 
     FAULT = 1 << 32
-    """Faults begin and end, and the topology changes."""
+    """Faults start and end."""
     DELIVERY = 2 << 32
     """Messages reach their inboxes."""
     RELAY = 3 << 32
@@ -129,7 +129,7 @@ class Instant(simpy.Event):
 
 
 class NodeClock:
-    """The local clock of a node, with an offset and a rate: it shows offset + rate * t at the true time t, s."""
+    """The local clock of a node: at the true time t, s, it shows offset + rate * t, s."""
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate

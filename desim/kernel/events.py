@@ -1,4 +1,4 @@
-"""The events of the network, and the trace that records all events of a run.
+"""The events of the network, and the trace that stores the events of a run.
 
 Times are integer nanoseconds.
 """
@@ -42,7 +42,7 @@ Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue"
 
 
 class Queued(NamedTuple):
-    """A transmission waits for a busy transmitter; `MessageCounts` counts it as in flight from this event on."""
+    """A transmission waits for a busy transmitter; `MessageCounts` counts its messages as in flight from here on."""
 
     t: Nanoseconds
     transmission: Count
@@ -130,7 +130,7 @@ class MessageCounts(NamedTuple):
 
 Kind = TypeVar("Kind")
 Watcher = Callable[[Event], object]
-"""A function called with each event when it happens; the run ends if it returns True, and fails if it raises."""
+"""A function called with each event; the run ends if the function returns True, and fails if it raises."""
 
 
 class Trace:

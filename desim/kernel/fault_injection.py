@@ -30,11 +30,11 @@ def inject(
         env: the clock of the simulation.
         network: the network to apply them to.
         trace: receives the events `FaultStarted` and `FaultEnded`.
-        crashed: called when a node crashes.
-        recovered: called when a crash ends.
+        crashed: called with each crash when it starts.
+        recovered: called with each crash when it ends.
 
     Raises:
-        ValueError: if a fault names a node that does not exist.
+        ValueError: if a fault names a node that does not exist, or starts before the current time.
     """
     faults, size = list(faults), network.topology.size
     for fault in faults:

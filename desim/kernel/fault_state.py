@@ -8,13 +8,17 @@ import numpy as np
 from desim.kernel.positions import PositionFunction, as_position_source
 
 Cut = Mapping[int, int]
-"""The group number of each listed node; all other nodes form one more group."""
+"""A partition: the group number of each listed node; all other nodes form one more group."""
 Disc = tuple[tuple[float, float], float]
-"""Centre [x, y] and radius, m."""
+"""Centre (x, y) and radius, m."""
 
 
 class FaultState:
-    """The active faults of a network. Faults may overlap; each lasts until the caller ends it."""
+    """The active faults of a network. Faults may overlap; each lasts until the caller ends it.
+
+    Args:
+        positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
+    """
 
     def __init__(self, positions: PositionFunction | None = None):
         self._positions = None if positions is None else as_position_source(positions)
@@ -72,5 +76,9 @@ class FaultState:
         self._jams.append(disc)
 
     def clear(self, disc: Disc) -> None:
-        """End the jamming of a disc."""
+        """End the jamming of a disc.
+
+        Raises:
+            ValueError: if the disc is not jammed.
+        """
         self._jams.remove(disc)

@@ -23,7 +23,7 @@ MIN_DRIFT = -0.99
 
 
 class _Window(Value):
-    """The fields of all faults: their start and end time."""
+    """Base of the faults that have a start and an end time."""
 
     start: Time
     """Start time, s."""
@@ -47,7 +47,7 @@ class Crash(_Window):
     scope: Literal["radio", "robot"] = "robot"
     """radio: the node neither sends nor receives; robot: it does not move or decide either."""
     memory: Flag = True
-    """Whether the node keeps its beliefs; if not, it recovers with none, and a robot restarts its process."""
+    """Whether the node keeps its beliefs; if not, it recovers without any, and a crashed robot restarts its process."""
 
 
 class Partition(_Window):
@@ -119,7 +119,7 @@ class FaultPlan(Protocol):
     """A model that draws faults: `plan(size, horizon, rng)`."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
-        """Return the faults of `size` nodes up to the horizon, s."""
+        """Draw and return the faults of `size` nodes up to the horizon, s."""
         ...
 
 
@@ -191,7 +191,7 @@ FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
-    """Return (offset in s, drift) of the clock of each node; several skews of a node add up."""
+    """Return (offset in s, drift) of the clock of each node; skews without a node are drawn, and skews add up."""
     errors = np.zeros((size, 2))
     for k, skew in enumerate(each for each in given if isinstance(each, ClockSkew)):
         if skew.node is None:
@@ -203,7 +203,13 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
 
 
 def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
-    """Return the given faults and the faults drawn by each plan; every plan has its own random stream."""
+    """Draw the faults of each plan, and return them with the given faults; clock errors are left out.
+
+    Every plan has its own random stream.
+
+    Raises:
+        ValueError: if a plan returns None.
+    """
     faults: list[Fault] = []
     number = count()
     for each in given:

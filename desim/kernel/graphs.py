@@ -24,7 +24,7 @@ Node = Annotated[int, Field(ge=0, strict=True)]
 
 
 class GraphModel(Protocol):
-    """A graph model: `graph(size)` returns a graph of the nodes 0 .. size - 1; see `Edge` for its edge attributes."""
+    """A graph model: `graph(size)` returns a graph of the nodes 0 .. size - 1; see `Edge` for the edge attributes."""
 
     def __call__(self, size: int) -> "nx.Graph[int]": ...  # noqa: D102
 
@@ -107,7 +107,7 @@ class Edge(Value):
 
 
 class Link(Edge):
-    """A link of the graph with its own models, which override those of the network."""
+    """A link of the graph with its own models; they override those of the network and of the edge."""
 
     both_ways: Flag = False
     """Whether the link from `dst` to `src` has the same models."""
@@ -157,14 +157,18 @@ class Edges(Value):
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":
-        """Return a networkx graph with the nodes 0 .. n - 1 as a model; see `Edge` for its edge attributes."""
+        """Return a networkx graph with the nodes 0 .. n - 1 as a model; see `Edge` for the edge attributes.
+
+        Raises:
+            ValueError: if the graph has other nodes or parallel edges, or an edge attribute is invalid.
+        """
         return cls.model_validate(_fields(graph))
 
     def __call__(self, size: int) -> "nx.Graph[int]":
         """Return the graph.
 
         Raises:
-            ValueError: if the graph does not have `size` nodes.
+            ValueError: if `nodes` is given and is not `size`, or an edge names a node that does not exist.
         """
         import networkx as nx
 
@@ -224,16 +228,16 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
 
 
 def node_names(graph: "nx.Graph[Any]") -> str:
-    """Return the first nodes of a graph as a short text of one line, with long names truncated."""
+    """Return the names of the first nodes of a graph as one line of text, with long names truncated."""
     names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
 
 
 def as_model(name: str, value: Any) -> Any:
-    """Return an edge attribute as a model; a number stands for a constant latency (s) or a loss probability.
+    """Convert an edge attribute: a number becomes a constant latency (s) or a loss probability; others are unchanged.
 
     Raises:
-        ValueError: if the attribute is an order other than those of `Order`.
+        ValueError: if the attribute is an invalid order, or a number that is not a valid latency or probability.
     """
     if name == "order" and value not in (None, *get_args(Order)):
         raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")

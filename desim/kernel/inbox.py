@@ -29,10 +29,11 @@ Letter = tuple[int, int, Message]
 
 
 class Inbox:
-    """The messages to one port of a node that are in flight or wait to be read.
+    """The messages to one port of a node: those in flight, and those that wait to be read.
 
-    A message is in flight until its arrival time, and then waits until `drain` removes it. The event of `arrival` does
-    not consume a message, so no message is lost if a process stops waiting at a time-out.
+    A node has one inbox per port; a port is any string. A message is in flight until its arrival time, and then waits
+    until `drain` removes it. The event that `arrival` returns does not consume a message, so no message is lost if a
+    process stops waiting at a time-out.
     """
 
     __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
@@ -89,7 +90,7 @@ class Inbox:
             self._expect(self._in_order()[0][0])
 
     def _expect(self, arrival: int) -> None:
-        """Schedule a wake-up at an arrival time (ns), unless an earlier one is scheduled.
+        """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier.
 
         If the message has already arrived, trigger the event at once.
         """
@@ -105,7 +106,7 @@ class Inbox:
             self._expect_first()
 
     def _trigger(self) -> None:
-        """Trigger the event that processes wait for, if any, at the current time with its priority."""
+        """Trigger the event that processes wait for, if any, at the current time with the priority `_priority`."""
         event, self._waited_for = self._waited_for, None
         if event is not None:
             self._env.trigger(event, self._priority)
@@ -135,7 +136,7 @@ class Inboxes:
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Put a message into the inboxes of its receivers; at its arrival time, it wakes the processes that wait there.
+    """Put a message into the inboxes of its receivers; at its arrival time it wakes the processes waiting at them.
 
     Simultaneous messages are ordered by `number`, the number of their transmission.
     """

@@ -1,4 +1,4 @@
-"""Watchers that check invariants of the trace of a network; they hold for all links and faults.
+"""Watchers that check invariants of the trace of a network; the invariants hold for all link models and faults.
 
 A message is identified by its receiver and the number of its transmission. It is delivered if it is not lost by the end
 of its arrival instant. Faults start and end before the deliveries of an instant: a message that arrives at the instant
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 MIN_BATCH = 64
-"""Deliveries are checked above this number of unchecked transmissions; the limit grows with the number in flight."""
+"""Initial limit of unchecked transmissions: above it, deliveries are checked. It grows with the number in flight."""
 
 
 class Conservation:
@@ -137,7 +137,7 @@ class Conservation:
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Check and count the deliveries before a time (ns); the same faults are active at all of them."""
+        """Check and count the unchecked deliveries before a time (ns); the same faults were active at all of these."""
         for transmission, (event, flying) in list(self._flying.items()):
             if event.t < before:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
@@ -167,15 +167,16 @@ class OneToken:
     - An epoch has at most one token: its hop numbers increase, and each hop has one sender and one receiver.
     - From the time `settled` on, there is only one token: no epoch reappears after a hop of another epoch.
 
-    A retransmission of an unacknowledged token is not a new hop.
+    A regenerated token has a new epoch, see `protocols.token_passing`. A retransmission of an unacknowledged token is
+    not a new hop.
 
     Args:
         kind: the type of the message bodies that are tokens; it has an `epoch` and a hop number `hop`.
         group: the nodes whose sent tokens are checked; None: all nodes.
-        settled: the time from which only one token may be left, ns; None: this is not checked.
+        settled: the time, ns, from which only one token may be left; None: this is not checked.
 
     Attributes:
-        spoilt: the last time at which the group had two tokens, ns; -1 if never.
+        spoilt: the last time, ns, at which the group had two tokens; -1 if never.
     """
 
     def __init__(self, kind: type[Any], group: "Collection[int] | None" = None, *, settled: int | None = None):

@@ -24,7 +24,7 @@ from desim.kernel.traits import LinkTraits
 
 
 class Latency(Protocol):
-    """A model of the one-way latency: `latency(context, rng)` is a number or (k,) numbers >= 0, s."""
+    """A model of the one-way latency: `latency(context, rng)` is one number >= 0, s, or k of them, one per receiver."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
 
@@ -49,7 +49,7 @@ class _Drawn(Value):
     """Base of the models whose draws do not depend on the link."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return (count,) draws, s."""
+        """Draw (count,) latencies, s."""
         return self.quantile(rng.random(count))
 
     def quantile(self, u: Floats) -> Floats:
@@ -57,7 +57,7 @@ class _Drawn(Value):
         raise NotImplementedError
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
-        """Return (k,) draws, s."""
+        """Draw (k,) latencies, s, one per receiver."""
         return self.draw(len(context.dst), rng)
 
 
@@ -91,7 +91,7 @@ class ShiftedExponential(_Drawn):
     """Mean m of the exponential part, s."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return (count,) draws, s."""
+        """Draw (count,) latencies, s."""
         return self.offset + rng.exponential(self.mean, count)
 
     def quantile(self, u: Floats) -> Floats:
@@ -113,7 +113,7 @@ class Gamma(_Drawn):
     """Scale theta, the mean of a stage, s."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return (count,) draws, s."""
+        """Draw (count,) latencies, s."""
         return self.offset + rng.gamma(self.shape, self.scale, count)
 
     def quantile(self, u: Floats) -> Floats:
@@ -135,7 +135,7 @@ class Lognormal(_Drawn):
     """Coefficient of variation of the lognormal part: standard deviation / mean."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return (count,) draws, s."""
+        """Draw (count,) latencies, s."""
         if not self.mean:
             return np.full(count, self.offset)
         return self.offset + rng.lognormal(log(self.mean) - self._variance / 2, sqrt(self._variance), count)
@@ -179,7 +179,7 @@ class Empirical(_Drawn):
         return self
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
-        """Return (count,) draws, s."""
+        """Draw (count,) latencies, s."""
         return np.asarray(self.values)[rng.integers(len(self.values), size=count)]
 
     def quantile(self, u: Floats) -> Floats:
@@ -240,15 +240,15 @@ class PerPair(Value):
         return self
 
     def start_run(self, size: int) -> Latency:
-        """Return the model of one run with `size` nodes, which caches the base latencies."""
+        """Return a model for one run of `size` nodes; it caches the base latencies."""
         return _Pairs(self, size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
-        """Return (k,) base + jitter, s."""
+        """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
         return self.base_latencies(context) + self.jitter(context, rng)
 
     def base_latencies(self, context: LinkContext) -> Floats:
-        """Return the (k,) base latencies of the links, s."""
+        """Return the (k,) base latencies, s, of the links."""
         return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
 
 
@@ -260,7 +260,7 @@ class _Pairs:
         self._base: dict[int, Floats] = {}
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
-        """Return (k,) base + jitter, s."""
+        """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
         if context.src not in self._base and (len(self._base) + 1) * len(self._all) <= ROOM:
             self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
         kept = self._base.get(context.src)
@@ -269,7 +269,7 @@ class _Pairs:
 
 
 def mean_latency(model: Latency) -> float | None:
-    """Return the mean latency of a built-in model, s; None for a user's model, also within `PerPair`.
+    """Return the mean latency, s, of a built-in model; None for a user's model, and for a `PerPair` that contains one.
 
     For `Propagation` the fixed part is returned, because the distances are not known.
     """

@@ -25,7 +25,7 @@ class LinkContext:
 
     @property
     def distances(self) -> NDArray[np.float64]:
-        """The (k,) current distances between the sender and the receivers, m.
+        """The (k,) current distances, m, between the sender and the receivers.
 
         Raises:
             ValueError: if the nodes have no positions.

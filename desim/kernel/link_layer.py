@@ -1,8 +1,9 @@
 """The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
-A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled. If
-messages can still be lost on arrival (faults, range check at delivery, half duplex), a SimPy event at each arrival time
-decides that. Otherwise they are stored at once, with their arrival times.
+A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled.
+Faults, a range check on arrival and half duplex can still cause losses on arrival. With any of these, a SimPy event at
+each arrival time decides between delivery and loss. Without them, records and messages are stored at once, with their
+arrival times.
 """
 
 from collections import Counter
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     import simpy
 
 Listener = Callable[[Record | Message, int], object]
-"""A function called when a transmission starts, with its content and its last arrival time, ns (`LOST` if none)."""
+"""A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -45,7 +46,8 @@ class Transmission(NamedTuple):
     port: str
     """Port of the inbox, for a message."""
     reachable: bool
-    """Whether the receiver of `send` was linked and, if that is checked now, within range; True for a broadcast."""
+    """False if the receiver of a `send` to one node was not linked or, with a range check at transmission, out of range
+    when `send` was called; else True."""
 
 
 class LinkLayer:
@@ -59,7 +61,7 @@ class LinkLayer:
         records: receives the records that arrive.
         inboxes: receive the messages that arrive.
         fault_state: the active faults; None: the network has no faults.
-        trace: receives the events of messages; None if no one reads them.
+        trace: receives the message events; None if they are not needed.
     """
 
     def __init__(
@@ -90,11 +92,14 @@ class LinkLayer:
         self._lost: Counter[Cause] = Counter()
 
     def overhear(self, listener: Listener) -> None:
-        """Call a listener whenever a transmission starts."""
+        """Register a listener, which is called whenever a transmission starts."""
         self._listeners.append(listener)
 
     def crash(self, node: int) -> None:
-        """Lose the queued transmissions of a node whose radio goes down now; one on the air is lost on arrival."""
+        """Lose the queued transmissions of a node whose radio goes down now.
+
+        A transmission that is on the air now is lost on arrival.
+        """
         self._crashes.setdefault(node, []).append(self._env.now)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             self._lose(transmission, transmission.receivers, "crash")
@@ -116,9 +121,12 @@ class LinkLayer:
     # The steps of a transmission.
 
     def transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
-        """Queue a new transmission, or start it if the medium is unlimited, unless the node's radio is down.
+        """Start a new transmission, or queue it if the transmitter is busy; do nothing if the sender's radio is down.
 
         See `Network.send`.
+
+        Raises:
+            ValueError: if the size is negative.
         """
         if self._fault_state is not None and self._fault_state.down(src):
             return
@@ -181,7 +189,7 @@ class LinkLayer:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, arrival, transmission.number)
 
     def _losses(self, transmission: Transmission) -> dict[int, Cause]:
-        """Return the receivers for which a transmission is lost at its start, with the causes."""
+        """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
         src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None:
@@ -197,7 +205,7 @@ class LinkLayer:
     def _schedule_arrivals(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
     ) -> None:
-        """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
+        """Schedule an event at each arrival time of a transmission; it decides between delivery and loss on arrival."""
         self._arriving += len(reached)
         nodes_by_arrival: dict[int, list[int]] = {}
         if isinstance(arrival, int):

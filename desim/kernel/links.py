@@ -1,4 +1,4 @@
-"""The link models of a network as one value: graph, range, reception, latency, loss, medium."""
+"""The link models of a network as one immutable object: graph, range, reception, latency, loss, medium."""
 
 from math import inf
 from typing import Annotated, Any, Literal
@@ -24,7 +24,10 @@ class Processing(Value):
 
 
 def _completed(given: Any, table: dict[str, Any]) -> Any:
-    """Return a table with its missing keys taken from another of the same kind; other values are returned unchanged."""
+    """Fill in the keys that a given table lacks from the table of a preset.
+
+    A value that is not a table, or is a table of another kind, is returned unchanged.
+    """
     alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
     return table | given if alike else given
 

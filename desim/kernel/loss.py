@@ -20,7 +20,7 @@ from desim.kernel.traits import LinkTraits
 
 
 class Loss(Protocol):
-    """A loss model: `loss(context, rng)` is one boolean or (k,) booleans, True where the message is lost."""
+    """A loss model: `loss(context, rng)` returns (k,) booleans, or one for all receivers; True: the message is lost."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
 
@@ -33,11 +33,11 @@ class Bernoulli(Value):
     """Probability that a message is lost, in [0, 1]."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Bools:
-        """Return (count,) draws, True where a message is lost."""
+        """Draw (count,) booleans, True where a message is lost."""
         return rng.random(count) < self.p
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
-        """Return the (k,) losses, or False if nothing can be lost."""
+        """Draw the (k,) losses; return False if nothing can be lost."""
         return self.draw(len(context.dst), rng) if self.p else False
 
 
@@ -71,11 +71,11 @@ class GilbertElliott(Value):
         return self
 
     def start_run(self, size: int) -> Loss:
-        """Return the model of one run with `size` nodes, which keeps the state of each link."""
+        """Create the model of one run with `size` nodes; the model keeps the state of each link."""
         return _Bursts(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Return (k,) losses drawn from the stationary distribution, without state."""
+        """Draw (k,) losses from the stationary distribution, without state."""
         return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
 
@@ -109,18 +109,18 @@ class _Bursts:
 
 
 class _Row:
-    """The links of one sender: whether each was bad at its last use, and the time of that use, s.
+    """The links of one sender: whether each was bad at its last use, and the time (s) of that use.
 
     Before its first use the time of a link is -inf and its state has no meaning: the link starts in the stationary
     distribution.
     """
 
     def __init__(self) -> None:
-        self._nodes = np.array([-1])  # never empty, for take
+        self._nodes = np.array([-1])  # never empty, because `take` rejects an empty array
         self.was_bad, self.since = np.array([False]), np.array([-np.inf])
 
     def links(self, dst: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the (k,) indices in this row of the links to the nodes `dst`; new links are added first."""
+        """Return the (k,) indices, in this row, of the links to the nodes `dst`; new links are added first."""
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
             self._add(dst)
@@ -144,7 +144,7 @@ class ByDistance(Value):
     far: Probability = 1.0
     """Probability of loss at `distance` and beyond, in [0, 1]."""
     distance: Length = 10.0
-    """m"""
+    """Distance from which on the probability of loss is `far`, m."""
     exponent: Positive = 2.0
     """Exponent of the rise with distance."""
 
@@ -153,7 +153,7 @@ class ByDistance(Value):
         return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Return the (k,) losses."""
+        """Draw the (k,) losses."""
         return rng.random(len(context.dst)) < self.probability(context.distances)
 
 

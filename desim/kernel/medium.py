@@ -95,12 +95,12 @@ class LoRa(_Radio):
     """Whether the header is omitted."""
 
     def __call__(self, size: int) -> float:
-        """Return the airtime of all frames of a message, s."""
+        """Return the airtime, s, of all frames of a message."""
         full, rest = divmod(size, MAX_BYTES)
         return full * self._frame(MAX_BYTES) + (self._frame(rest) if rest or not full else 0.0)
 
     def _frame(self, size: int) -> float:
-        """Return the airtime of one frame, (preamble + 4.25 + payload symbols) symbol times, s.
+        """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
 
         Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).
         """

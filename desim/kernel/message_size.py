@@ -4,7 +4,7 @@
     4  sequence number
     8  time, s
     8  each number or boolean in the body; 16 if it is complex
-    1  each byte of a string in the body, in UTF-8
+    1  each byte of a string (in UTF-8) or of a bytes object in the body
     0  None
 
 The size of a collection, a dict or an array is the sum of the sizes of its items. A record inside a body, for instance

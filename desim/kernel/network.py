@@ -1,10 +1,11 @@
 """The network: nodes that publish records and send messages over imperfect links.
 
-A *record* is the state of a node: a newer record of a source supersedes an older one, and its arrival wakes no process.
-`publish` stores the arrival time of the record at each receiver, and reads return the record from that time on. A
-*message* is an event: `send` wakes a process that waits at the inbox of the receiver. Both use the same links. SimPy
-events are needed only if a transmitter is busy, if messages can be lost on arrival, and to wake processes. Reads in the
-decision phase of an instant, or in a later phase, take into account every arrival up to and including that instant.
+A *record* is the state of a node: a newer record of a node supersedes an older one. The arrival of a record wakes no
+process. `publish` stores the record with its arrival time at each receiver, and `latest_records` ignores it until then.
+A *message* is an event: its arrival wakes the processes that wait at the inbox of the receiver. Records and messages
+use the same links. SimPy events are needed only to wait for a busy transmitter, to decide losses on arrival, and to
+wake processes. A read in the decision phase of an instant (`desim.kernel.clock.Phase`), or in a later phase, takes into
+account every arrival up to and including that instant.
 """
 
 from functools import cached_property
@@ -35,13 +36,17 @@ class Network:
 
     Args:
         env: the clock of the simulation.
-        graph: the communication graph; its nodes are 0 .. n - 1, see `desim.kernel.graphs.Edge` for its edges.
+        graph: the communication graph of the nodes 0 .. n - 1; see `desim.kernel.graphs.Edge` for edge attributes.
         links: the models of the links; an ideal network if None.
         seed: the seed of all random draws of the network.
         positions: returns the current (n, 2) positions, m, see `desim.kernel.positions`; required for a finite range.
         trace: receives the events of messages, if its `wants_messages` is true.
         fault_state: the active faults; None: the network has no faults.
-        predicate: selects the bodies of the records that `matching` returns.
+        predicate: selects, by their bodies, the records that `matching` returns; if None, it returns no records.
+
+    Raises:
+        ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
+            and `desim.kernel.propagation.LinkSampler`.
     """
 
     def __init__(
@@ -87,7 +92,11 @@ class Network:
     # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
-        """Give all nodes an initial record of `src` without a message; `stamp` as in `publish`."""
+        """Give all nodes an initial record of `src` without a message, unless they have one; `stamp` as in `publish`.
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= src < self._size:
             raise self._unknown(src)
         self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
@@ -110,7 +119,9 @@ class Network:
         self._transmit(src, None, self.next_record(src, body, stamp), size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
-        """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
+        """Send a message to one node, or to all neighbours (None); its arrival wakes the processes that wait for it.
+
+        The message goes to the inbox of the receiver at `port`; `size` is as in `publish`.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A message to a node that is not linked to the sender is lost, and so is one
@@ -129,38 +140,60 @@ class Network:
         self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
-        """Return the next record of a node, for a protocol that disseminates it without `publish`."""
+        """Create the next record of a node, for a protocol that disseminates records without `publish`.
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= src < self._size:
             raise self._unknown(src)
         return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
-        """Insert a record received by other means than `publish`, unless the node is its source or has one as new."""
+        """Insert a record received by other means than `publish` into the table of a node.
+
+        The record is ignored if the node is its source, or has this or a newer record of the same source.
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
             self._records.insert(node, record)
 
     def latest_records(self, node: int) -> Table:
-        """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
+        """Return the newest received record of each other node, by source; cost O(new records + sources).
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= node < self._size:
             raise self._unknown(node)
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
-        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
+        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches).
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= node < self._size:
             raise self._unknown(node)
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
-        """Return the inbox of a node at a port."""
+        """Return the inbox of a node at a port.
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         if not 0 <= node < self._size:
             raise self._unknown(node)
         return self._inboxes.at(port)[node]
 
     def overhear(self, listener: Listener) -> None:
-        """Call a listener whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
+        """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
 
     def neighbours(self, node: int) -> list[int]:
@@ -169,11 +202,11 @@ class Network:
         return found
 
     def audible(self, node: int) -> list[int]:
-        """Return the nodes that `node` can receive from now, ascending; on an undirected graph its neighbours."""
+        """Return the nodes that `node` can receive from now, ascending; on an undirected graph, its neighbours."""
         return self.topology.audible(node)
 
     def component(self, node: int) -> set[int]:
-        """Return the nodes that `node` can receive from now over any number of hops, and itself; O(nodes + links)."""
+        """Return `node` and the nodes that it can receive from now over any number of hops; cost O(nodes + links)."""
         reached, ahead = {node}, [node]
         while ahead and len(reached) < self.topology.size:
             new = set(self.audible(ahead.pop())) - reached
@@ -187,12 +220,12 @@ class Network:
         return self.topology.mean_degree
 
     def airtime(self, body: Any) -> float:
-        """Return the airtime of a message with this body, s."""
+        """Return the airtime, s, of a message with this body."""
         return self._medium(size_of(body))
 
     @cached_property
     def typical_latency(self) -> float:
-        """Estimate of the mean one-way latency, with processing delays, without airtime and queueing, s."""
+        """An estimate of the mean one-way latency, s, with processing delays but without airtime and queueing."""
         return self._sampler.typical_latency()
 
     def _unknown(self, node: int) -> ValueError:
@@ -211,7 +244,11 @@ class Network:
         self._link_layer.crash(node)
 
     def recover(self, node: int, *, memory: bool = True) -> None:
-        """End one crash of a node; without memory, its received records and unread messages are deleted."""
+        """End one crash of a node; if `memory` is false, delete its received records and unread messages.
+
+        Raises:
+            ValueError: if the network was created without a `FaultState`, or the node is not down.
+        """
         self.fault_state.recover(node)
         if not memory:
             self._records.forget(node)

@@ -17,7 +17,7 @@ def exp(exponents: Floats) -> Floats:
 
 
 def power(bases: Floats, exponent: float) -> Floats:
-    """Return x^p for each of (k,) bases x in [0, 1] and p > 0; squares are computed as fast as in numpy."""
+    """Return the (k,) powers x^p of bases x in [0, 1], for an exponent p >= 0; squares are as fast as in numpy."""
     if exponent == 2.0:
         return bases * bases
     return np.array([base**exponent for base in bases.tolist()])

@@ -25,7 +25,7 @@ class PositionSource:
         raise NotImplementedError
 
     def of(self, nodes: Nodes) -> Floats:
-        """Return the positions of some nodes, (k, 2) m; a subclass may override this method at the cost O(k)."""
+        """Return the positions of some nodes, (k, 2) m; a subclass may override this method with one of cost O(k)."""
         return self().take(nodes, axis=0)
 
 
@@ -45,6 +45,6 @@ def as_position_source(positions: PositionFunction) -> PositionSource:
 
 
 def distances(at: Floats, index: int) -> Floats:
-    """Return the (k,) distances of (k, 2) positions from the one with a given index, m."""
+    """Return the (k,) distances, m, of (k, 2) positions from the position at an index."""
     x, y = at[index].tolist()
     return np.asarray(np.hypot(at[:, 0] - x, at[:, 1] - y))

@@ -50,7 +50,7 @@ class LinkSampler:
         purpose: a prefix of the names of the random streams.
 
     Raises:
-        ValueError: if `links.link` names a link that is not in the graph.
+        ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
     """
 
     def __init__(
@@ -83,7 +83,11 @@ class LinkSampler:
         """Whether `in_order` is needed: latencies vary, and some link is FIFO or has its own order."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Return for each receiver whether the message is lost; None means that no receiver loses it."""
+        """Draw for each receiver whether the message is lost; None means that no receiver loses it.
+
+        Raises:
+            ValueError: if a loss model returns invalid losses.
+        """
         overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
@@ -99,9 +103,10 @@ class LinkSampler:
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
-        """Return the arrival time (ns) at each receiver of a message transmitted now.
+        """Draw the arrival time (ns) at each receiver of a message whose transmission starts now.
 
-        It includes the airtime, the latency and the processing delays. One number stands for all receivers.
+        An arrival time includes the airtime, the latency and the processing delays. If all receivers have the same
+        arrival time, one number may stand for all.
 
         Raises:
             ValueError: if the latency model returns an invalid latency.
@@ -125,10 +130,10 @@ class LinkSampler:
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
     def typical_latency(self) -> float:
-        """Return an estimate of the mean one-way latency, with processing delays, without airtime, s.
+        """Estimate the mean one-way latency, s, with processing delays but without airtime.
 
-        It is the mean of at least 1000 draws from separate random streams, or 0 if the graph has no links. Links
-        are sampled in the order of their senders, until there are more than 10 000 draws.
+        The estimate is the mean of at least 1000 draws from separate random streams, or 0 if the graph has no links.
+        Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
         """
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
@@ -142,7 +147,7 @@ class LinkSampler:
         return sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
-        """Return arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""
+        """Delay arrival times (ns) on FIFO links so that no message overtakes an earlier one; return them all."""
         overrides = self._order_overrides.get(src)
         if self._order == "overtaking" and not overrides:
             return arrival
@@ -194,7 +199,11 @@ def _never_loses(model: object) -> bool:
 
 
 def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models of individual links: those of the edges of the graph, overridden by those of `links.link`."""
+    """Return the models of individual links: those of the edges of the graph, overridden by those of `links.link`.
+
+    Raises:
+        ValueError: if a link is not in the graph, or an edge attribute is invalid.
+    """
     found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
     for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):
         for name in found if attributes else ():
@@ -226,7 +235,11 @@ def _as_nanoseconds(delays: Any) -> Any:
 
 
 def _times(answer: Any, count: int) -> Arrival:
-    """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link."""
+    """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link.
+
+    Raises:
+        ValueError: if they are neither one number nor one for each link, or one of them is invalid.
+    """
     shape = np.shape(answer)
     if shape not in {(), (count,)}:
         got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
@@ -236,7 +249,11 @@ def _times(answer: Any, count: int) -> Arrival:
 
 
 def _booleans(answer: Any, count: int) -> list[bool]:
-    """Convert the losses that a model returned for `count` links to a list with one boolean per link."""
+    """Convert the losses that a model returned for `count` links to a list with one boolean per link.
+
+    Raises:
+        ValueError: if they are neither one boolean nor one for each link.
+    """
     booleans = np.asarray(answer)
     if booleans.dtype != bool or booleans.shape not in {(), (count,)}:
         raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")

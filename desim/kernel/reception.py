@@ -1,6 +1,7 @@
 """Reception models: the probability that a message is received as a function of distance and range.
 
-The range is the only parameter with a unit of length, so a study can scale any model by its range alone.
+The range is the only parameter with a unit of length, so any model is scaled by its range alone. Below, d is a distance
+and R the range, m.
 """
 
 from math import inf, log
@@ -16,9 +17,9 @@ from desim.kernel.traits import ReceptionTraits
 
 
 class ReceptionModel(Protocol):
-    """A reception model: `reception(distances, range)` is the (k,) probability of reception at (k,) distances, m.
+    """A reception model: `reception(distances, range)` returns the (k,) reception probabilities at (k,) distances, m.
 
-    It may have a method `bound(range)`; see `desim.kernel.traits.ReceptionTraits`.
+    A model may have a method `bound(range)`; see `desim.kernel.traits.ReceptionTraits`.
     """
 
     def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
@@ -51,7 +52,7 @@ class QuasiUnitDisk(Value):
     """Probability of reception between q times the range and the range, in [0, 1]."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
-        """Return 1 where d <= q R, p where d <= R, else 0."""
+        """Return 1 where d <= q R, p where q R < d <= R, else 0."""
         return np.where(distances <= self.certain * range, 1.0, np.where(distances <= range, self.p, 0.0))
 
     def bound(self, range: float) -> float:  # noqa: A002
@@ -80,13 +81,13 @@ class LogDistance(Value):
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002
-        """Return the distance, m, at which P = NormalCDF(-8.3) = 5e-17: `pair_uniform` draws no number so small."""
+        """Return the distance, m, beyond which P(d) < NormalCDF(-8.3) = 5e-17, less than any draw of `pair_uniform`."""
         ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
         return ranges * range
 
 
 def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
-    """Return the distance beyond which no message is ever received, m; inf if the model has no bound."""
+    """Return the distance, m, beyond which no message is ever received; inf if the model has no bound."""
     ends = ReceptionTraits.of(reception).bound
     return inf if ends is None else float(ends(range))
 

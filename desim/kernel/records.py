@@ -1,7 +1,8 @@
 """The newest record of each source that has arrived at each node.
 
-A record whose arrival is certain needs no SimPy event. It is stored at transmission with its arrival time, and reads
-ignore it until then. A record that can still be lost on arrival is inserted when it arrives (`Records.insert`).
+A record whose arrival is certain needs no SimPy event. It is stored at transmission with its arrival time;
+`latest_records` and `matching` ignore it until then. A record that can still be lost on arrival is inserted when it
+arrives (`Records.insert`).
 """
 
 from bisect import insort
@@ -29,9 +30,9 @@ class Record(NamedTuple):
 
 
 TimedRecord = tuple[int, Record]
-"""The arrival time of a record, ns, past or future, and the record."""
+"""The arrival time of a record, ns (past or future), and the record."""
 Table = dict[int, TimedRecord]
-"""The newest received record by source."""
+"""The newest received record of each source, with its arrival time, by source."""
 Arrival = int | list[int]
 """Arrival times of a transmission at its receivers, ns; one number if all are equal."""
 Predicate = Callable[[Any], object]
@@ -108,11 +109,11 @@ class Records:
         self._tables: list[Table] = [{} for _ in range(size)]
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
-        self._out_of_order: set[int] = set()  # readers with records inserted out of order
+        self._out_of_order: set[int] = set()  # readers with records from `insert`, which come in any order
         self._without_initial: set[int] = set()  # readers that have lost the initial beliefs
 
     def set_initial_belief(self, record: Record) -> None:
-        """Give all nodes a record at the current time, unless the shared table has one of its source already."""
+        """Give all nodes an initial record now, unless the shared table already has a record of the same source."""
         self._shared.set_initial_belief((self._env.now, record))
 
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
@@ -145,7 +146,7 @@ class Records:
             _store(received, own, self._matching[node], self._predicate)
 
     def latest_records(self, node: int) -> Table:
-        """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
+        """Return the newest received record of each other node, by source; cost O(new records + sources)."""
         self._apply_arrived(node)
         own, shared = self._tables[node], self._shared
         if not shared.table or node in self._without_initial:
@@ -173,7 +174,7 @@ class Records:
         """Delete all received records and initial beliefs of a node.
 
         Raises:
-            ValueError: if a record reached all nodes at one instant, because it is stored once for all nodes.
+            ValueError: if a record was scheduled to reach all nodes at one instant: it is stored once for all nodes.
         """
         if not self._shared.only_initial:
             raise ValueError("a record that reached all nodes at one instant cannot be deleted for one node")
@@ -200,7 +201,7 @@ class Records:
             self._merge(node)
 
     def _not_older_than_shared(self, own: Table) -> Table:
-        """Return the records of a table that are not older than those of the shared table."""
+        """Return the records of a table that are not older than the record of their source in the shared table."""
         shared = self._shared.table
         return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
 
@@ -229,7 +230,7 @@ class Records:
             self._still_in_flight[node] = still_in_flight
 
     def _move_newer(self, node: int, pending: Iterable[TimedRecord]) -> list[Any]:
-        """Move arrived records to the table of a node unless it has newer ones; return those in flight, flat."""
+        """Move arrived records to a node's table unless it has newer ones; return a flat list of those in flight."""
         still_in_flight: list[Any] = []
         now, table, matching, predicate = self._env.now, self._tables[node], self._matching[node], self._predicate
         for arrival, record in pending:
@@ -242,7 +243,7 @@ class Records:
         return still_in_flight
 
     def _merge_unread(self) -> None:
-        """Merge long lists of unread records, to bound the memory of nodes that do not read."""
+        """Merge long lists of unread records into the tables, to bound the memory of nodes that do not read."""
         for node, waiting in enumerate(self._waiting):
             if len(waiting) > MAX_UNREAD:
                 self._merge(node)
@@ -260,7 +261,7 @@ def _store(received: TimedRecord, table: Table, matching: Table, predicate: Pred
 
 
 def _is_newer(received: TimedRecord, table: Table) -> bool:
-    """Return whether a record is newer than the record of its source in a table."""
+    """Return whether a record is newer than the record of its source in a table, or the table has none."""
     known = table.get(received[1].src)
     return known is None or known[1].seq < received[1].seq
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOM = 2**22
-"""Maximum number of cached values of pairs of nodes; further values are computed at each use."""
+"""Maximum number of values of pairs of nodes in one cache; further values are computed at each use."""
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
-    """Return a new generator, for instance `stream(7, "pursuer", 3)`; equal arguments give equal draws."""
+    """Create a generator, for instance `stream(7, "pursuer", 3)`; equal arguments give equal draws."""
     return np.random.default_rng(_sequence(seed, name, index))
 
 

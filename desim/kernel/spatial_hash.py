@@ -16,7 +16,7 @@ from desim.kernel.positions import Nodes, PositionSource
 VERLET_SKIN = 0.25
 """Distance by which two nodes may approach each other before all nodes are hashed again, divided by the radius."""
 MIN_SIDE = MAX_COORDINATE / 2**40
-"""Minimum side of a cell, m. The rounding error of a coordinate is less than a thousandth of it."""
+"""Minimum side of a cell, m. The rounding error of a coordinate is less than a thousandth of this length."""
 ROUNDING = 1.001
 """Factor by which the side of a cell is enlarged, to allow for rounding errors."""
 
@@ -40,7 +40,7 @@ class CellList:
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
-        """Cached nodes in a cell and the eight around it, by cell; deleted when a node enters or leaves one of them."""
+        """Nodes in a cell and the eight around it, by cell; deleted when a node enters or leaves one of these."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
         self._cells = self._cells_of(self._at)
@@ -62,7 +62,7 @@ class CellList:
         return block
 
     def _drifted(self) -> float:
-        """Return an upper bound of the movement of any node along an axis since the nodes were hashed, m."""
+        """Return an upper bound, m, of the movement of any node along an axis since the nodes were hashed."""
         if self._max_speed < inf:
             return self._max_speed * (self._now() - self._when)
         at = self._positions()

@@ -33,7 +33,7 @@ class Topology:
         positions: the current positions of the nodes; required if the range is finite.
         reception: the probability of reception as a function of distance; a disk if None.
         per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
-        seed: the seed of these draws.
+        seed: the seed of the random draws.
         now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
             all positions.
 
@@ -89,7 +89,10 @@ class Topology:
     def hearers(self, node: int, message: int = 0) -> list[int]:
         """Return the nodes that a message of `node` reaches now, ascending.
 
-        With fading per message, each message has its own draws; `message` is its number.
+        With fading per message, each message has its own draws; `message` is the number of the message.
+
+        Raises:
+            IndexError: if the node does not exist.
         """
         if node < 0:
             raise IndexError(f"there is no node {node}")
@@ -110,6 +113,9 @@ class Topology:
         """Return the nodes that receive from `node` now, ascending.
 
         With fading per message, these are the nodes with a probability of reception of at least 1/2.
+
+        Raises:
+            IndexError: if the node does not exist.
         """
         if node < 0:
             raise IndexError(f"there is no node {node}")

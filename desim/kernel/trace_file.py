@@ -57,7 +57,7 @@ class TraceFile:
 def line_of(event: Event) -> str:
     """Return an event as one line of JSON (with Infinity and NaN): its type and its fields, with times in seconds.
 
-    The arrival time of a lost message, `LOST`, is null.
+    The arrival time of a lost message, `LOST`, is written as null.
     """
     text, fields = _line_layout(type(event))
     for value, (key, write) in zip(event, fields, strict=True):
@@ -70,8 +70,9 @@ def events_of(
 ) -> Iterator[Event]:
     """Yield the events of a trace file line by line, so that a long trace need not fit in memory.
 
-    Each value is validated against the annotation of its field. A list becomes a tuple, and an object in a body becomes
-    a named tuple. A named tuple that was sent as a body equals the one that is read, although their types differ.
+    Each value is validated against the annotation of its field. A list becomes a tuple. An object in a body becomes a
+    named tuple if its keys are valid field names. A named tuple that was sent as a body equals the one that is read,
+    although their types differ.
 
     Args:
         lines: the lines of the file.
@@ -175,7 +176,7 @@ def _as_read(hint: Any, limits: Limits) -> Any:
 
 
 def _reason(error: Exception) -> str:
-    """Return the message of an error; of a validation error, its first fault on one line."""
+    """Return the message of an error; for a validation error, its first problem on one line."""
     if not isinstance(error, ValidationError):
         return str(error)
     fault = error.errors(include_url=False, include_input=False)[0]

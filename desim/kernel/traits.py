@@ -25,4 +25,4 @@ class ReceptionTraits(Traits):
     """The optional attributes of a reception model, in addition to `__call__`."""
 
     bound: Callable[[float], float] | None = None
-    """`bound(range)` returns the distance beyond which no message is received, m; absent = no such distance."""
+    """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""

@@ -39,11 +39,11 @@ class Transmitter(Generic[Item]):
         env: the clock of the simulation.
         medium: the model of the medium.
         size: number of nodes.
-        leave: called when a transmission starts, with its airtime in ns.
+        leave: called with a transmission and its airtime, ns, when the transmission starts.
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
-        lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long
-            after the end of its reception; `transmitted` is called when it arrives.
+        lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long after the end of
+            its reception; `transmitted` is called at its arrival.
     """
 
     def __init__(
@@ -94,13 +94,13 @@ class Transmitter(Generic[Item]):
         return (item for waiting in self._waiting for item in waiting)
 
     def airtime(self) -> int:
-        """Return the total time that the channels have been busy so far, ns."""
+        """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
-        """Return whether a node transmitted during the reception of a message, from received - airtime to received, ns.
+        """Return whether a node transmitted while it received a message, from `received - airtime` to `received` (ns).
 
-        `received` is the end of the reception; the method is called `lag` after it.
+        `received` is the end of the reception; the method is called `lag` after that.
         """
         return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
 

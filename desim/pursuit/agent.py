@@ -31,7 +31,8 @@ RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 class Agent(Knowledge):
     """The interface of a protocol to one pursuer: its knowledge (`Knowledge`), its actions and its messages.
 
-    A protocol yields the events that `at`, `sleep`, `arrival` and `after_decisions` return. No other method waits.
+    A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method of an
+    agent waits by itself.
 
     Attributes:
         rng: random stream of the decisions of the pursuer.
@@ -40,7 +41,7 @@ class Agent(Knowledge):
             omniscient benchmarks only.
 
     Args:
-        pursuer: its id.
+        pursuer: the id of the pursuer.
         env: the clock of the simulation.
         view: its view of the world.
         global_state: see the attribute; `assign` also sets the action of this pursuer through it.
@@ -74,20 +75,27 @@ class Agent(Knowledge):
         self._streams: dict[str, np.random.Generator] = {}
 
     def recovered(self, *, restarted: bool) -> None:
-        """Register a recovery. An announcement is due, because the crash may have suppressed the last one."""
+        """Register the end of a crash. An announcement is then due, because the crash may have suppressed the last one.
+
+        Args:
+            restarted: whether the pursuer restarts without memory.
+        """
         self._announced = None
         if restarted:
             self._payload = None
             self.restarts += 1
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return the random stream of this pursuer with a name; it continues in later calls, also after a restart."""
+        """Return the random stream of this pursuer with this name.
+
+        Later calls with the same name return the same stream, which continues, also after a restart.
+        """
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
 
     def shared_stream(self, name: str) -> np.random.Generator:
-        """Return a new random stream that yields the same draws for every pursuer that uses this name."""
+        """Create a random stream that yields the same draws for every pursuer that uses this name."""
         return stream(self._seed, f"shared {name}")
 
     # Actions and announcements.
@@ -97,13 +105,16 @@ class Agent(Knowledge):
 
         Call it after each decision, then call `announce`. A pursuer that is down or may not chase this evader
         (`may_chase`) becomes inactive.
+
+        Raises:
+            ValueError: if there is no such evader.
         """
         self.global_state.set_action(self.id, action)
 
     def announce(self) -> None:
-        """Announce its action after a revision, if `announce.trigger` asks for it.
+        """Announce the action of the pursuer after a decision, if an announcement is due (`announce.trigger`).
 
-        Call it after every `assign`: it sends an announcement only if one is due. Use `broadcast` to send in any case.
+        Call it after every `assign`. Use `broadcast` to announce in any case.
         """
         trigger = self._announcements.trigger
         if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced):
@@ -123,7 +134,7 @@ class Agent(Knowledge):
         self._payload = body
 
     def set_initial_belief(self) -> None:
-        """Set the initial belief of all teammates to its current announcement, without a transmission."""
+        """Set the initial belief of all teammates about this pursuer to its current announcement, without a message."""
         self._network.set_initial_belief(self.id, self.announcement(), self._clock.stamp)
 
     def announcement(self) -> Any:
@@ -137,7 +148,7 @@ class Agent(Knowledge):
         return LocatedAssignment.announced_by(self.id, self._view)
 
     def record(self, body: Any) -> Record:
-        """Return its next record, with this body, for a dissemination model that does not use `publish`."""
+        """Create its next record, with this body, for a dissemination model that does not use `publish`."""
         return self._network.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
@@ -166,7 +177,7 @@ class Agent(Knowledge):
         self._network.send(self.id, dst, body, port=port)
 
     def mail(self, port: str = "") -> list[Message]:
-        """Return and remove the unread messages of a port, without waiting."""
+        """Remove and return the unread messages of a port, without waiting."""
         return self._network.inbox(self.id, port).drain()
 
     # Events to wait for.
@@ -174,7 +185,7 @@ class Agent(Knowledge):
     # Simultaneous events are ordered by phase, and events of one phase by pursuer id.
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event at a time on the local clock, s, rounded to nanoseconds; a time in the past counts as now.
+        """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
             ValueError: if the time is infinite or nan.
@@ -185,7 +196,7 @@ class Agent(Knowledge):
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
     def sleep(self, duration: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event that happens after a duration on the local clock, s.
+        """Return an event that happens after a duration (s) on the local clock.
 
         Raises:
             ValueError: if the duration is negative, infinite or nan.
@@ -197,7 +208,11 @@ class Agent(Knowledge):
             raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
-        """Call a function after a duration on the local clock, s; a restart without memory cancels the call."""
+        """Call a function after a duration (s) on the local clock; an earlier restart without memory cancels the call.
+
+        Raises:
+            ValueError: if the duration is negative, infinite or nan.
+        """
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -215,7 +230,7 @@ class Agent(Knowledge):
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Call a function once per period (s, on the local clock), after all decisions of the same instant.
+        """Run a process that calls a function once per period (s, local clock), after all decisions of an instant.
 
         The first call happens after a random fraction of the period, drawn from the stream `name`.
         """

@@ -35,7 +35,7 @@ class TimedAssignment(NamedTuple):
 
     active: int
     capture_time: float
-    """Capture time of the evader that it chases or, if inactive, the least over the evaders not yet captured, s."""
+    """Capture time, s, of the evader that it chases or, if inactive, the least one over the uncaptured evaders."""
 
     @classmethod
     def announced_by(cls, pursuer: int, view: View) -> Self:
@@ -153,7 +153,7 @@ DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",), trait
 
 
 def one_hop() -> Any:
-    """Return the default dissemination."""
+    """Create the default dissemination."""
     made: Any = DISSEMINATIONS.choice("one_hop")
     return made()
 
@@ -169,8 +169,8 @@ class Announcements(Value):
     """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
     sending; state: the action, the position and the speed at sending."""
     reckoning: Literal["exact", "straight_line"] = "exact"
-    """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit; straight_line:
-    straight towards the present position of the evader."""
+    """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit if sensing is
+    unlimited, else as straight_line; straight_line: straight towards the present position of the evader."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
     """When an action is announced. change: when it changes; heartbeat: at every heartbeat; both: at either; revision:
     after every decision, even if the action has not changed; never."""

@@ -13,11 +13,14 @@ If the capture times are distinct, every equilibrium is a matching: if several p
 the greatest capture time gains by becoming inactive. There are often many equilibria; the optimal profile, a
 maximum-weight matching, is one of them.
 
-Every equilibrium has at least a third of the optimal global utility, and the bound is tight. Proof: let u_i be the
-utility of pursuer i in the equilibrium, and w_i its utility if it chased, alone, the evader that the optimal profile
-assigns to it. Pursuer i does not gain by deviating to this evader. Hence w_i <= u_i if no other pursuer chases the
-evader. If pursuer m chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one i only, so the sum
-of all w_i is at most 3 times the sum of all u_i.
+If the capture times are distinct, every equilibrium has at least a third of the optimal global utility, and this bound
+is tight. Proof: let u_i be the utility of pursuer i in the equilibrium, which is a matching. For each pursuer i that
+the optimal profile assigns to an evader, let w_i be its utility if it chased this evader alone. Pursuer i does not gain
+by deviating to this evader. Hence w_i <= u_i if no other pursuer chases the evader in the equilibrium. If pursuer m
+chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one i only. The sum of all w_i, which is the
+optimal global utility, is therefore at most 3 times the sum of all u_i.
+
+Functions that need an (N, M) matrix `phi` raise ValueError if it is not one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +34,7 @@ from desim.config.arrays import Floats
 from desim.pursuit import game
 
 Profile = tuple[int, ...]
-"""The action of each pursuer: 0 is inactive, j chases evader j."""
+"""The action of each pursuer: 0 to be inactive, j to chase evader j."""
 
 
 def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
@@ -78,9 +81,9 @@ def profiles(pursuers: int, evaders: int) -> list[Profile]:
 
 
 def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
-    """Return the ((M + 1)^N,) stationary distribution of log-linear learning at tau (s), in the order of `profiles`.
+    """Return the ((M + 1)^N,) stationary distribution of log-linear learning, in the order of `profiles`.
 
-    P(profile) is proportional to exp(Phi(profile) / tau); see `desim.pursuit.game.gibbs`.
+    P(profile) is proportional to exp(Phi(profile) / tau), with temperature tau, s; see `desim.pursuit.game.gibbs`.
 
     Raises:
         ValueError: if not all capture times are finite.
@@ -116,10 +119,10 @@ def optimum(phi: ArrayLike, reward: float) -> float:
 
 
 def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:
-    """Return the greedy assignment: pairs in order of (phi, pursuer, evader), each taken if both are still free.
+    """Return the greedy assignment of pairs in order of (phi, pursuer, evader): a pair is taken if both are still free.
 
     Args:
-        phi: for each evader the capture times of pursuers, s; nan if unknown.
+        phi: the capture times, s, by evader and then by pursuer; nan if unknown.
         reward: the time left, s; pairs with phi >= reward are excluded.
 
     Returns:
@@ -134,7 +137,7 @@ def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> 
 
 
 def _games(phi: ArrayLike, actions: Sequence[int]) -> list[tuple[list[float], list[bool]]]:
-    """Return for each evader its single-evader game: the capture times (s) of all pursuers, and whether each chases."""
+    """Return for each evader its single-evader game: the capture time (s) of each pursuer, and whether it chases."""
     times = _times(phi)
     return [(column.tolist(), [action == j for action in actions]) for j, column in enumerate(times.T, start=1)]
 
@@ -152,6 +155,6 @@ def _times(phi: ArrayLike) -> Floats:
 
 
 def _worth(phi: ArrayLike, reward: float) -> Floats:
-    """Return the (N, M) utility of each pursuer alone on each evader, s; 0 if phi >= reward."""
+    """Return the (N, M) utilities, s, of each pursuer if it alone chased each evader; 0 if phi >= reward or nan."""
     times = _times(phi)
     return np.asarray(np.where(times < reward, reward - times, 0.0))

@@ -18,7 +18,8 @@ from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedA
 from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
-"""The orders to each teammate: [(t, action)], ascending; an action holds from t on (ns, clock of the believer)."""
+"""The orders that a pursuer, as a server, has sent to each teammate: [(t, action)], ascending. An action holds from the
+time t on (ns, by the clock of the server)."""
 UNORDERED: Orders = MappingProxyType({})
 """No orders: every teammate continues its announced action."""
 
@@ -44,7 +45,7 @@ class TeamEstimate(NamedTuple):
     speeds: Floats
     """(n,) speeds while chasing, m/s"""
     capture_times: Floats
-    """(n,) capture times, s"""
+    """(n,) capture times, s; nan if unknown."""
 
 
 class Beliefs:
@@ -77,10 +78,10 @@ class Beliefs:
         return {j: record for j, (_, record) in self._network.latest_records(self._id).items()}
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
-        """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago.
+        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s; the heartbeat if None. It counts only if
+            period: time between two announcements of a teammate, s; the heartbeat if None. It is used only if
                 `belief_timeout` is "auto".
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
@@ -138,7 +139,7 @@ class Beliefs:
         return self._timeout_for(self._announcements.heartbeat if self._announcements.has_heartbeats else inf)
 
     def _timeout_for(self, period: float) -> float:
-        """Return the time for which an announcement repeated every period (s) is believed, ns of true time."""
+        """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
             delay = self._network.typical_latency + self._network.airtime(self._announcement())
@@ -146,7 +147,7 @@ class Beliefs:
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
     def _capture_time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
-        """Return the capture time of a teammate for an evader, computed from its record, s; nan if unknown."""
+        """Return the capture time, s, of a teammate for an evader, computed from the given record; nan if unknown."""
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan

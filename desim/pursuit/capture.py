@@ -1,7 +1,7 @@
 """Capture times: the time that a pursuer needs to capture an evader whose motion is assumed.
 
-The evader either flees straight from pursuer i or has a constant velocity (Lee & Bakolas, "Time-of-Capture"). The
-capture time phi_i is inf if pursuer i can never capture the evader.
+The evader is assumed either to flee straight from pursuer i or to keep a constant velocity (Lee & Bakolas,
+"Time-of-Capture"). The capture time phi_i is inf if pursuer i can never capture the evader.
 """
 
 from math import inf
@@ -15,10 +15,10 @@ from desim.config.arrays import Floats
 def capture_time(
     evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, evader_speed: float, radius: float
 ) -> Floats:
-    """Return the (N,) capture times of an evader that flees straight from each pursuer, s.
+    """Return the (N,) capture times, s, of an evader that flees straight from each pursuer.
 
-    phi_i = (d_i - eps) / (v_i - v_e), the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the capture
-    radius, inf for a pursuer no faster than the evader.
+    phi_i = (d_i - eps) / (v_i - v_e) at distance d_i, the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the
+    capture radius, and beyond it inf for a pursuer no faster than the evader.
 
     Args:
         evader: (2,) position, m.
@@ -44,7 +44,7 @@ class RadialTime:
     def __init__(self, speeds: Floats, evader_speed: float, radius: float):
         closing = speeds - evader_speed
         self._radius = radius
-        self.slow = closing <= NO_SPEED  # (N,) whether a pursuer can never capture the evader
+        self.slow = closing <= NO_SPEED  # (N,) whether each pursuer is no faster than the evader
         self._some_slow = bool(self.slow.any())
         self._closing = np.where(self.slow, 1.0, closing)
         self._each: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
@@ -67,10 +67,10 @@ class RadialTime:
 def intercept_time(
     evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
 ) -> Floats:
-    """Return the (N,) or (K, N) least times in which each pursuer can capture an evader of constant velocity, s.
+    """Return the (N,) or (K, N) least times, s, in which each pursuer can capture an evader of constant velocity.
 
     The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
-    there is none. Numerically stable for any sign of |w| - v_i.
+    there is no such t. Numerically stable for any sign of |w| - v_i.
 
     Args:
         evader: (2,) position, m.

@@ -1,4 +1,4 @@
-"""Dead reckoning: the present position of a pursuer that has chased an evader since its last known position.
+"""Dead reckoning: computing where a pursuer is now from a known earlier position, if it has chased an evader since.
 
 During a motion step, all pursuers observe the same motion of the evader: a straight line from its position at the start
 of the step. Guidance depends only on this motion and on the position and speed of the pursuer that chases. A pursuer
@@ -30,7 +30,7 @@ class TrackSegment(NamedTuple):
     """The observed velocity of the evader, m/s."""
 
     def at(self, t: int) -> complex:
-        """Return the observed position of the evader at an instant (ns), m."""
+        """Return the observed position, m, of the evader at an instant, ns."""
         return self.evader + self.velocity * seconds(t - self.begun)
 
 
@@ -80,6 +80,6 @@ class EvaderTrack:
 
 
 def moved_towards(position: complex, evader: complex, length: float) -> complex:
-    """Return the position after moving a length (m) straight towards the evader, at most up to the evader, m."""
+    """Return the position, m, after moving a length (m) straight towards the evader, at most up to the evader."""
     gap = evader - position
     return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -30,7 +30,7 @@ class EvaderController:
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
         sensing_range: range up to which the evader senses pursuers, m.
-        reaction_delay: age of the positions and actions of pursuers as the evader perceives them, s.
+        reaction_delay: age, s, at which the evader perceives the positions and actions of pursuers.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class EvaderController:
             handover: whether an announcement of a change of action is in flight.
 
         Raises:
-            ValueError: if the strategy returns a longer heading.
+            ValueError: if the heading that the strategy returns is longer than 1 or nan.
         """
         if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
             return away(state)
@@ -113,7 +113,7 @@ MAX_SCALAR_SIZE = 16
 class EvaderBody:
     """An evader in the world: its position and velocity, the capture times of the pursuers, and its capture.
 
-    It is at large until `captured` is set. From then on it stands still, and its present capture times are inf.
+    It is at large until `captured` is set. From then on it stands still, and its `capture_times` are inf.
 
     Args:
         number: 1 .. M, the action of a pursuer that chases it.
@@ -125,7 +125,7 @@ class EvaderBody:
         radius: capture radius, m.
 
     Attributes:
-        slow: (N,) whether a pursuer can never capture it.
+        slow: (N,) whether each pursuer is no faster than the evader.
         captured: time of its capture, ns; None while it is at large.
         player: its index among the players.
     """
@@ -174,7 +174,7 @@ class EvaderBody:
         return self._state
 
     def capture_times(self, now: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer at `now` (ns), s; inf once the evader has been captured."""
+        """Return the capture time, s, of each pursuer at `now` (ns); inf once the evader has been captured."""
         if self.captured is not None:
             return (inf,) * self._size
         state = self.state(now)
@@ -183,7 +183,7 @@ class EvaderBody:
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
-        """Return the capture times of some pursuers at `now` (ns), s; inf once the evader has been captured."""
+        """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured."""
         if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
@@ -194,15 +194,15 @@ class EvaderBody:
         return list(map(self._radial_time.of, pursuers, distances))
 
     def capture_time_over(self, pursuer: int, distance: float) -> float:
-        """Return the capture time of a pursuer at a distance (m) from the evader at large, s."""
+        """Return the capture time, s, of a pursuer at a distance (m) from this evader, which must be at large."""
         return self._radial_time.of(pursuer, distance)
 
     def capture_times_over(self, distances: Floats) -> tuple[float, ...]:
-        """Return the capture time of each pursuer, s, given (N,) distances (m) from the evader at large."""
+        """Return the (N,) capture times, s, at (N,) distances (m) from this evader, which must be at large."""
         return tuple(self._radial_time(distances).tolist())
 
     def choose_velocity(self, state: State, *, handover: bool) -> complex:
-        """Return the velocity that the evader chooses in the present state, m/s; 0 once it has been captured.
+        """Return the velocity, m/s, that the evader chooses in the present state; 0 once it has been captured.
 
         Args:
             state: the present state, from the method `state`.
@@ -230,8 +230,8 @@ class EvaderBody:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # Up to this time no velocities lead to a capture, with a margin for rounding. It is a past time if a pursuer is
-        # within the radius.
+        # Up to this time no velocities lead to a capture, with a margin for rounding. The time is in the past if a
+        # pursuer is within the radius.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

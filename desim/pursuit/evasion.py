@@ -31,7 +31,7 @@ def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
 class Strategy(Protocol):
     """An evader's strategy: `strategy(state, rng)` returns a heading, a complex number of length at most 1.
 
-    The velocity is the heading times the speed; 0 stands still.
+    The velocity is the heading times the speed; with a heading of 0 the evader stands still.
 
     A strategy that reads `state.handover` has an attribute `listens = True`; see `desim.pursuit.traits.StrategyTraits`.
     """
@@ -90,7 +90,10 @@ class MaxMin(Fleeing):
     """Number of candidate headings, evenly spaced and including that of pure evasion."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the u with the greatest min_i phi_i(u); ties go to the first counter-clockwise from pure evasion."""
+        """Return the candidate heading u with the greatest min_i phi_i(u).
+
+        Of equally good candidates, the first counter-clockwise from the heading of pure evasion is chosen.
+        """
         fled_from = self.fled_from(state)
         straight = away(fled_from)
         if not straight:
@@ -118,15 +121,16 @@ class Zigzag(Fleeing):
 class VoronoiVertex(Fleeing):
     """Go to the farthest point of an arena that the evader would reach before any pursuer if all had equal speeds.
 
-    This point is a vertex of its Voronoi cell. On the way another vertex may become the farthest; the hysteresis delays
-    the turn to it. An evader outside the arena goes to the nearest point of the arena.
+    This point is a vertex of the Voronoi cell of the evader. On the way another vertex may become the farthest; the
+    hysteresis delays the turn to it. An evader outside the arena goes to the nearest point of the arena.
     """
 
     kind: Literal["voronoi_vertex"] = "voronoi_vertex"
     arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_with_area)]
     """Lower and upper bound of both coordinates of the arena, m."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
-    """Share by which another vertex must be farther than the vertex ahead before the evader turns to it."""
+    """Share by which another vertex must be farther than the vertex ahead, the one closest to the present heading,
+    before the evader turns to the farther one."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading to the farthest vertex, or to the vertex ahead if it is almost as far."""
@@ -148,7 +152,7 @@ class Diffusion(Value):
 
     kind: Literal["diffusion"] = "diffusion"
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
-    """Diffusion of the angle: its standard deviation after a time t is sigma sqrt(t), rad/sqrt(s)."""
+    """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t)."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the present heading, rotated by a normal angle of variance sigma^2 times the elapsed time."""
@@ -198,7 +202,7 @@ class Listener(Value):
     """The strategy at all other times."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of the strategy for a handover or of the other one."""
+        """Return the heading of `during_handover` during a handover, else that of `normally`."""
         return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
@@ -228,7 +232,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return the least intercept time over all pursuers for each of (K,) constant headings of the evader, (K,), s."""
+    """Return the (K,) least intercept times, s, over all pursuers, one for each of (K,) constant headings."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
@@ -236,7 +240,7 @@ def first_captures(state: EvaderObservation, headings: Points) -> Floats:
 
 
 def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
-    """Return the vertices of the evader's Voronoi cell in an arena, relative to the evader, m."""
+    """Return the vertices, m, of the evader's Voronoi cell in an arena, relative to the evader."""
     (low, high), evader = arena, state.evader
     cell = [complex(x, y) - evader for x, y in ((low, low), (high, low), (high, high), (low, high))]
     for pursuer in state.distances.argsort():

@@ -6,6 +6,7 @@ from desim.kernel.events import Nanoseconds, NodeId
 
 Point = tuple[float, float]
 """m"""
+# The string in an annotation is a mark, by which trace files are validated; see `desim.kernel.events`.
 Evader = Annotated[int, "evader"]
 """The number of an evader, 1 .. M."""
 Action = Annotated[int, "action"]
@@ -16,7 +17,7 @@ Speeds = Annotated[tuple[float, ...], "pursuers"]
 Actions = Annotated[tuple[Action, ...], "pursuers"]
 Evaders = Annotated[tuple[Point, ...], "evaders"]
 FORMAT = 2
-"""The format of traces; another number means that the fields of some event have changed."""
+"""The format number of traces. It changes when the fields of an event change."""
 
 
 class Started(NamedTuple):
@@ -35,12 +36,12 @@ class Started(NamedTuple):
 
 
 class Decided(NamedTuple):
-    """A pursuer revised its action, whether or not it changed."""
+    """A pursuer revised its action; the new action may equal the old one."""
 
     t: Nanoseconds
     pursuer: NodeId
     active: Action
-    """The evader that it chases, 1 .. M, or 0."""
+    """The new action: the evader that it chases, 1 .. M, or 0."""
 
 
 class BrokeDown(NamedTuple):
@@ -61,7 +62,7 @@ class Sampled(NamedTuple):
 
 
 class Captured(NamedTuple):
-    """An evader was captured; its pursuers are inactive until they decide again."""
+    """An evader was captured; the pursuers that chased it are inactive until they decide again."""
 
     t: Nanoseconds
     evader: Evader
@@ -75,4 +76,4 @@ class Ended(NamedTuple):
     t: Nanoseconds
     reason: Literal["captured", "horizon", "stopped"]
     capturer: NodeId | None
-    """The pursuer of the last capture; None if the pursuit did not end with a capture."""
+    """The pursuer whose capture ended the pursuit; None if the pursuit ended otherwise."""

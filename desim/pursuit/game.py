@@ -103,10 +103,10 @@ def profiles(count: int) -> list[Profile]:
 
 
 def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
-    """Return the (2^N,) stationary distribution of log-linear learning at tau (s), in the order of `profiles`.
+    """Return the (2^N,) stationary distribution of log-linear learning at the temperature tau, s.
 
-    P(profile) is proportional to exp(U_E(profile) / tau): Blume 1993, "The Statistical Mechanics of Strategic
-    Interaction".
+    The profiles are in the order of `profiles`. P(profile) is proportional to exp(U_E(profile) / tau): Blume 1993, "The
+    Statistical Mechanics of Strategic Interaction".
 
     Raises:
         ValueError: if not all phi are finite.
@@ -132,10 +132,10 @@ def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]
 
 
 def greedy_maximal_independent_set(phi: Sequence[float], reward: float, hearing: Hearing) -> Profile:
-    """Return the greedy maximal independent set of the graph of hearing, as a profile.
+    """Return the greedy maximal independent set of the graph `hearing`, as a profile.
 
-    The nodes are the pursuers with phi < reward. In order of (phi, index), a pursuer becomes active if it hears no
-    active one.
+    The nodes are the pursuers with phi < reward. In ascending order of (phi, index), a pursuer becomes active if it
+    hears no active pursuer.
     """
     active = [False] * len(phi)
     for i in sorted(range(len(phi)), key=phi.__getitem__):

@@ -1,6 +1,6 @@
 """Geometry of straight motion: velocities towards a target, first contact, and distance.
 
-All are pure functions of arrays, independent of the simulation.
+All functions are pure functions of arrays, independent of the simulation.
 """
 
 from math import inf
@@ -11,11 +11,11 @@ from desim.config.arrays import Floats, Points
 from desim.pursuit.state import lengths
 
 SMALLEST = 1e-290
-"""Lower bound of a length used as a divisor, so that the direction of a gap of 0 is 0, m."""
+"""Lower bound, m, of a length that is used as a divisor; with this bound, the direction of a zero vector is 0."""
 
 
 def toward(gaps: Points, speeds: Floats) -> Points:
-    """Return the (N,) velocities along each gap with the given speeds, m/s; 0 for a gap of 0.
+    """Return the (N,) velocities, m/s, along the gaps at the given speeds; 0 for a gap of 0.
 
     Args:
         gaps: (N,) vectors from each pursuer to its target, m.
@@ -25,7 +25,7 @@ def toward(gaps: Points, speeds: Floats) -> Points:
 
 
 def first_contact(offsets: Points, velocities: Points, radius: float, duration: float) -> tuple[float, int] | None:
-    """Return the first time at which one of N straight relative motions is within a radius of the origin, and its row.
+    """Return the time and the row of the first of N straight motions to come within a radius of the origin.
 
     The time is the smallest root of |p + s q| = eps in 0 <= s <= duration, or 0 if |p| <= eps. Ties go to the lowest
     row.
@@ -37,7 +37,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
         duration: length of the interval, s.
 
     Returns:
-        (s, row), or None without a contact.
+        (time, s; row of the motion), or None without a contact.
     """
     a = lengths(velocities) ** 2
     b = offsets.real * velocities.real + offsets.imag * velocities.imag

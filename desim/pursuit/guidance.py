@@ -1,7 +1,8 @@
 """Guidance laws: the heading of a pursuer that chases an evader.
 
-A law maps the observed positions and velocities of the evaders to the velocities of the whole team. Points and
-velocities are complex numbers, as in `desim.pursuit.state`.
+A law maps the observed motion of the evaders to the velocities of the pursuers that chase them. It is called for
+several pursuers at once or for one alone, so the velocity of a pursuer must not depend on the other pursuers. Points
+and velocities are complex numbers, as in `desim.pursuit.state`.
 """
 
 from typing import Literal, Protocol
@@ -15,18 +16,21 @@ from desim.pursuit.geometry import SMALLEST, toward
 from desim.pursuit.state import lengths
 
 EvaderVelocity = complex | Points
-"""The velocity of the evader that all pursuers chase, or (N,) that of the evader of each pursuer, m/s."""
+"""The velocity, m/s, of the evader that all pursuers chase; or, (N,), of the evader that each pursuer chases."""
 
 
 class Guidance(Protocol):
     """A guidance law: `guidance(gaps, aims, evader_velocity, speeds)` returns the (N,) velocities, m/s.
+
+    N is the number of pursuers in the call, which may be 1. If an evader is out of sensing range, its estimated
+    position and velocity take the place of the observed ones.
 
     Args:
         gaps: (N,) vectors from each pursuer to the observed position of its evader, m.
         aims: (N,) vectors from each pursuer to the point that it aims at, m: the position of its evader at the end of
             the motion step if the evader moves first (`motion.order`), else at the start of the step.
         evader_velocity: observed velocity of the evader, m/s: its velocity during the present step if the evader moves
-            first, else during the step before; (N,) if pursuers chase different evaders.
+            first, else during the step before; (N,) if pursuers may chase different evaders.
         speeds: (N,) speeds, m/s, 0 for inactive pursuers; no velocity exceeds them.
     """
 
@@ -48,10 +52,11 @@ class PurePursuit(Value):
 class ConstantBearing(Value):
     """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
 
-    The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The line of sight keeps its direction b
-    (parallel navigation): the pursuer matches the velocity of the evader across this line, and uses the rest of its
-    speed along the line, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) -
-    w_along. There is no intercept point if the closing speed is not positive, or if |w_across| > v.
+    With w the velocity of the evader, the point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The
+    line of sight keeps its direction b (parallel navigation): the pursuer matches the velocity of the evader across
+    this line, and uses the rest of its speed along the line, u = b (sqrt(v_i^2 - w_across^2) + 1j w_across). The
+    closing speed is sqrt(v_i^2 - w_across^2) - w_along. There is no intercept point if the closing speed is not
+    positive, or if |w_across| > v_i.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"
@@ -72,10 +77,10 @@ class ConstantBearing(Value):
 def guided_velocities(
     law: Guidance, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
 ) -> Points:
-    """Return the (N,) velocities that a law gives, m/s; for the other arguments see `Guidance`.
+    """Return the (N,) velocities, m/s, that a law gives; for the other arguments see `Guidance`.
 
     Raises:
-        ValueError: if the law exceeds the speed of a pursuer.
+        ValueError: if a user's law returns nan or exceeds the speed of a pursuer.
     """
     velocities = law(gaps, aims, evader_velocity, speeds)
     if not isinstance(law, PurePursuit | ConstantBearing) and not (lengths(velocities) <= speeds * (1.0 + 1e-9)).all():
@@ -84,7 +89,7 @@ def guided_velocities(
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
-    """Return the velocity that a law gives one pursuer, m/s; see `guided_velocities`."""
+    """Return the velocity, m/s, that a law gives for one pursuer; see `guided_velocities`."""
     if isinstance(law, PurePursuit):  # the same result, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
     return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])

@@ -1,4 +1,4 @@
-"""Kinematics: the positions of all players, whose paths are piecewise straight with common breakpoints.
+"""Kinematics: the positions of all players (pursuers and evaders), on piecewise straight paths with common breakpoints.
 
 A position is given in closed form, origin + velocity * (t - since), without numerical integration. The position of one
 player is computed without those of the others.
@@ -22,7 +22,7 @@ class Kinematics:
         static: whether all players stand still for the whole run.
 
     Attributes:
-        velocities: (K,) velocities of the present pieces, m/s; read-only.
+        velocities: (K,) velocities of the present pieces, m/s; replaced by `set_velocities`, never changed in place.
     """
 
     def __init__(self, env: Clock, start: Points, *, static: bool = False):

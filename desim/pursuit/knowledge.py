@@ -1,4 +1,4 @@
-"""The knowledge of a pursuer: what it senses, the announcements of its teammates, and the links of the network."""
+"""The knowledge of a pursuer: the positions that it senses, its teammates' announcements, and the network's links."""
 
 from collections.abc import Collection, Sequence
 from math import inf
@@ -18,8 +18,10 @@ PAPER = Mean()
 class Knowledge:
     """The knowledge of one pursuer; its decisions and messages are in `desim.pursuit.agent.Agent`.
 
+    Evaders are numbered 1 .. M; most methods raise ValueError for any other number.
+
     Attributes:
-        id: 0 .. team_size - 1.
+        id: its id, 0 .. team_size - 1.
 
     Args:
         pursuer: its id.
@@ -35,7 +37,7 @@ class Knowledge:
 
     @property
     def now(self) -> float:
-        """The time on its local clock, s: offset + (1 + drift) t."""
+        """The time on its local clock, s: offset + (1 + drift) t at the true time t."""
         return self._clock.now
 
     @property
@@ -53,7 +55,7 @@ class Knowledge:
         return self._state.at_large
 
     def options(self) -> Sequence[int]:
-        """Return the actions that it may choose: 0, and each evader that it may chase (`Scenario.prune`)."""
+        """Return the actions that it may choose: 0, and each evader that it may chase; see `may_chase`."""
         return self._view.options(self.id)
 
     def has_choice(self) -> bool:
@@ -66,16 +68,23 @@ class Knowledge:
         return self._state.evader_count
 
     def capture_time(self, evader: int = 1) -> float:
-        """Return its own capture time phi_i of an evader, s; inf if the evader is captured or its position unknown."""
+        """Return its own capture time phi_i of an evader, s.
+
+        It is inf if the evader is captured or of unknown position, or if the pursuer is not faster than the evader and
+        not within the capture radius.
+        """
         (time,) = self._view.capture_times_of([self.id], evader)
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
-        """Return the time r that will be left to the horizon in `ahead` s, by its local clock, s."""
+        """Return the time r, s, that will be left to the horizon `ahead` seconds from now, by its local clock."""
         return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
-        """Return whether it may choose to chase an evader: one at large, of known position, and not pruned."""
+        """Return whether it may choose to chase an evader.
+
+        The evader must be at large, of known or estimated position, and not excluded by `Scenario.prune`.
+        """
         return self._view.may_chase(self.id, evader)
 
     def position(self) -> complex:
@@ -103,8 +112,8 @@ class Knowledge:
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
-        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is
-        nan if it is not announced, and the position of the teammate is neither announced nor sensed.
+        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The capture
+        time is nan if neither it nor the position of the teammate is announced, and the position is not sensed.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -117,10 +126,11 @@ class Knowledge:
         """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s, if it is not the heartbeat.
+            period: time between two announcements of a teammate, s; the heartbeat if None. It counts only if
+                `belief_timeout` is "auto".
             evader: the evader to which the capture times refer.
-            orders: orders sent to teammates. Announced positions are extrapolated along these orders instead of the
-                announced action.
+            orders: orders sent to teammates by a server; see `Orders`. Announced positions are extrapolated along these
+                orders instead of the announced action.
         """
         return self._beliefs.about_teammates(period, evader, orders)
 
@@ -142,7 +152,7 @@ class Knowledge:
         return self._beliefs.senses_others
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return its believed gain from chasing an evader instead of inactivity, s; see `desim.pursuit.game.gain`."""
+        """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`."""
         own, rivals, times = self._beliefs.rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
@@ -158,9 +168,10 @@ class Knowledge:
         return self._network.mean_degree
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:
-        """Return the ids whose actions count in its utility: all, those it hears directly, or those of its component.
+        """Return the pursuers whose actions count in its utility: all, those it hears directly, or its component.
 
-        If it does not sense the positions of teammates, the scope is ignored and all count.
+        The component is that of the network. If it does not sense the positions of teammates, the scope is ignored and
+        all pursuers count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)

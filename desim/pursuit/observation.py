@@ -1,4 +1,4 @@
-"""The observation of an evader, from which its strategy chooses a heading."""
+"""The observation that an evader has of the pursuit, from which its strategy chooses a heading."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,17 +8,18 @@ from desim.pursuit.state import State
 
 
 class EvaderObservation(State):
-    """The observation of an evader: the perceived state of the pursuit, its own parameters and its present heading.
+    """The observation of an evader: the perceived state of the pursuit, and the evader's parameters and heading.
 
     Unobserved pursuers are left out of all arrays. The others keep their order, but an index is not a pursuer id.
 
     Attributes:
         speeds: (N,) speeds of the pursuers, m/s.
-        speed: its own speed, m/s.
+        speed: speed of the evader, m/s.
         radius: capture radius, m.
-        heading: its present heading, of length at most 1; 0 at the start and while it stands still.
-        elapsed: time since it chose this heading, s; 0 at the start.
-        handover: whether an announcement of a change of action is in flight; False if the strategy does not listen.
+        heading: present heading of the evader, of length at most 1; 0 at the start and while it stands still.
+        elapsed: time since the evader chose this heading, s; 0 at the start.
+        handover: whether an announcement of a change of action is in flight; always False if no strategy in the run
+            listens.
     """
 
     def __init__(

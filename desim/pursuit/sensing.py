@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PORT = "sightings"
 """The port of sighting reports."""
 NEVER = -1
-"""Time of the last sighting of an evader that was never seen, ns."""
+"""Stands for the time of the last sighting, ns, of an evader that was never seen."""
 
 
 class Sensing(Value):
@@ -37,19 +37,21 @@ class Sensing(Value):
     """Sensing radius R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
     """Estimated position of an unseen evader. hold: that of the last sighting; constant_velocity: extrapolated with the
-    velocity at the last sighting; worst_case: anywhere within v_e a of the last sighting, where a is its age; with
-    equal clocks phi = (d + v_e a - eps) / (v_i - v_e) is then an upper bound."""
+    velocity at the last sighting; worst_case: that of the last sighting, but with the capture time phi = (d + v_e a -
+    eps) / (v_i - v_e). Here d is the distance to the last sighting, and a is its age. If all clocks are equal, this
+    phi is an upper bound."""
     period: Period = 0.1
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
     until the sighting is `track_timeout` old or a newer one is reported to it."""
     relay: Flag = False
-    """Whether a pursuer also relays the newest reported sighting, so that it spreads over several hops."""
+    """Whether a pursuer also relays the newest reported sighting, so that sightings spread over several hops."""
     track_timeout: Timeout = 5.0
-    """Age T_lost of the newest sighting at which the evader is lost, s."""
+    """Time T_lost, s: an evader is lost if its newest sighting is older than this."""
     on_lost: Literal["stay", "search"] = "search"
-    """Action on a lost evader. stay: it may not be chased; search: follow a spiral around its last estimated position,
-    with turns 2 R_s apart, rotated for each pursuer. The spiral begins when the evader is lost, wherever the pursuer
-    is. A pursuer without any sighting may not chase."""
+    """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the
+    speed of the pursuer, from the last estimated position. The spiral begins when the evader is lost, wherever the
+    pursuer is. Its turns are 2 R_s apart, at least 2 eps, and it is rotated for each pursuer. A pursuer without any
+    sighting of an evader may not chase it."""
 
     @property
     def limited(self) -> bool:
@@ -103,7 +105,7 @@ class TeamSensor:
         self.look(state.now)
 
     def look(self, now: int) -> None:
-        """Record a sighting, at time now (ns), of each evader in the sensing range of a pursuer that is not down."""
+        """Record, for each pursuer that is not down, a sighting at `now` (ns) of each evader in its sensing range."""
         state, able = self._state, ~self._state.broken
         for evader in state.at_large:
             seeing = able & (state.distances(evader) <= self.sensing.radius)
@@ -200,7 +202,7 @@ class SensedView(View):
         )
 
     def report(self) -> None:
-        """Send the neighbours the newest sightings that have not expired; reported ones only with `relay`."""
+        """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""
         oldest = self._clock.now - self._sensing.track_timeout
         newest = [each for each in map(self.newest, self.state.at_large) if each is not None and each.seen >= oldest]
         reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
@@ -215,7 +217,7 @@ class SensedView(View):
             self._sensor.forget(self._id)
 
     def _read_reports(self) -> None:
-        """Keep the newest sighting of each evader in the reports that have arrived."""
+        """Read the reports that have arrived, and keep the newest reported sighting of each evader."""
         for message in self._network.inbox(self._id, PORT).drain():
             for sighting in message.body:
                 known = self._reported.get(sighting.evader)
@@ -226,8 +228,8 @@ class SensedView(View):
 def spiral(length: float, apart: float) -> complex:
     """Return the point (m) at an arc length (m) on an Archimedean spiral from the origin with turns `apart` (m) apart.
 
-    The angle follows from the radius r = apart * angle / (2 pi) and the arc length r * angle / 2, which is accurate
-    after many turns.
+    The angle follows from the radius r = apart * angle / (2 pi) and the approximate arc length r * angle / 2. The
+    approximation is accurate after many turns.
     """
     if apart == 0.0:
         return 0j

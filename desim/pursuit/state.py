@@ -14,7 +14,9 @@ from desim.config.arrays import Floats, Points
 
 
 class State:
-    """The positions of the pursuers and one evader, and the pursuers that chase it; its arrays are read-only.
+    """The positions of the pursuers and of one evader, and the pursuers that chase this evader.
+
+    The arrays of a state must not be changed.
 
     Attributes:
         stamp: the instant, ns.

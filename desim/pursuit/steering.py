@@ -83,7 +83,7 @@ class Steering:
         self._players.set_velocities(velocities)
 
     def _all_velocities(self) -> Points:
-        """Return the (N,) velocities of the pursuers at the start of a step, as if all evaders were sensed, m/s."""
+        """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.positions()[: len(actions)], self._paces
         if len(segments) == 1:
@@ -94,9 +94,9 @@ class Steering:
         return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
 
     def _blind_velocity(self, pursuer: int, duration: float) -> complex:
-        """Return the velocity of a pursuer whose evader is out of sensing range, m/s.
+        """Return the velocity, m/s, of a pursuer whose evader is out of sensing range; 0 without an estimate.
 
-        Its speed is limited so that it does not overshoot the estimated position of the evader in `duration` s.
+        The speed is limited so that in `duration` s the pursuer does not overshoot the evader's estimated position.
         """
         assert self._sensor is not None
         estimate = self._sensor.views[pursuer].estimate(self._actions.item(pursuer))

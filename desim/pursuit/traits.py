@@ -31,7 +31,7 @@ AssumptionName = Literal[
 
 
 class Assuming(Traits):
-    """The traits of all parts of a protocol."""
+    """The optional attributes (traits) of a protocol and of each of its parts."""
 
     assumes: tuple[AssumptionName, ...] = ()
     """Names of its assumptions about the scenario (`desim.scenario.assumptions`); a violated one gives a warning."""
@@ -41,23 +41,24 @@ class ProtocolTraits(Assuming):
     """The optional attributes of a protocol, in addition to `__call__`."""
 
     announces: Literal[True, False, "unseen"] = True
-    """Whether pursuers announce their actions; "unseen": only where positions are not sensed."""
+    """Whether pursuers announce their actions; "unseen": only if positions are not sensed."""
     omniscient: Flag = False
     """Whether pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     embodied: Flag = True
-    """Whether the process of a pursuer runs on its robot, and stops while that is broken down."""
+    """Whether the process of a pursuer runs on its robot, and stops while the robot is broken down."""
     reckons: Flag = False
-    """Whether it extrapolates announced positions, whatever `announce.payload` is."""
+    """Whether the protocol extrapolates announced positions, whatever `announce.payload` is."""
     claim_size: Callable[[int, int], int] | None = None
-    """`claim_size(pursuers, evaders)` returns the size of an announcement, bytes; None: that of `announce.payload`."""
+    """`claim_size(pursuers, evaders)` returns the size of an announcement, bytes, given the numbers of both; None: the
+    size of `announce.payload`."""
     host: Annotated[int | None, Parameter(int)] = None
-    """The pursuer that carries its server; it should exist."""
+    """The pursuer that hosts the server of the protocol; a scenario without this pursuer is invalid."""
     slot: Annotated[float | None, Parameter(int, float)] = None
     """Time between two decisions, s."""
     period: Annotated[float | None, Parameter(int, float)] = None
     """Time between two decisions, s, if there is no `slot`."""
     schedule: Annotated[Callable[..., Any] | None, Parameter(Callable)] = None
-    """When pursuers revise; see `ScheduleTraits`."""
+    """The schedule, which determines when pursuers revise; see `ScheduleTraits`."""
     utility: Annotated[Callable[..., Any] | None, Parameter(Callable)] = None
     """The utility of an action; see `UtilityTraits`."""
 
@@ -68,19 +69,21 @@ class ScheduleTraits(Assuming):
     at_once: Flag = False
     """Whether several pursuers may revise at the same instant."""
     spreads_to: Literal["all", "neighbours"] | None = None
-    """The pursuers to which its own messages repeatedly carry actions, so that announcements are not needed there."""
+    """The pursuers to which the schedule's own messages, such as a token, repeatedly carry actions; they need no
+    announcements of these actions."""
     without_serial_decisions: Callable[[], dict[str, Any]] | None = None
-    """`without_serial_decisions()` returns the table of a schedule in which pursuers do not wait for each other, for
-    `desim explain`."""
+    """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
+    decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""
     warnings: Callable[[float], Iterator[tuple[str, str]]] | None = None
-    """`warnings(step)` yields (key, reason) for each parameter that is unwise with this motion step, s."""
+    """`warnings(step)` yields (key, reason) for each parameter that is problematic with a motion step of `step` s."""
 
 
 class UtilityTraits(Assuming):
     """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
     expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
-    """`expected(own, others, chances, reward)` returns the mean gain if the others are active at random, s."""
+    """`expected(own, others, chances, reward)` returns the mean gain, s, if each of the other pursuers is active with
+    its probability in `chances`."""
 
 
 class DisseminationTraits(Assuming):
@@ -99,4 +102,4 @@ class StrategyTraits(Traits):
     """The optional attributes of an evader's strategy, in addition to `__call__`."""
 
     listens: Flag = False
-    """Whether it overhears the pursuers' radio, so that `state.handover` is set."""
+    """Whether the strategy overhears the pursuers' radio. If none in the run does, `state.handover` is always False."""

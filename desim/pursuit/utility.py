@@ -20,7 +20,8 @@ from desim.pursuit import game
 from desim.pursuit.traits import UtilityTraits
 
 Scope = Literal["heard", "neighbours", "component"]
-"""The pursuers that count: all with a belief, those heard directly now, or those heard now over any number of hops."""
+"""The teammates that count, among those believed active. heard: all; neighbours: those heard directly now; component:
+those heard now over any number of hops."""
 
 
 NEWTON_STEPS = 5
@@ -32,14 +33,14 @@ class Utility(Protocol):
 
     @property
     def scope(self) -> Scope:
-        """The pursuers whose actions count."""
+        """The teammates whose actions count; see `Scope`."""
         ...
 
     def __call__(self, own: float, others: Sequence[float], reward: float) -> float: ...  # noqa: D102
 
 
 class Mean(Value):
-    """r less the mean capture time of the active (Lee & Bakolas): U_E is an exact potential if all are heard."""
+    """Time left minus mean capture time of the active pursuers (Lee & Bakolas): an exact potential if all are heard."""
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
     kind: Literal["mean"] = "mean"
@@ -50,34 +51,34 @@ class Mean(Value):
         return game.gain(own, others, reward)
 
     def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
-        """Return the mean gain over all sets of active others, s; O(n^2).
+        """Return the mean gain, s, over all sets of active others; the cost is O(K^2) for K others.
 
-        With n the number of active others and n_j the number of active others except j,
+        With n the random number of active others, and n_j that of active others except j, the mean gain is
 
             r P(n = 0) - phi_i E[1/(1 + n)] + sum_j phi_j q_j (E[1/(1 + n_j)] - E[1/(2 + n_j)]).
 
-        E[1/(k + n)] is the integral of s^(k-1) E[s^n] over [0, 1]. E[s^n] is the product of 1 - q_j + q_j s, a
-        polynomial, for which Gauss-Legendre quadrature is exact.
+        E[1/(k + n)] is the integral of s^(k-1) E[s^n] over s in [0, 1]. E[s^n] is the product of 1 - q_j + q_j s over
+        all j. This is a polynomial in s, for which Gauss-Legendre quadrature is exact.
 
         Args:
             own: phi_i, s.
-            others: (n,) phi_j, finite, s.
-            chances: (n,) probabilities q_j that j is active, in [0, 1].
+            others: (K,) capture times phi_j, finite, s.
+            chances: (K,) probabilities q_j that j is active, in [0, 1].
             reward: r, s.
         """
         if own == inf:
             return -inf
         phi, q = np.asarray(others, dtype=float), np.asarray(chances, dtype=float)
         s, weight = _nodes(len(q) // 2 + 1)
-        factors = 1.0 - q[:, None] * (1.0 - s)  # (n, nodes)
+        factors = 1.0 - q[:, None] * (1.0 - s)  # (K, nodes)
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
-        beside = (before[:-1] * after[1:]).sum(axis=1)  # (n,), each leaving out its own factor
+        beside = (before[:-1] * after[1:]).sum(axis=1)  # (K,), for each j without the factor of j
         return float(reward * np.prod(1.0 - q) - own * before[-1].sum() + (phi * q * beside).sum())
 
 
 class LocalMean(Mean):
-    """The mean over the pursuers heard now: no potential game; on a path graph of three it may have no equilibrium."""
+    """As `mean`, over the neighbours heard now. Not a potential game: a path graph of 3 may have no equilibrium."""
 
     assumes: ClassVar[tuple[str, ...]] = ()
     kind: Literal["local_mean"] = "local_mean"  # type: ignore[assignment]
@@ -93,10 +94,11 @@ class Component(Mean):
 
 
 class Minimum(Value):
-    """r less the least capture time of the active: a pursuer that does not have the least phi has a gain of 0.
+    """Time left minus least capture time of the active pursuers: a pursuer without the least phi has a gain of 0.
 
-    U_E(S) = r - min phi over S is an exact potential if all are heard. At tau > 0 the pursuers of larger phi are
-    indifferent, so half of them chase; only greedy rules break the tie in favour of inactivity.
+    U_E(S) = r - min phi over S is an exact potential if all are heard. A pursuer with a greater phi than an active one
+    is indifferent. Log-linear learning at tau > 0 therefore lets it chase half of the time. Only greedy rules break the
+    tie in favour of inactivity.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
@@ -121,10 +123,10 @@ class Minimum(Value):
 
 
 class EdgePenalty(Value):
-    """r - phi_i, less a penalty C for each active neighbour.
+    """Time left r minus own capture time phi_i, minus a penalty C for each active neighbour.
 
-    The sum of r - phi_i over the active, less C for each pair of active neighbours, is an exact potential. With C > r
-    the equilibria are the maximal independent sets of the pursuers with phi_i < r.
+    The sum of r - phi_i over the active pursuers, less C for each pair of active neighbours, is an exact potential.
+    Because C > r, the equilibria are the maximal independent sets of the pursuers with phi_i < r.
     """
 
     kind: Literal["edge_penalty"] = "edge_penalty"

@@ -27,7 +27,7 @@ class EvaderEstimate(NamedTuple):
     velocity: complex = 0j
     """m/s"""
     uncertainty: float = 0.0
-    """Upper bound of the distance of the evader from `position`, m; 0 if the estimate gives none."""
+    """Upper bound, m, of the distance of the evader from `position`; 0 if this kind of estimate gives no bound."""
 
 
 class View:
@@ -47,7 +47,7 @@ class View:
     def __init__(self, state: WorldState, prune: Prune):
         self.state, self._prune = state, prune
         self._options: dict[int, tuple[int, ...]] = {}
-        self._options_at: Sequence[int] | None = None  # the evaders at large to which these options belong
+        self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
 
     def sees(self, evader: int) -> bool:
         """Return whether the pursuer sees an evader now."""
@@ -63,7 +63,7 @@ class View:
         return NOWHERE if estimate is None else estimate.position
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader at its estimated position, s.
+        """Return the capture time, s, of each pursuer for an evader at its estimated position.
 
         All are inf if the evader has been captured or is unknown.
         """
@@ -80,14 +80,14 @@ class View:
         state = self.state
         if self.unlimited or self.sees(evader):
             now = state.now
-            if now == state.step_end:  # all positions will be needed at this instant
+            if now == state.step_end:  # the next motion step needs all positions of this instant anyway
                 state.players.positions()
             return state.body(evader).capture_times_of(pursuers, now)
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the capture time of a pursuer from a hypothetical position (m), s.
+        """Return the capture time, s, of a pursuer for an evader, from a hypothetical position (m) of the pursuer.
 
         It is inf if the evader has been captured or is unknown.
         """
@@ -98,7 +98,10 @@ class View:
         return self.state.body(evader).capture_time_over(pursuer, distance)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer may choose to chase an evader: it is at large, known and not excluded by `prune`."""
+        """Return whether a pursuer may choose to chase an evader.
+
+        The evader must be at large, of known or estimated position, and not excluded by `prune`.
+        """
         body = self.state.body(evader)
         if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
             return False
@@ -122,6 +125,8 @@ class View:
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
         """Return the present position, m, of a pursuer whose chase of an evader began at `position`, `age` ago.
+
+        If nothing moves, or the position of the evader is unknown, this is `position`.
 
         Args:
             position: its position at that time, m.
@@ -150,7 +155,8 @@ class GlobalState(View):
     Args:
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
-        set_action: called with a pursuer and its action from this instant on: the evader to chase, or 0 for inactive.
+        set_action: a function that sets the action of a pursuer from this instant on. Its arguments are the pursuer and
+            the action, the number of an evader or 0.
     """
 
     def __init__(self, state: WorldState, prune: Prune, set_action: Callable[[int, int], None]):

@@ -1,6 +1,6 @@
 """The true state of a pursuit: positions, velocities and actions of all players.
 
-Views read the state; the world changes it.
+The views of the pursuers (`desim.pursuit.views`) read the state; the world (`desim.simulation.world`) changes it.
 """
 
 from collections.abc import Sequence
@@ -95,7 +95,7 @@ class WorldState:
         return self.body(evader).state(self.now).distances
 
     def time_left(self, now: int) -> float:
-        """Return the time r from an instant (ns) to the horizon, s; constant if the game is static."""
+        """Return the time r, s, from an instant (ns) to the horizon; in a static game, always the whole horizon."""
         return (self.horizon if self.static else self.horizon - now) / SECOND
 
     def set_actions(self, actions: Actions) -> None:
@@ -106,7 +106,7 @@ class WorldState:
             body.set_chasers(np.equal(actions, body.number))
 
     def capture(self, body: EvaderBody) -> None:
-        """Mark an evader as captured: it stands still, and its pursuers are inactive until their actions are set."""
+        """Mark an evader as captured: it stands still, and its chasers are inactive until their actions are set."""
         body.captured = self.now
         self.at_large = tuple(each for each in self.at_large if each != body.number)
         chasing = self.actions == body.number

@@ -15,11 +15,11 @@ NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
 METRICS_MODULE = "analysis/metrics.py"
-"""The module that lists the metrics, not hashed: a new metric changes no run, and a store hashes each metric."""
+"""The module that lists the metrics. It is not hashed: a new metric changes no run, and a store hashes each metric."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
-"""Environment variables by which git uses another repository than the one of its folder; git sets them in hooks."""
+"""Environment variables that make git use another repository than that of its folder; git sets them in hooks."""
 
 
 def environment() -> dict[str, Any]:

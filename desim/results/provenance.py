@@ -24,7 +24,7 @@ Document = dict[str, Any]
 """The content of a run.json, as JSON values."""
 FILE = "run.json"
 FORMAT = 2
-"""The format of a run.json; another number means that a key has changed."""
+"""The format number of a run.json. It changes when a key changes."""
 RUN = "run"
 """The value of `what` in documents that `desim run` writes and can repeat."""
 OTHER_COMMANDS = ("sweep", "explain", "merge")
@@ -75,7 +75,7 @@ def document(
         scenario: the scenario of the runs, if there is only one.
         seed: seed of the first run; it replaces the seed in the recorded scenario.
         runs: number of runs; the runs of `desim run` have the seeds `seed`, `seed` + 1, ...
-        folder: folder of the scenario file, in which modules named by the scenario are looked up.
+        folder: folder of the scenario file, in which modules and files named by the scenario are looked up.
         more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
     return {
@@ -98,7 +98,11 @@ def of_one(made: Document, seed: int) -> Document:
 
 
 def write(folder: Path, made: Document, name: str = FILE) -> None:
-    """Write a document to a folder, which is created if missing; the file is replaced atomically."""
+    """Write a document to a folder, which is created if missing; the file is replaced atomically.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
     part = without_symlink(folder / f"{name}.part")
@@ -144,7 +148,7 @@ def other_format(found: object, expected: int) -> str:
 
 
 def home(path: Path, made: Document) -> Path:
-    """Return the recorded folder of the scenario file or, if it no longer exists, the folder of the run.json."""
+    """Return the recorded folder of the scenario file; the folder of the run.json if it is not recorded or is gone."""
     folder = None if made["folder"] is None else Path(made["folder"])
     return folder if folder is not None and folder.is_dir() else path.parent
 
@@ -156,7 +160,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     are looked up in the folder of the run.json, because an untrusted file may record any folder.
 
     Raises:
-        ProvenanceError: if the document does not record runs, or names a model that cannot be imported.
+        ProvenanceError: if the document does not record runs of `desim run`, or names a model that cannot be imported.
         ScenarioError: if an override is wrong.
     """
     from desim.scenario.overrides import Source
@@ -235,7 +239,10 @@ def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tu
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted key of each callable object with state of a class that is neither a model nor a dataclass."""
+    """Yield the dotted key of each callable object that has state and whose class is no model and no dataclass.
+
+    The parameters of such an object are not recorded.
+    """
     from pydantic import BaseModel
 
     if isinstance(node, BaseModel):

@@ -27,9 +27,10 @@ EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, Mess
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
-    """Run a scenario and return the result; with `record.messages = "file"` the trace is streamed to the folder.
+    """Run a scenario and return the result.
 
-    The folder is created if missing.
+    With `record.messages = "file"` the trace is written to the folder during the run. The folder is then created if
+    missing, and the files of an earlier run in it are removed; see `clear`.
     """
     if scenario.record.messages != "file":
         return run(scenario, seed)
@@ -51,14 +52,15 @@ def write(
 ) -> Summary:
     """Write a run to a folder and return its summary; `read` reads it back.
 
-    The files are trace.jsonl, summary.json, scenario.toml and run.json; trajectory.svg and .png if positions were
-    recorded and matplotlib (the extra `plot`) is installed. Files of another run are removed: see `clear`. run.json is
-    written last: a folder with it is complete, even if the program was killed.
+    The files are trace.jsonl, summary.json, scenario.toml and run.json. If positions were recorded and matplotlib (the
+    extra `plot`) is installed, trajectory.svg and trajectory.png are added. Files of another run are removed: see
+    `clear`. run.json is written last, so a folder that contains it is complete, even if the program was killed.
 
     Args:
         result: the result of the run.
         folder: the folder; it is created, with its parents.
-        made: the provenance of the run or of its batch; if None, it is made from the scenario and this program.
+        made: the provenance of the run, or of several runs that include it; if None, that of the scenario and this
+            program.
         simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -112,8 +114,8 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
         allow_import: whether run.json may name code to be imported; see `desim.load`.
 
     Raises:
-        ValueError: if a file does not have the form that `write` gives it or names a model that cannot be imported, or
-            if the files are of different runs.
+        ValueError: if a file does not have the form that `write` gives it or names a model that cannot be imported, if
+            the files are of different runs, or if run.json records several runs.
         OSError: if a file cannot be read.
     """
     folder, trace = Path(folder), Trace()

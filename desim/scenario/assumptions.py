@@ -94,7 +94,7 @@ def one_at_a_time(scenario: "Scenario") -> str | None:
 
 
 def rounds(scenario: "Scenario") -> str | None:
-    """All pursuers decide in rounds or on their own clocks: no decision waits for those of teammates."""
+    """All pursuers decide in rounds or on their own clocks: no decision waits for the decisions of teammates."""
     schedule = scenario.schedule_traits
     if schedule.without_serial_decisions is None or scenario.team.count == 1:
         return None
@@ -131,7 +131,10 @@ def host_in_range(scenario: "Scenario") -> str | None:
 
 
 def times_known(scenario: "Scenario") -> str | None:
-    """Every pursuer knows all capture times: the evader is seen, and positions are sensed or announced to all."""
+    """Every pursuer knows all capture times.
+
+    The evader is seen at any distance. Positions are sensed, or positions or capture times are announced to all.
+    """
     if scenario.sensing.limited:
         return "pursuers see the evader only within the sensing radius (`sensing.radius`)"
     if scenario.announce.payload == "action":

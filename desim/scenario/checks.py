@@ -22,8 +22,9 @@ LONG_LATENCY = 0.1
 """The share of the horizon above which a mean latency gives a warning.
 
 With a longer latency, at most ten one-way messages follow each other in a run, so the pursuers can hardly negotiate.
-Values in seconds are usually far below it: in the files of `scenarios`, outside of grids, at most 1.5 % of the horizon.
-Values in milliseconds are above it: even the 5 ms of a fast radio become 5 s, a sixth of the default horizon.
+Latencies in seconds are usually far below it: in the files of `scenarios`, outside of grids, at most 1.5 % of the
+horizon. Latencies given in milliseconds by mistake are above it: even the 5 ms of a fast radio become 5 s, a sixth of
+the default horizon.
 """
 
 
@@ -70,7 +71,7 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
 
 
 def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str]]:
-    """Yield the key and the text of a warning for each latency that is probably in milliseconds.
+    """Yield the key and the text of a warning for each latency that was probably given in milliseconds by mistake.
 
     The scenarios are those of a sweep, or only one. A sweep may vary a latency from short to long on purpose. With
     several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in all scenarios
@@ -167,7 +168,7 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about the network, announcements and faults: overridden presets, no effect, overload."""
+    """Yield the warnings about the network, announcements and faults: overridden presets, unused keys, overload."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
         values, preset = dict(network), dict(Links(preset=network.preset))

@@ -61,13 +61,13 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
 
 def _named_files(path: Path) -> list[Path]:
-    """Return the existing files that the values of a scenario file name, relative to its folder."""
+    """Return the existing files whose paths, relative to the folder of a scenario file, are values in this file."""
     beside = (path.parent / each for each in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
     return sorted({each for each in beside if each.is_file()})
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield every text nested in a value."""
+    """Yield every string nested in a value."""
     if isinstance(value, str):
         yield value
     for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():

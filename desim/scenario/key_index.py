@@ -18,11 +18,11 @@ class Key(NamedTuple):
     """A key of scenario files."""
 
     place: tuple[str, ...]
-    """Its parts without kinds; the tables of a list have the index 0."""
+    """The parts of the dotted key, without kinds; after the name of a list of tables, the index 0 stands for each."""
     kinds: tuple[str, ...] = ()
     """The kinds that its value may have."""
     owner: str | None = None
-    """The kind of its table, if its table has one."""
+    """The kind of the table that contains the key; None if that table has no kind."""
 
     @property
     def dotted(self) -> str:
@@ -54,7 +54,7 @@ def _keys(
 
 
 def homes_of(name: str) -> list[Key]:
-    """Return the outermost keys with a name; if there are none, those with the most similar name."""
+    """Return the outermost keys whose last part is a name; if there are none, those with the most similar name."""
     names = {key.place[-1] for key in all_keys()}
     wanted = name if name in names else next(iter(get_close_matches(name, names, n=1, cutoff=0.8)), None)
     found = [key for key in all_keys() if key.place[-1] == wanted]

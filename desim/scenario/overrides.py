@@ -34,7 +34,7 @@ class Source:
     origins: dict[KeyPath, str] = field(default_factory=dict)
     """For each key that was overridden, a description of the override."""
     folder: Path | None = None
-    """The folder of the files and modules that the scenario names; None for the folder of the scenario file."""
+    """The folder in which files and modules that the scenario names are looked up; None: that of the scenario file."""
     allow_import: bool = False
     """Whether the scenario may name code to be run, and files outside of that folder."""
     files: dict[KeyPath, str] = field(default_factory=dict)
@@ -53,7 +53,10 @@ class Source:
         return cls("the scenario", tables, allow_import=True)
 
     def where(self, place: KeyPath) -> str:
-        """Return the place where a key was set: `file:line`, or the description of the last override."""
+        """Return the place where a key was set: `file:line`, or the description of the last override.
+
+        If the source has no lines, it is the name of the source.
+        """
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         known = lines.keys() | self.origins.keys()
@@ -107,7 +110,7 @@ class Source:
         """Set a key to a value: "key.key=value", the value in TOML.
 
         Raises:
-            ScenarioError: if the text does not have this form, or the key does not belong to a table.
+            ScenarioError: if the text does not have this form, or the key cannot be set to this value; see `set`.
         """
         self._set_as_text("--set", text, "KEY=VALUE, for instance network.latency.value=0.05", _parsed)
 
@@ -115,7 +118,7 @@ class Source:
         """Add a key to the grid of the sweep, or replace its values: "key.key=value,value,...", each value in TOML.
 
         Raises:
-            ScenarioError: if the text does not have this form.
+            ScenarioError: if the text does not have this form, or the key cannot be set; see `set`.
         """
         form = "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1"
         self._set_as_text("--grid", text, form, _parsed_list, above="sweep.grid.")
@@ -139,7 +142,8 @@ class Source:
         When the kind of a table changes, its earlier keys that the new kind does not have are removed.
 
         Raises:
-            ScenarioError: if the name is not a key of a table.
+            ScenarioError: if the name is not a key of a table or leads into an empty list, or if a model that was
+                constructed in Python rejects the value.
         """
         place: KeyPath = ()
         node: Any = self.tables
@@ -245,7 +249,11 @@ def _table(value: Any, info: FieldInfo) -> Any:
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:
-    """Return a copy of a model with a new value at a dotted key, given as its parts."""
+    """Return a copy of a model with a new value at a dotted key, given as its parts.
+
+    Raises:
+        ScenarioError: if the model has no such key or rejects the value.
+    """
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
@@ -260,7 +268,7 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
 
 
 def _copied(tables: Any) -> Any:
-    """Return a copy of nested tables and lists; their values are shared."""
+    """Return a copy of nested tables and lists; all other values are shared with the original."""
     if isinstance(tables, dict):
         return {key: _copied(each) for key, each in tables.items()}
     return [_copied(each) for each in tables] if isinstance(tables, list) else tables
@@ -280,10 +288,10 @@ def _key(part: str, node: Any) -> str | int:
 
 
 def _parsed(text: str) -> Any:
-    """Return the value of a TOML text; text that is not TOML and does not begin like a TOML value is a string.
+    """Return the value of a TOML text; text that is not TOML is a string, unless it begins with a quote or bracket.
 
     Raises:
-        ScenarioError: if it begins like a TOML value but is not valid, or is more than one value.
+        ScenarioError: if such a text is not TOML, or if the text is more than one value or cannot be read.
     """
     try:
         tables = tomllib.loads(f"value = {text}")
@@ -302,7 +310,7 @@ def _parsed_list(text: str) -> list[Any]:
     """Return the values of a text, separated by commas; a comma within a list, a table or a string is no separator.
 
     Raises:
-        ScenarioError: if one of them is empty, or begins like a TOML value but is not valid.
+        ScenarioError: if one of them is empty, or `_parsed` refuses it.
     """
     values: list[Any] = []
     begun: list[str] = []  # the parts of a value that is not complete yet

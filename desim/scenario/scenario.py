@@ -98,7 +98,7 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 that a pursuer is active at the start, in [0, 1]; without a choice (`prune`) it is inactive."""
+    """Probability p0 that a pursuer is active at the start, in [0, 1]; one that may not chase (`prune`) is inactive."""
     guidance: Annotated[
         Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
     ] = PurePursuit()
@@ -201,7 +201,8 @@ class Capture(Value):
     radius: Length = 0.1
     """Capture radius eps, m."""
     test: Literal["segment", "sample"] = "segment"
-    """segment: at the exact instant the distance falls to the radius; sample: tested at motion steps only."""
+    """When a capture is detected. segment: at the exact instant at which the distance falls to the radius; sample: only
+    at the ends of motion steps."""
     captures_to_end: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of captures that end the run; if absent, the number of evaders."""
 
@@ -212,7 +213,8 @@ class Motion(Value):
     step: Period = 0.01
     """Motion step h, the time between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
-    """Whether pursuers aim at the position of the evader at the end of the step (the paper), or at its beginning."""
+    """Whether pursuers aim at the position of the evader at the end of the step (evader_first, the paper) or at the
+    beginning of the step (simultaneous)."""
     static: Flag = False
     """Whether all players stand still and the time left stays at the horizon, so that the game never changes."""
 
@@ -244,8 +246,9 @@ class Scenario(Value):
     horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"
-    """Pursuers that may not chase an evader under any protocol. none: all may; inf: those that can never capture it
-    (phi = inf); infeasible: also those that would be late (phi >= r). It overrides `team.active_at_start`."""
+    """Pursuers that may not chase an evader under any protocol. none: all may chase; inf: those that can never capture
+    the evader (phi = inf) may not; infeasible: nor may those that would be late (phi >= r, the time left). This
+    overrides `team.active_at_start`."""
     team: Team = Team()
     evader: Annotated[
         Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_not_empty), Tag("list")],

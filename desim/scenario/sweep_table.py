@@ -1,4 +1,4 @@
-"""The table `sweep` of a scenario: a grid over its keys, and the number of runs per configuration."""
+"""The table `sweep` of a scenario: a grid over keys of the scenario, and the number and the seeds of the runs."""
 
 from collections.abc import Iterator, Mapping, Set
 from typing import Annotated, Any, Literal
@@ -13,7 +13,11 @@ from desim.config.trust import is_trusted
 
 
 def _flat(grid: Any, above: str = "") -> Any:
-    """Return a grid with dotted keys, flattening the nested tables that TOML makes of unquoted dotted keys."""
+    """Return a grid with dotted keys, flattening the nested tables that TOML makes of unquoted dotted keys.
+
+    Raises:
+        ValueError: if a key is given twice.
+    """
     if not isinstance(grid, Mapping):
         return grid
     flat: dict[str, Any] = {}

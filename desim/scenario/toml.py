@@ -30,19 +30,19 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
     Args:
         file: the path of the file.
-        overrides: strings "key.key=value", with the value in TOML, which replace keys of the file.
+        overrides: strings "key.key=value" that set keys, in place of those of the file; the value is in TOML.
         allow_import: whether the file may name code to be run ("module:name") and files outside of its folder. Leave
             it off for files that you do not trust.
 
     Raises:
-        ScenarioError: with all errors in the file, one per line.
+        ScenarioError: if the file, one of its bases or an override is not valid; the message has one line per error.
         OSError: if the file cannot be read.
     """
     return validate(read(file, overrides, allow_import=allow_import))
 
 
 def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
-    """Return the source of a TOML file with its base and overrides, before validation; see `load`."""
+    """Return the source of a TOML file before validation, merged with its bases and overrides; see `load`."""
     sources = list(_with_bases(Path(file), allow_import))
     source = sources.pop()
     while sources:
@@ -53,7 +53,7 @@ def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
 
 BASE = "base"
-"""The key of a scenario file that is not one of `Scenario`."""
+"""The key of a scenario file that names its base; it is no field of `Scenario`."""
 BASE_DESCRIPTION = (
     "Path of another scenario file, in the folder of this file or below, whose keys this file overrides: tables are"
     " merged, any other value is replaced. Only in scenario files."
@@ -93,7 +93,11 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
 
 
 def _relocate(tables: Any, folder: Path) -> None:
-    """Prefix the paths of data files in tables with a folder, except the parameters of a user's class."""
+    """Prefix the paths of data files in tables with a folder.
+
+    Such a path is the key `file` of a table with an installed kind. In a table of the kind "module:name", this key may
+    mean anything else.
+    """
     inner = tables.values() if isinstance(tables, dict) else tables if isinstance(tables, list) else ()
     for each in inner:
         _relocate(each, folder)
@@ -102,7 +106,12 @@ def _relocate(tables: Any, folder: Path) -> None:
 
 
 def _parsed(file: Path, allow_import: bool) -> Source:
-    """Return the source of one file."""
+    """Return the source of one file.
+
+    Raises:
+        ScenarioError: if the file is not valid TOML.
+        OSError: if the file cannot be read.
+    """
     text = _read_text(file)
     if deep := DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -115,7 +124,7 @@ def _parsed(file: Path, allow_import: bool) -> Source:
 
 
 def validate(source: Source) -> Scenario:
-    """Return the scenario of a source; raise ScenarioError with all its errors, sorted by line."""
+    """Return the scenario of a source; raise ScenarioError with all errors of the source, sorted by line."""
     folder = Path(source.name).parent if source.folder is None else source.folder
     try:
         return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
@@ -125,12 +134,12 @@ def validate(source: Source) -> Scenario:
 
 
 def dump(scenario: Scenario) -> str:
-    """Return a scenario as TOML with all defaults; values of None are left out, because TOML has no null."""
+    """Return a scenario as TOML, defaults included; keys with the value None are left out, because TOML has no null."""
     return tomli_w.dumps(scenario.model_dump(exclude_none=True))
 
 
 def _read_text(file: Path) -> str:
-    content = regular_or_missing(file).read_bytes().removeprefix(BOM_UTF8)  # written by editors on Windows
+    content = regular_or_missing(file).read_bytes().removeprefix(BOM_UTF8)  # editors on Windows may add it
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -139,7 +148,7 @@ def _read_text(file: Path) -> str:
 
 
 def _syntax_error(file: str | Path, message: str, text: str) -> str:
-    """Return the message, with file and line, for a text that is not TOML."""
+    """Return the error message for a text that is not TOML, with file and line, given the message of `tomllib`."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
     if not found and (unread := unreadable(text)):  # a message without a line
@@ -183,7 +192,7 @@ def _problem(source: Source, place: KeyPath, what: str) -> Problem:
 
 
 def _line_in(where: str) -> int:
-    """Return the line of a place in a file; 0 for an override."""
+    """Return the line number at the end of a place `file:line`; 0 for an override, which has no line."""
     line = re.search(r":(\d+)$", where)
     return int(line[1]) if line else 0
 
@@ -191,10 +200,10 @@ def _line_in(where: str) -> int:
 def _locate(
     error: ErrorDetails, node: Any, model: type[Any], above: KeyPath
 ) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
-    """Return the place of an error in the file, the model of its table, and the field of its key.
+    """Return the place of the key with an error, the model of the table that contains it, and the field of the key.
 
-    The path in a pydantic error also contains the kind of each table that has one; the place does not. The argument
-    `node` is the table itself; for the others see `_explain`.
+    The path in a pydantic error also contains the kind of each table that has one; the place does not. `node` is the
+    table at the place `above`, in which pydantic found the error; for the other arguments see `_explain`.
     """
     place = above
     owner: type[BaseModel] | None = None
@@ -216,7 +225,10 @@ def _locate(
 
 
 def _tags(info: FieldInfo) -> set[str]:
-    """Return the kinds and the tags of union members; pydantic inserts them into a path after a field or its item."""
+    """Return the kinds and the union tags of a field.
+
+    In the path of an error, pydantic inserts them after the name of the field or the index of an item.
+    """
     markers = markers_of(info)
     kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
     return kinds | {each.tag for each in markers if isinstance(each, Tag)}
@@ -229,7 +241,10 @@ def _one_of(info: FieldInfo) -> OneOf | None:
 def _reason(
     error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None, more: Sequence[str]
 ) -> str:
-    """Return the text of an error, with the allowed values; `more` are allowed keys that the owner does not have."""
+    """Return the text of an error, with the allowed values.
+
+    `owner` is the model of the table that contains the key; `more` are keys that are allowed beside its fields.
+    """
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
     kinds = list(one_of.choices()) if one_of else []
@@ -305,7 +320,7 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
 
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
-    """Return the allowed words to suggest for another word: one, or none."""
+    """Return a list with the allowed word to suggest for an invalid one; an empty list if none is similar."""
     return [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
 
 

@@ -1,4 +1,4 @@
-"""Line numbers of the keys of a TOML file, which error messages need and `tomllib` does not provide."""
+"""The line number of each key in a TOML file: error messages need it, and `tomllib` does not provide it."""
 
 import re
 import tomllib
@@ -43,7 +43,8 @@ DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \
 """Matches a key of so many parts that `tomllib`, which stores every prefix of a key, may run out of memory."""
 
 
-# Tokens: strings of four kinds and comments, which may contain brackets and line ends; brackets; line ends.
+# Tokens: the four kinds of strings, comments, brackets and line ends. Strings and comments are matched as a whole,
+# because a bracket or a line end within them has no meaning.
 _TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
     re.DOTALL,
@@ -51,7 +52,7 @@ _TOKEN = re.compile(
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the first line and the text of each TOML statement; a statement may span several lines."""
+    """Yield the number of the first line and the text of each TOML statement; a statement may span several lines."""
     depth = start = 0
     line = 1
     for token in _TOKEN.finditer(text + "\n"):
@@ -65,7 +66,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
-    """Return the place of a table header, which refers to the last table so far of each array of tables on its path.
+    """Return the place of a table header, with the index of the last table so far after each array of tables.
 
     A header [[...]] adds a table to its array: `lengths`, the number of tables in each array, is updated.
     """

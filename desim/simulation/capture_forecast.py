@@ -31,7 +31,10 @@ class CaptureForecast:
         self._ahead: simpy.Event | None = None
 
     def update(self) -> None:
-        """Schedule the first capture that follows from the present velocities."""
+        """Predict the first capture in this motion step from the present velocities, and schedule it.
+
+        The previous prediction is dropped. A static game has no captures.
+        """
         self._ahead = None
         state = self._state
         if state.static:
@@ -48,6 +51,6 @@ class CaptureForecast:
             self._ahead.callbacks.append(lambda event: self._happen(event, body, capturer))
 
     def _happen(self, event: simpy.Event, body: EvaderBody, capturer: int) -> None:
-        """Capture an evader, unless another prediction has replaced this one."""
+        """Capture an evader, unless a later prediction has replaced this one."""
         if event is self._ahead:
             self._capture(body, capturer)

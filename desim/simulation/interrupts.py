@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""The signals that this platform has; Windows has no SIGHUP."""
+"""Those of the three signals that this platform has; Windows has no SIGHUP."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -33,10 +33,11 @@ def exit_code(error: KeyboardInterrupt) -> int:
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP raise Terminated in the main thread.
+    """Make SIGTERM and SIGHUP raise Terminated while the block runs.
 
-    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed. In another thread, this
-    has no effect.
+    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed. SIGINT usually has the
+    handler of Python, which raises KeyboardInterrupt. Only the main thread can set handlers, so a block in another
+    thread changes nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -52,7 +53,7 @@ def raising() -> Iterator[None]:
 
 
 def _terminate(number: int, _: FrameType | None) -> None:
-    """Raise Terminated, unless a Terminated is being handled: `timeout` and terminals may send a signal twice."""
+    """Raise Terminated, unless one is being handled: the command `timeout` and terminals may send a signal twice."""
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, Terminated):

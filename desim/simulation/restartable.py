@@ -10,10 +10,11 @@ from desim.pursuit.agent import Agent, Behaviour, Process
 
 
 class RestartableProcess(simpy.Process):
-    """A process of a pursuer that runs a behaviour and survives crashes of the robot.
+    """A process of a pursuer that runs a behaviour (its protocol or dissemination) and survives crashes of the robot.
 
     It is running, suspended (the robot is down) or finished. After a recovery with memory it waits for the same event,
-    or continues at once if the event has happened; after a recovery without memory it starts a new behaviour.
+    or continues at this instant if the event has happened. After a recovery without memory it starts the behaviour
+    anew.
     """
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
@@ -24,7 +25,8 @@ class RestartableProcess(simpy.Process):
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation.
 
         Raises:
-            TypeError: if the behaviour yields anything but an event.
+            TypeError: if the behaviour is no generator, or yields anything but an event.
+            Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
         awaited: simpy.Event = agent.at(agent.now, phase)
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
@@ -59,7 +61,7 @@ class RestartableProcess(simpy.Process):
 
 
 def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
-    """Return the process of a pursuer that runs a protocol.
+    """Create the process, a generator, of a pursuer that runs a protocol.
 
     Raises:
         TypeError: if the protocol returns no generator.

@@ -53,7 +53,7 @@ class Result:
         pursuers: "Sequence[int] | None" = None,
         size: str | None = None,
     ) -> "Figure":
-        """Return a figure of the run; needs matplotlib (the extra `plot`).
+        """Draw the run and return the figure; needs matplotlib (the extra `plot`).
 
         The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
 
@@ -79,7 +79,7 @@ class Result:
         return trajectory(self, size)
 
     def replay(self) -> "Replay":
-        """Return the replay, a page to show in a notebook or to `write` to a file; needs jinja2 (the extra `plot`)."""
+        """Create the replay, a page to show in a notebook or to save with `write`; needs jinja2 (the extra `plot`)."""
         from desim.view.replay import Replay
 
         return Replay.of(self)
@@ -141,7 +141,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
-        TimedOut: if a time limit is exceeded, with the state of each process; see `desim.simulation.watchdog.within`.
+        TimedOut: if the caller set a time limit (`desim.simulation.watchdog.within`) and it is exceeded; the text lists
+            what each process is waiting for.
         RuntimeError: if code of the scenario calls `sys.exit`, which would otherwise look like success.
     """
     seed = scenario.seed if seed is None else seed
@@ -208,7 +209,7 @@ class _PursuerPositions(PositionSource):
 def _sensor(
     scenario: Scenario, state: WorldState, network: Network, clocks: "Sequence[NodeClock]"
 ) -> TeamSensor | None:
-    """Return the sensors of the team; None if sensing is unlimited or the protocol is omniscient."""
+    """Create the sensors of the team; return None if sensing is unlimited or the protocol is omniscient."""
     if not scenario.sensing.limited or scenario.protocol_traits.omniscient:
         return None
     return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
@@ -249,7 +250,7 @@ class _Team:
                 env.process(agent.repeat(view.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
-        """Stop a pursuer, unless only its radio crashes."""
+        """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""
         if crash.scope == "robot":
             self._open_crashes[crash.node].append(crash)
             if len(self._open_crashes[crash.node]) == 1:
@@ -261,7 +262,7 @@ class _Team:
                         process.interrupt(self._recoveries[crash.node])
 
     def recovered(self, crash: Crash) -> None:
-        """End a crash: resume the pursuer unless it has another crash, and delete the memory that it has lost."""
+        """End a crash: resume the pursuer unless its robot has another crash, and delete the memory that is lost."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
             self._open_crashes[node].remove(crash)

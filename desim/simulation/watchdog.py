@@ -1,4 +1,4 @@
-"""A limit on the wall time of a block, and a description of what each process is waiting for when it times out."""
+"""A limit on the wall time of a block, and a description of what each process waits for when the limit is exceeded."""
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 AGAIN = 0.1
-"""Interval at which the watching thread raises its exception again if it was lost, s."""
+"""Interval, s, at which the watching thread raises its exception again if the exception was lost."""
 
 
 class TimedOut(BaseException):
@@ -25,7 +25,11 @@ class TimedOut(BaseException):
 
 
 def checked_limit(limit: float) -> float:
-    """Return a time limit, s; raise ValueError if it is not valid."""
+    """Return a time limit, s, unchanged.
+
+    Raises:
+        ValueError: if the limit is not positive, or is longer than a thread can wait.
+    """
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"should be a time > 0 s (got {limit:g})")
     return limit
@@ -37,12 +41,13 @@ def within(limit: float) -> Iterator[None]:
 
     Use it around a run or any other code that may not terminate. A watching thread raises the exception between two
     Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
-    pydantic's serialiser drops it or raises another one. The watching thread therefore raises it again while the block
-    lasts, but not while an earlier one is propagating, so that clean-up is not interrupted. A block that exceeds its
-    limit always ends with TimedOut, unless it raises KeyboardInterrupt or GeneratorExit.
+    pydantic's serialiser drops it or raises another exception instead. The watching thread therefore raises TimedOut
+    again while the block lasts, but not while an earlier TimedOut is propagating, so that clean-up is not interrupted.
+    A block that exceeds its limit always ends with TimedOut, unless it raises KeyboardInterrupt or GeneratorExit.
 
     Raises:
-        ValueError: if the limit is not a valid time, s.
+        TimedOut: if the block takes longer than `limit`.
+        ValueError: if `limit`, s, is not valid; see `checked_limit`.
     """
     checked_limit(limit)
     set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
@@ -95,7 +100,7 @@ def place_of(error: BaseException) -> str:
 
 
 def short(file: str) -> str:
-    """Return the name of a source file after that of its folder: "kernel/clock.py"."""
+    """Return the folder and the name of a source file, for example "kernel/clock.py"."""
     return "/".join(Path(file).parts[-2:])
 
 
@@ -104,7 +109,9 @@ MAX_LISTED = 100
 
 
 def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["RestartableProcess"]]) -> TimedOut:
-    """Return the error of a simulation that timed out: its state, and what each process is waiting for.
+    """Return the error for a simulation that timed out.
+
+    Its text has the simulated time, the line of code that was interrupted, and what each process is waiting for.
 
     Args:
         env: the clock of the simulation.

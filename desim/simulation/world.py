@@ -1,4 +1,4 @@
-"""The world: changes the actions of pursuers, and moves all players in simulated time."""
+"""The world of a run: it sets the actions of pursuers, and moves all players in simulated time."""
 
 from collections.abc import Callable, Generator, Sequence
 from itertools import count
@@ -27,8 +27,9 @@ from desim.simulation.run_end import RunEnd
 class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
-    All players move on straight pieces that begin at a common instant: the last motion step, or the last change of an
-    action within it. The next capture is predicted from these pieces, and predicted again whenever new pieces begin.
+    All players move on piecewise straight paths with common breakpoints: the motion steps, and the changes of an action
+    and the captures within them. The next capture is predicted from the present velocities. It is predicted again at
+    each breakpoint, and when a pursuer goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
@@ -41,7 +42,7 @@ class World:
         views: (N,) the view of each pursuer, which determines the evaders that it may chase.
         trace: receives the events of the world.
         end: the end of the run.
-        sensor: the sensors of a team with limited sensing.
+        sensor: the sensors of a team with limited sensing; None for any other team.
 
     Attributes:
         state: the true state of the world.
@@ -160,7 +161,7 @@ class World:
             self._end.finish("captured", capturer)
 
     def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
-        """Record positions at every multiple of a period, ns."""
+        """Record positions at every multiple of a period (ns)."""
         for when in count(0, period):
             yield Instant(self._env, when, Phase.SAMPLE)
             self.sample()
@@ -175,9 +176,9 @@ class World:
 
 
 def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
-    """Return the state of the world at the start of a run.
+    """Create the state of the world at the start of a run.
 
-    A pursuer may be assigned an evader here that it may not chase; `World` makes it inactive.
+    A pursuer may be assigned an evader here that it may not chase; `World` makes such a pursuer inactive.
     """
     team, radius = scenario.team, scenario.capture.radius
     starts = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]

@@ -31,14 +31,16 @@ def run_many(
 
     Args:
         tasks: the scenario and the seed of each run.
-        jobs: the number of worker processes; 1 = all runs in this process, without workers; 0 = one per core.
-        label: the text before the progress bar; no bar is drawn unless the output is a terminal.
+        jobs: the number of worker processes; 0 = one per core; 1 = all runs in this process, as with a single task.
+        label: the text before the progress bar, which is drawn only on a terminal and in a notebook.
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
 
     Raises:
-        Exception: the exception of the first run that is reported as failed.
+        BaseException: the exception of the first run that is reported as failed; a RuntimeError with its traceback if
+            this exception cannot be pickled.
         BrokenExecutor: if a run ended its worker process.
+        ValueError: if `jobs` is negative.
     """
     measured: list[Any] = [None] * len(tasks)
     with (

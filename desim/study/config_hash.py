@@ -1,13 +1,16 @@
-"""The identity of the runs of a configuration: a hash of its parameters, its user code and their data files.
+"""The identity of the runs of a configuration: a hash of its parameters, user code and data files.
 
-The hash of a user object covers
+User code is any function or class from outside of the packages `desim` and `protocols`. The hash of a user object (such
+a function, or an instance of such a class) covers
 
 - the values that it holds;
 - the source of its module and of the user modules that this module imports, directly or indirectly;
-- the versions of the installed packages that these modules import.
+- the versions of the installed packages that these modules import;
+- the content of the data files that it declares or that these modules have opened (`desim.config.data_files`).
 
-If its module belongs to an installed package, all modules of the package are hashed. If it is defined in a script or a
-notebook, its compiled code and the globals that this code reads are hashed, because the rest of the script may change.
+If its module belongs to an installed package, all modules of the package are hashed. If the object is defined in a
+script or a notebook, its compiled code and the globals that this code reads are hashed instead of the source, because
+the rest of the script may change.
 
 The source is read when a run is identified. Reload a module that was edited after its import; otherwise the old code
 runs, and the hash is that of the new code. The globals of a module and the attributes of its functions and classes
@@ -59,7 +62,7 @@ COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
 PICKLED = {NoneType, bool, int, float, list, dict}
 """The types whose pickle is the same in every process."""
 WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
-"""The types that wrap a function and have no pickle, and the attribute that holds the function."""
+"""The types that wrap a function and cannot be pickled, each with the attribute that holds the function."""
 GENERATED = {
     *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__orig_bases__"),
     *("__annotations_cache__", "__conditional_annotations__"),
@@ -77,16 +80,18 @@ class Identity(NamedTuple):
     """The identity of the runs of a configuration, apart from their seeds."""
 
     key: str
-    """A hash of all of it, 16 hexadecimal digits."""
+    """A hash of the parameters, the user code and the data files, 16 hexadecimal digits."""
     sources: Mapping[str, str]
-    """The hash of each user module, function or class of a script, and data file, by its description."""
+    """By a description: the hash of each user module, of each function or class of a script, and of each data file, and
+    the version of each installed package that user code imports."""
 
 
 def identify(scenario: Scenario) -> Identity:
     """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
 
     Raises:
-        ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names its key.
+        ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
+            object.
     """
     pickler = StablePickler({}, {})
     for key, each in _user_objects(scenario):
@@ -104,7 +109,7 @@ def identify(scenario: Scenario) -> Identity:
 
 
 def object_hash(value: Any) -> str:
-    """Return a hash of an object, its user code and its data files; the same in every process.
+    """Return a hash of an object, its user code and its data files; the same in every process, as in `identify`.
 
     Raises:
         Exception: if the object has no stable hash.
@@ -136,7 +141,8 @@ def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     """Pickles objects and code of equal content to equal bytes in every process; the bytes are only hashed.
 
-    The bytes show aliases: two references to one list, dict or object are not equal to references to two equal ones.
+    The bytes depend on aliases: two references to one list, dict or object give other bytes than references to two
+    equal ones.
 
     The bytes of cloudpickle itself differ between processes. They depend on the order of sets and on the identity of
     equal strings, and contain the folder of a script and a random number for each class.
@@ -158,7 +164,14 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return content_hash(self._content.getvalue())
 
     def persistent_id(self, value: Any) -> Any:
-        """Return a substitute for an object whose pickle depends on the process; None for any other object."""
+        """Return a substitute for an object whose pickle depends on the process; None for any other object.
+
+        The hashes of the data files that the object declares and of its user module are added to `files` and `code`.
+
+        Raises:
+            TypeError: if the object is a set, but no plain `set` or `frozenset`, because its order is not stable.
+            DataFileError: if a declared data file cannot be hashed.
+        """
         kind = type(value)
         if kind in PICKLED:
             return None
@@ -206,9 +219,9 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return object, (), [kind, *parts]  # the state, unlike the arguments, may contain the object itself
 
     def _import_name(self, value: Any) -> str:
-        """Return the name by which a module, function or class with a source can be imported; "" if there is none."""
+        """Return the name by which a module, function or class with a source can be imported; "" if it has none."""
         module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
-        if module == "builtins":  # where some types have no name
+        if module == "builtins":  # some of its types, such as NoneType, cannot be looked up
             return f"{module}:{name}"
         try:
             found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
@@ -217,7 +230,10 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return f"{module}:{name}" if found is value and self._add_module(module) else ""
 
     def _add_code(self, home: Any, code: Any) -> bool:
-        """Add the source of the module of a function or class; without one, add the code itself and return False."""
+        """Add the source of the module of a function or class, and return True.
+
+        If the module has no source, add the code of the function or class instead, and return False.
+        """
         module = str(home.__module__)
         if self._add_module(module):
             return True
@@ -227,9 +243,11 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return False
 
     def _add_module(self, name: str) -> bool:
-        """Add the source of a module and of the user modules that it imports, and the data files that they opened.
+        """Add the source of a module and of the user modules that it imports, with their data files and packages.
 
-        Return whether the module has a source, or is in `KNOWN`.
+        Data files are those that the modules have opened. Of the installed packages that they import, only the versions
+        are added; if the module itself is installed, its whole package is added. Return whether the module has a
+        source, or belongs to a package in `KNOWN`.
         """
         if name in self.code or _root(name) in KNOWN:
             return True
@@ -330,7 +348,10 @@ def globals_read(code: CodeType) -> set[str]:
 
 
 def _is_generated(name: str, attribute: Any) -> bool:
-    """Return whether Python, dataclasses or pydantic add an attribute to a class; of methods, only `ANNOTATORS`."""
+    """Return whether Python, dataclasses or pydantic added an attribute to a class.
+
+    A method counts as added only if its name is in `ANNOTATORS`.
+    """
     is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
     is_generated = name in GENERATED or name.startswith("__pydantic_")
     return name in ANNOTATORS or (is_generated and not is_method)

@@ -37,7 +37,7 @@ class Configuration:
 
     @cached_property
     def identity(self) -> Identity:
-        """The identity of its runs, apart from their seeds."""
+        """The identity of the runs of the configuration, apart from their seeds."""
         return identify(self.scenario)
 
     @property
@@ -60,7 +60,7 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
 
     Raises:
         ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
-            or two are the same or have the same name.
+            two are the same or have the same name, or an object in one has no stable hash.
     """
     if grid is not None:
         source = _with_grid(source, grid)
@@ -92,7 +92,7 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
 
 
 def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
-    """Raise ScenarioError if two configurations are the same, or have the same name."""
+    """Raise ScenarioError if two configurations are the same or have the same name, or if one has no stable hash."""
     keys: dict[str, Configuration] = {}
     names: dict[str, Configuration] = {}
     for configuration in found:
@@ -116,7 +116,10 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error prefixed with the place that sets or sweeps its key, the dotted key at the start of its text."""
+    """Return an error whose text is prefixed with the place that sets or sweeps its key.
+
+    The text of the given error begins with this dotted key.
+    """
     key = str(error).partition(":")[0]
     above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
     swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
@@ -137,7 +140,11 @@ def _where(source: Source, key: str) -> str:
 
 
 def _scenario_with(source: Source, settings: Settings) -> Scenario:
-    """Return the scenario of a source with some keys set to other values and without its sweep."""
+    """Return the scenario of a source with some keys set to other values, without its sweep and its metrics.
+
+    Raises:
+        ScenarioError: with all errors, if a key cannot be swept or the scenario is not valid.
+    """
     changed = source.copy()
     changed.tables.pop("sweep", None)
     errors: list[str] = []
@@ -170,7 +177,7 @@ def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return the line of a validation error followed by the settings that cause it, unless the line names them.
 
     `among` holds the settings of all configurations with this error. A setting is a cause if the error does not occur
-    with every value of its key.
+    with every value of its key. If there is no such setting, all settings of the first configuration are given.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

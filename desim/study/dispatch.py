@@ -1,4 +1,4 @@
-"""The driver: dispatches runs to workers in batches and reports the outcome of each run, even if it crashes."""
+"""The driver: dispatches runs to workers in batches and reports the outcome of each run, even of a crashed one."""
 
 import pickle
 import traceback
@@ -71,8 +71,8 @@ def drive(
     """Yield the position and the outcome of each task as soon as the outcome is known.
 
     Runs are dispatched in batches, in the order of the tasks. When a worker dies, each run of the unfinished batches is
-    repeated alone. So is each run of a batch whose call failed, for example because its result cannot be serialized. A
-    run during which the worker dies again has crashed.
+    repeated while no other run is under way. So is each run of a batch whose call failed, for example because its
+    result cannot be serialized. If a worker dies again during such a repetition, the repeated run has crashed.
 
     Raises:
         BrokenExecutor: if a worker of the user's own executor died, after which the executor accepts no more calls.
@@ -166,7 +166,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _picklable(error: BaseException) -> BaseException | None:
-    """Return the exception, without traceback and context if they cannot be pickled; None if it cannot be pickled.
+    """Return the exception if it can be pickled, if necessary without its traceback and context; otherwise None.
 
     Once Dask's package `distributed` is imported, exceptions are pickled with their tracebacks.
     """

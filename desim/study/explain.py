@@ -1,9 +1,9 @@
 """The cost of each imperfection of a scenario, such as latency or loss.
 
-The scenario runs as it is, without each imperfection, and without all of them, with the same seeds. The cost of an
-imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not add
-up to the difference that all imperfections make together, the imperfections interact. For example, if either of two is
-enough to delay a capture, removing one alone saves nothing.
+The scenario is run as it is, without each imperfection in turn, and without all of them, on the same seeds. The cost of
+an imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not
+add up to the difference that all imperfections make together, the imperfections interact. For example, if either of two
+imperfections is enough to delay a capture, removing one alone saves nothing.
 
 An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
 (`INTERACTION_RISK` in `desim.study.explanation`).
@@ -28,7 +28,7 @@ from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
-"""The default number of runs of each variant. If only a few seeds differ, more runs are needed; see
+"""The default number of runs of each variant. If the variants differ for a few seeds only, more runs are needed; see
 `desim.analysis.statistics.paired`."""
 
 
@@ -42,13 +42,15 @@ def explain(
     metrics: Metrics | None = None,
     shown: Sequence[str] = tuple(EXPLAINED),
 ) -> Explanation:
-    """Return the cost of each imperfection of a scenario, in each of the metrics `shown`.
+    """Measure the cost of each imperfection of a scenario, in each of the metrics `shown`.
 
-    Use it to learn which of latency, loss, range, faults, ... degrades a protocol before varying it in a sweep. The
-    other arguments are those of `sweep`.
+    Use it to learn which imperfection (latency, loss, range, faults, ...) degrades a protocol before you vary this
+    imperfection in a sweep. `runs` is the number of runs of each variant; the other arguments are those of `sweep`.
 
     Raises:
-        ValueError: if there are fewer than 2 runs, the seed is negative, or a metric does not exist or is not numeric.
+        ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, or a metric has a
+            wrong name, does not exist or is not numeric.
+        ScenarioError: if an object of the scenario has no stable hash.
         StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
         RunError: if no seed completes in all variants.
@@ -66,7 +68,7 @@ class Variants:
 
     plan: SweepPlan
     configurations: Mapping[str, Configuration]
-    """By name. Removing an imperfection that the scenario does not have gives the scenario as it is."""
+    """The configuration of each variant by name; for an imperfection that the scenario lacks, the scenario as it is."""
 
     @classmethod
     def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None, metrics: Metrics | None = None) -> Self:
@@ -74,6 +76,7 @@ class Variants:
 
         Raises:
             ValueError: if there are fewer than 2 runs, the seed is negative, or a metric has a wrong name.
+            ScenarioError: if an object of the scenario has no stable hash.
         """
         if index(runs) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")

@@ -18,11 +18,12 @@ EXPLAINED: Mapping[str, str] = MappingProxyType(
 NOTHING = 1e-9
 """The largest difference that is attributed to rounding."""
 INTERACTION_RISK = 0.01
-"""The probability that an interaction is declared in one metric or more if there is none.
+"""The largest probability that an interaction is declared in one metric or more although there is none.
 
-By Bonferroni's inequality, it holds if each of m metrics is judged by an interval with confidence 1 - 0.01 / m. The
-95 % intervals of tables would declare an interaction in one of 20 metrics without any. It holds for normal differences.
-For skewed ones it is greater: 1.9 % (s.e. 0.1 %) for exponential differences of 100 runs in two metrics, 3.7 % of 30.
+By Bonferroni's inequality, this bound holds if each of m metrics is judged by an interval with confidence 1 - 0.01 / m
+and the differences are normal. For skewed differences the probability is greater. For example, for exponential
+differences in two metrics it is 1.9 % (s.e. 0.1 %) with 100 runs, and 3.7 % with 30. The 95 % intervals of tables are
+too narrow: by them, an interaction would be declared in one of 20 metrics that have none.
 """
 AS_IT_IS, IDEAL = "as it is", "ideal"
 
@@ -67,7 +68,7 @@ class Cost:
     unit: str
     as_it_is: Estimate
     ideal: Estimate
-    """The scenario without any imperfection."""
+    """The metric in the scenario without any imperfection."""
     parts: Mapping[str, Saving]
     """For each imperfection of the scenario: the metric with all imperfections minus the metric without this one."""
     together: Saving
@@ -75,13 +76,13 @@ class Cost:
     interaction: Saving
     """`together` minus the sum of the parts."""
     more_is: Literal["better", "worse"] | None = None
-    """Whether a positive cost is good or bad: whether more of the metric is better or worse; None if not known."""
+    """Whether more of the metric is better or worse, and so whether a positive cost is good or bad; None if unknown."""
     confidence: float = 1.0 - INTERACTION_RISK
     """The confidence of the interval by which an interaction is judged; see `INTERACTION_RISK`."""
 
     @classmethod
     def of(cls, made: Mapping[str, Any]) -> Self:
-        """Return the cost in the JSON values of a document."""
+        """Return the cost that a part of a document describes; see `Explanation.document`."""
 
         def saving(part: Mapping[str, Any]) -> Saving:
             return Saving(from_json(part), int(part["differing"]))
@@ -100,14 +101,14 @@ class Cost:
 
     @property
     def interacts(self) -> bool:
-        """Whether the parts do not add up to the whole: the Bonferroni interval of the interaction excludes 0."""
+        """Whether the parts do not add up to `together`: the Bonferroni interval of the interaction excludes 0."""
         return self.interaction.excludes_0(self.confidence)
 
     @property
     def undetected(self) -> dict[str, float]:
-        """The parts that differ in some run but are not significant, each with the half width of its 95 % interval.
+        """The parts that differ from 0 in some run but are not significant, each with the half width of its t interval.
 
-        The half width is the size of an effect that half of all studies with as many runs would find.
+        This half width is the size of an effect that half of all studies with as many runs would find.
         """
         return {
             name: part.mean.half_width for name, part in self.parts.items() if part.differing and not part.excludes_0()
@@ -115,7 +116,7 @@ class Cost:
 
     @property
     def unchanging(self) -> tuple[str, ...]:
-        """The parts that make no difference in any run."""
+        """The parts that are 0 in every run."""
         return tuple(name for name, part in self.parts.items() if part.mean.count and not part.differing)
 
 
@@ -131,11 +132,11 @@ class Explanation:
     absent: tuple[str, ...]
     """The imperfections that the scenario does not have."""
     costs: Mapping[str, Cost]
-    """By metric."""
+    """The costs by metric."""
 
     @classmethod
     def of(cls, made: Mapping[str, Any]) -> Self:
-        """Return the explanation in a document of JSON values; see `document`.
+        """Return the explanation that a document of JSON values describes; see `document`.
 
         Raises:
             ValueError: if the document is not an explanation.
@@ -184,7 +185,7 @@ class Explanation:
         return rows
 
     def remarks(self) -> list[str]:
-        """Return notes on signs, absent imperfections, undetected effects, interactions and failed seeds."""
+        """Return notes on signs, absent imperfections, effects not detected or 0, interactions and failed seeds."""
         remarks = [self._signs()]
         remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
         unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
@@ -243,7 +244,7 @@ class Explanation:
 
 
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:
-    """Yield the note on the parts of a cost that differ in some run but are not significant, with half widths."""
+    """Yield the note on the parts that differ from 0 in some run but are not significant, with their half widths."""
     unit = f" {cost.unit}".rstrip()
     found = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
     if found and cost.together.mean.count > 1:
@@ -251,7 +252,7 @@ def _unseen(metric: str, cost: Cost) -> Iterator[str]:
 
 
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
-    """Yield the note on the parts of a cost that differ in no run, and on the share of seeds that may still differ."""
+    """Yield the note on the parts of a cost that are 0 in every run, and on the share of seeds that may differ."""
     if cost.unchanging:
         most = 100 * wilson(0, cost.together.mean.count)[1]
         names = ", ".join(cost.unchanging)

@@ -32,19 +32,20 @@ MAX_TICKS = 8
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
 PAGE = 9.4
-"""The maximum width of a figure with many panels, in."""
+"""The maximum width of a figure with many panels, inches."""
 LETTER = 0.075
-"""The approximate width of a letter of 8 points, in."""
+"""The approximate width of a letter of 8 points, inches."""
 CELL = 0.68, 0.45
-"""The minimum width and the height of a cell of a heat map, in."""
+"""The minimum width and the height of a cell of a heat map, inches."""
 FLAT = 0.7
-"""The height of a figure of a given width and one panel, in widths."""
+"""The ratio of height to width of a figure with one panel, if only its width is given."""
 INK = "#111111"
 """The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
 WIDE = 20.0
 """The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
 
-Such an axis also requires that half of the positive values are below a quarter of the largest.
+Such an axis also requires that no value is negative, and that there are at least three positive values, half of which
+are below a quarter of the largest.
 """
 
 
@@ -65,18 +66,20 @@ def means(
     Args:
         result: the result of a sweep.
         metric: the name of the metric.
-        x: the key on the abscissa; None = the first key that takes several numbers. If no key does, each configuration
-            has a row; with `by`, the first other key with several values is on the abscissa instead.
-        by: the key or keys whose values are lines; each combination of the other keys has a panel. By default all keys
-            but `x` name the lines, in one panel.
-        against: values of some keys, such as {"protocol": "sap"}: the differences from the configuration that has them
-            and is otherwise equal are drawn instead of the means; see `SweepResult.differences`.
-        labels: the text for each value, or for a kind that only one value has, such as {"sap": "SAP (ours)"}. The text
-            for a key is the title of the legend. Mathematics is between dollar signs, as in `xlabel`.
+        x: the key on the abscissa; None = the first key not in `by` that takes several numbers. If there is none, each
+            configuration has a row; but with `by`, the first other key with several values is on the abscissa.
+        by: the key or keys whose values name the lines; each combination of values of the other keys has a panel. By
+            default all keys but `x` name the lines, in one panel.
+        against: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the one that has
+            these values and is otherwise equal. The differences from the references are drawn instead of the means; see
+            `SweepResult.differences`.
+        labels: texts to show in place of values, such as {"sap": "SAP (ours)"}: by value, or by kind if only one value
+            has this kind. A text for a key is the title of the legend. Mathematics is between dollar signs, as in
+            `xlabel`.
         xlabel: the label of the abscissa.
         ylabel: the label of the ordinate.
-        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title, which
-            belongs in the caption. A figure can also be resized later with `set_size_inches`.
+        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title: put
+            the title in the caption. A figure can also be resized later with `set_size_inches`.
 
     Raises:
         ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
@@ -136,7 +139,7 @@ def file_name(kind: str, metric: str | None = None, against: Mapping[str, Any] |
 
 
 Point = tuple[Group, Estimate | None]
-"""A configuration and the estimate of a metric, or None for a reference."""
+"""A configuration and the estimate of a metric in it; None instead of the estimate if it is a reference."""
 
 
 def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
@@ -151,7 +154,11 @@ def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -
 
 
 def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None:
-    """Return the key on the abscissa; None if each configuration has a row."""
+    """Return the key on the abscissa; None if each configuration has a row.
+
+    Raises:
+        ValueError: if the grid has no key `x`, or it is also in `by`.
+    """
     if x is not None:
         result.values(x)
         if x in by:
@@ -219,7 +226,7 @@ def phase(result: SweepRuns, metric: str) -> Figure:
     scale.
 
     Raises:
-        ValueError: if fewer than two keys take several numbers.
+        ValueError: if fewer than two keys take several numbers, or the sweep has no such metric.
     """
     keys = swept_numbers(result)
     if len(keys) < 2:
@@ -303,7 +310,7 @@ def _is_swept_number(result: SweepRuns, key: str) -> bool:
 def _draw_lines(
     axes: Axes, result: SweepRuns, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
 ) -> None:
-    """Draw estimates over a key, joined by lines if its values are numbers, and at equal distances if not."""
+    """Draw estimates over a key: joined by lines if the values of the key are numbers, otherwise equally spaced."""
     given = result.values(abscissa)
     is_number = _is_swept_number(result, abscissa)
     values = sorted(given) if is_number else given
@@ -340,7 +347,7 @@ def _lines(
 
 
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
-    """Return the label of a setting or, without a label, its value, with its key if a name has several settings."""
+    """Return the label of a setting, or its value if it has none; with the key if several keys name a line."""
     value = text(group.settings[key])
     for name in (value, kind_of(value)):
         if name in labels:
@@ -367,7 +374,7 @@ def _legend_title(by: Sequence[str]) -> str | None:
 
 
 def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
-    """Return the position of each value of a key on the axis, and whether the positions equal the values.
+    """Return the position on the axis of each of some ascending values, and whether positions equal values.
 
     On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
     """
@@ -418,7 +425,11 @@ def waterfall(found: Explanation) -> Figure:
 
 
 def draw_waterfall(axes: Axes, cost: Cost) -> None:
-    """Draw the waterfall chart of one metric on given axes: red if an imperfection makes it worse, green if better."""
+    """Draw the waterfall chart of one metric on given axes.
+
+    An imperfection is red if it makes the metric worse, green if it makes it better, and orange if `cost.more_is` is
+    None. The interaction is grey.
+    """
     steps = dict(cost.parts) | ({"interaction": cost.interaction} if len(cost.parts) > 1 else {})
     names = [IDEAL, *steps, AS_IT_IS]
     last = len(names) - 1
@@ -441,7 +452,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
 
 
 def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
-    """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above."""
+    """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + found.mean
     axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
     top = max(base, end + found.half_width)

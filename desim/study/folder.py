@@ -12,7 +12,7 @@ from desim.study.store import Store
 
 
 def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
-    """Return the run or the sweep in a folder, without its scenario file.
+    """Read the run or the sweep in a folder; the scenario file is not needed.
 
     Use it in a notebook for results that the command line made: `desim.open("out/relay").plot()`.
 
@@ -22,9 +22,9 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
         allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
 
     Raises:
-        ValueError: if the path has no run and no sweep, or both (the message says what it has), or if a file is
-            damaged or of another format.
-        OSError: if a file does not exist or cannot be read.
+        ValueError: if the path has no run and no sweep, or both (the message says what it has), or if the trace or
+            run.json is damaged or of another format.
+        OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
     """
     path = Path(path)
     if path.is_dir():

@@ -12,7 +12,7 @@ def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
     """Return commands as lines for a shell, without absolute paths.
 
     If the commands were given in several folders, a comment names the folder wherever it changes. An absolute path
-    within the working folder is made relative to it; any other is replaced by its last component.
+    within the working folder is made relative to it; any other absolute path is replaced by its last component.
 
     Args:
         commands: the working folder and the words of each command.
@@ -49,9 +49,10 @@ def _command(argv: Sequence[str], folder: Path) -> str:
 
 
 def wanted(made: Document, commands: Sequence[tuple[str, Sequence[str]]]) -> int | None:
-    """Return the number of runs that a sweep requests.
+    """Return the number of runs that a sweep requests, given its run.json and the commands that added runs.
 
-    It is None if the number was not fixed in advance: with --until, with several commands, or if this is not a sweep.
+    It is None if the number was not fixed in advance: with --until, with several commands, or if the run.json is not
+    that of a sweep.
     """
     is_fixed = made["what"] == "sweep" and len(commands) == 1
     is_until = any(word.startswith("--until") for _, argv in commands for word in argv)

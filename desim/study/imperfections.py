@@ -24,8 +24,8 @@ from desim.scenario.scenario import Scenario
 def without_latency(scenario: Scenario) -> Scenario:
     """Return the scenario with zero propagation delay, processing delay and transmission time of messages.
 
-    Nodes no longer wait for a channel, so no message is dropped from a queue or missed by a transmitting node. Delays
-    that a dissemination model adds on purpose before forwarding remain.
+    Nodes no longer wait for a channel. No message is dropped from a queue, or missed because its receiver transmits.
+    Delays that a dissemination model adds on purpose before forwarding remain.
     """
     return _with_network(
         scenario,
@@ -38,7 +38,7 @@ def without_latency(scenario: Scenario) -> Scenario:
 
 
 def without_loss(scenario: Scenario) -> Scenario:
-    """Return the scenario without loss models; random reception is kept."""
+    """Return the scenario without loss models; random reception is kept, because `without_range` removes it."""
     return _with_network(
         scenario,
         loss=Bernoulli(),
@@ -60,8 +60,9 @@ def without_faults(scenario: Scenario) -> Scenario:
 def without_serial_decisions(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers take no turns: no decision waits for those of teammates.
 
-    If messages of the schedule, such as a token, carry the actions, pursuers then announce each change of action
-    immediately instead, and repeat it with every heartbeat. A scenario without turns is returned unchanged.
+    If messages of the schedule, such as a token, carried the actions, pursuers now announce each change of action
+    immediately, and repeat it with every heartbeat. A scenario without turns or with one pursuer is returned unchanged,
+    and so is one whose protocol accepts no other schedule.
     """
     protocol: object = scenario.protocol
     schedule = scenario.schedule_traits
@@ -113,14 +114,14 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
 
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:
-    """Return the links with models of their own, without the model `key`; drop links that have no model left."""
+    """Return the links without their model `key`; links that have no model of their own left are dropped."""
     bare = [link.model_copy(update={key: None}) for link in network.link]
     return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
 
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph of a scenario, without one property (`key`) of its edges."""
-    made = scenario.network.graph(scenario.team.count).copy()  # a graph model may return one shared object
+    made = scenario.network.graph(scenario.team.count).copy()  # a graph model may return the same object at each call
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]

@@ -1,4 +1,4 @@
-"""Serialization of calls for other processes: as bytes, with user code by value.
+"""Serialization of calls for other processes, as bytes that include the user code of the call.
 
 Functions and classes that are defined in a script, a notebook or a module beside a scenario file therefore work in any
 worker. They also work with any executor, because the executor pickles only bytes and the function `called`.
@@ -19,7 +19,7 @@ Call = partial[Any]
 
 
 def packed(call: Call) -> bytes:
-    """Return a call as bytes, which include the functions and classes of user modules."""
+    """Return a call as bytes, which include the functions and classes of user modules that the call refers to."""
     own = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
     for module in own:
         cloudpickle.register_pickle_by_value(module)

@@ -1,7 +1,7 @@
-"""The store of a sweep: a SQLite file with a row per run. Only the driver writes to it.
+"""The store of a sweep: a SQLite file with a row per run, written by the process that dispatches the runs.
 
-Committed rows survive a driver that is killed. Configuration, replication and root seed identify a row, so a run that
-is in the store is not repeated. `SELECT * FROM results` has a column per metric.
+Committed rows survive if this process is killed. Configuration, replication and root seed identify a row. A run that is
+in the store is repeated only if it failed or lacks a metric. `SELECT * FROM results` has a column per metric.
 
 A row has the metrics that were computed for its run. The store records a hash of the code of each metric. A metric that
 is added later is missing in earlier rows, until a command that needs it repeats their runs. If the code of a metric
@@ -78,7 +78,7 @@ class Store(StoreFile):
         added: number of runs that were added since the store was opened, repeated ones included.
 
     Raises:
-        StoreError: if the file is not a store, has another version, or is damaged.
+        StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
     """
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
@@ -133,7 +133,7 @@ class Store(StoreFile):
 
     @naming_the_file
     def register(self, cells: Sequence[Configuration]) -> None:
-        """Add configurations in the given order, before all others in the store."""
+        """Add or replace configurations, in the given order and before all others in the store."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self.writing() as database:
             there = {key: tuple(each) for key, _, *each in self.rows("configurations", "ORDER BY place")}
@@ -171,7 +171,7 @@ class Store(StoreFile):
 
     @naming_the_file
     def note_command(self, folder: str, argv: Sequence[str]) -> None:
-        """Record a command that adds runs to the store, and its working folder, unless this is recorded already."""
+        """Record a command that adds runs to the store, and its working folder, unless the pair is recorded already."""
         with self.writing() as database:
             values = with_checksum((folder, json.dumps(argv)))
             database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?, ?)", values)
@@ -189,7 +189,7 @@ class Store(StoreFile):
         A stored run that failed is replaced. A stored run that succeeded only receives the metrics that it lacks.
 
         Raises:
-            StoreError: if another process has registered other code of a metric since this one did.
+            StoreError: if another process has registered other code of a metric since this process registered it.
         """
         values = (key, row.replication, str(root), str(row.seed), row.status, None, row.traceback)
         with self.writing() as database:
@@ -200,7 +200,10 @@ class Store(StoreFile):
         self.added += 1
 
     def _add(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None, *, keeps_failed: bool = False) -> None:
-        """Add the row of a run and its metrics; see `add`. With `keeps_failed`, a failed run replaces no other."""
+        """Add the row of a run and its metrics; see `add`.
+
+        With `keeps_failed`, a failed run does not replace a stored run that also failed.
+        """
         there = list(self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3]))
         known = self._values(there[0]) if there else None
         if known is None:
@@ -215,7 +218,7 @@ class Store(StoreFile):
         return found
 
     def _put_run(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> None:
-        """Write the row of a run with some metrics, in place of the same run."""
+        """Write the row of a run with the given metrics, in place of the stored row of this run."""
         text = None if numbers is None else json.dumps(to_json(numbers))
         values = with_checksum((*row[:SUMMARY], text, *row[SUMMARY + 1 :]))
         self.database.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
@@ -255,7 +258,7 @@ class Store(StoreFile):
     def merge(self, other: "Store") -> None:
         """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 
-        A run that succeeded in both has the metrics of both.
+        A run that succeeded in both has the metrics of both stores.
 
         Raises:
             StoreError: if the other store belongs to another sweep, or has a metric that other code computed.
@@ -282,7 +285,7 @@ class Store(StoreFile):
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""
 SUMMARY = 5
-"""The column of `runs` with the metrics."""
+"""The index of the column of `runs` that holds the metrics."""
 
 
 class _Metrics(BaseModel):
@@ -316,7 +319,7 @@ def _differs(name: str, one: Any, other: Any) -> str:
 
 
 def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
-    """Return the values in nested tables and lists by dotted key; a node that `opens` rejects is a value itself."""
+    """Return the values in nested tables and lists by dotted key; a node that `opens` rejects counts as one value."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
     if inner is None or not opens(node):
         return {above.removesuffix("."): node}

@@ -49,9 +49,9 @@ CREATE TABLE IF NOT EXISTS commands (
 NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
 """The number of leading columns of each table that identify a row in an error message."""
 LOCK_TIMEOUT = 30.0
-"""The time-out for a file that another process has locked, s of wall time."""
+"""The time-out, s of wall time, for a file that another process has locked."""
 PAUSE = 0.02
-"""The pause between two attempts where SQLite itself does not wait, s of wall time."""
+"""The pause, s of wall time, between two attempts to change the journal: SQLite itself does not wait for its lock."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 Arguments = ParamSpec("Arguments")
@@ -59,11 +59,11 @@ Returned = TypeVar("Returned")
 
 
 class StoreError(OSError):
-    """Raised when a store cannot be read or written, or does not belong to the sweep; the text names its file."""
+    """Raised when a store cannot be read or written, or belongs to another sweep; the message names the file."""
 
 
 def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Return a method of a store with its SQLite errors converted into StoreErrors that name the file."""
+    """Convert the SQLite errors of a store's method into StoreErrors that name the file."""
 
     @wraps(method)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
@@ -80,10 +80,12 @@ class StoreFile:
 
     Args:
         path: the path of the file, which is created if it does not exist; None: in memory.
-        read_only: whether the store is only read; its file must exist and need not be writable.
+        read_only: whether the store is only read; the file must then exist, but need not be writable.
 
     Raises:
-        StoreError: if the file is not a store, has another version, or is damaged.
+        StoreError: if the file cannot be opened, is a symbolic link, is not a store, was made by another version of
+            desim, or is damaged.
+        OSError: if its folder cannot be created.
     """
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
@@ -106,8 +108,8 @@ class StoreFile:
             raise
 
     def _prepare(self, path: Path | None, read_only: bool) -> None:
-        """Check the content of the store, or create its tables."""
-        self.database.execute("BEGIN")  # one snapshot, because another process may add metrics and thus columns
+        """Check the content of the store, or create the tables in an empty file."""
+        self.database.execute("BEGIN")  # one snapshot: another process may add metrics, and so columns of the view
         if there := _schema(self.database):
             _check_schema(path, there, self.database)
         self.database.commit()
@@ -191,7 +193,7 @@ class StoreFile:
         return str(self.database.execute("PRAGMA integrity_check").fetchone()[0])
 
     def close(self) -> None:
-        """Close the file; SQLite moves the content of its journal into it."""
+        """Close the file; when its last connection closes, SQLite moves a write-ahead log into it."""
         self.database.close()
 
     def __enter__(self) -> Self:
@@ -203,16 +205,16 @@ class StoreFile:
 
 @cache
 def adapter_of(kind: Any) -> TypeAdapter[Any]:
-    """Return the adapter that validates a type."""
+    """Return the pydantic adapter that checks values against a type."""
     return TypeAdapter(kind)
 
 
 def _address(path: Path, read_only: bool) -> str:
     """Return the URI with which SQLite opens a file.
 
-    A file that is not writable is opened as immutable, because SQLite cannot open it otherwise if it has a write-ahead
-    log. If the journal has content, the file is opened read-only instead, because SQLite ignores the journal of an
-    immutable file.
+    To read a file with a write-ahead log, SQLite needs write access to the file and to its folder. Without this access,
+    the file is opened as immutable. If its journal has content, it is opened read-only instead, because SQLite ignores
+    the journal of an immutable file.
     """
     options = "rwc"
     if read_only:
@@ -223,11 +225,11 @@ def _address(path: Path, read_only: bool) -> str:
 
 
 def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
-    """Return a connection to a file, or to a new database in memory."""
+    """Open a connection to a file, or to a new database in memory."""
     database = sqlite3.connect(
         ":memory:" if path is None else _address(path, read_only), timeout=LOCK_TIMEOUT, uri=True
     )
-    database.text_factory = lambda raw: raw.decode(errors="replace")  # then the checksum reveals invalid UTF-8
+    database.text_factory = lambda raw: raw.decode(errors="replace")  # the checksum then reveals invalid UTF-8
     try:
         database.execute("PRAGMA trusted_schema = OFF")
     except sqlite3.Error:
@@ -239,9 +241,12 @@ def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection
 def _use_write_ahead_log(database: sqlite3.Connection) -> str:
     """Give a new file a write-ahead log, so that readers and a writer do not block each other.
 
-    Return "", or the reason why the file cannot have one. Changing the journal takes an exclusive lock, for which
-    SQLite does not wait while another connection is about to write. That happens when several processes create the
-    store simultaneously, so the change is attempted again.
+    Return "", or the reason why the file cannot have such a log. Changing the journal takes an exclusive lock. SQLite
+    does not wait for this lock while another connection is about to write, for example when several processes create
+    the store at the same time. The change is therefore attempted again, for up to `LOCK_TIMEOUT`.
+
+    Raises:
+        sqlite3.OperationalError: if the file is still locked then.
     """
     end = time.monotonic() + LOCK_TIMEOUT
     while True:
@@ -259,7 +264,7 @@ def _use_write_ahead_log(database: sqlite3.Connection) -> str:
 
 
 def _use_rollback_journal(path: Path | None) -> None:
-    """Give a file a rollback journal, with exclusive locking, which needs no shared memory."""
+    """Give a file a rollback journal; the file is locked exclusively, because this needs no shared memory."""
     database = _connected(path)
     try:
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -284,7 +289,7 @@ def view_of(metrics: Sequence[str]) -> str:
 
 @cache
 def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str | None]]:
-    """Return the schema of a store with some metrics; see `_schema`."""
+    """Return the schema of a store with the given metrics; see `_schema`."""
     database = sqlite3.connect(":memory:")
     try:
         database.executescript(f"{TABLES} {view_of(metrics)}")

@@ -30,7 +30,7 @@ from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]
-"""A configuration and the number of one of its runs (its replication), from 0 on."""
+"""A configuration and the number (replication) of one of its runs, from 0 on."""
 MAX_RUNS = 10_000
 """The maximum number of runs of a configuration if `until` is given without `reps`."""
 
@@ -54,7 +54,7 @@ class SweepPlan:
     common: bool = True
     """Whether run k of every configuration has the same seed."""
     metrics: UsersMetrics = ()
-    """The metrics of each run beside the built-in ones."""
+    """The metrics of each run in addition to the built-in ones."""
 
     @classmethod
     def of(
@@ -65,13 +65,13 @@ class SweepPlan:
         seed: int | None = None,
         metrics: Metrics | None = None,
     ) -> Self:
-        """Return the plan in a scenario's table `sweep`; the arguments take precedence over it.
+        """Return the plan given by a scenario's table `sweep` and key `seed`; arguments other than None replace these.
 
         `metrics` are measured in addition to those that the scenario names (`record.metrics`).
 
         Raises:
-            ScenarioError: if the grid is invalid; the message lists the errors.
-            ValueError: if there are no runs, the seed is negative, or a metric has a wrong name.
+            ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
+            ValueError: if there are no runs, the seed is negative, or a metric has a wrong name or is not a function.
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
@@ -102,9 +102,10 @@ class SweepPlan:
         }
 
     def warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield the key and the text of each warning about the grid; `SweepResult.warnings` needs results of runs.
+        """Yield the key and the text of each warning about the grid that needs no results of runs.
 
-        They concern latencies that are probably in ms, and keys that probably have no effect.
+        The warnings concern latencies that are probably given in ms, and keys that probably have no effect. For the
+        warnings that need results see `SweepResult.warnings`.
         """
         scenarios = [configuration.scenario for configuration in self.configurations]
         yield from sweep_warnings(self.base, tuple(self.configurations[0].settings), scenarios)
@@ -150,8 +151,8 @@ class SweepPlan:
     def shard(self, part: int, parts: int) -> list[Job]:
         """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
 
-        Shards do not depend on the order of the grid, so together they are the whole sweep even if its order changes
-        from one shard to the next.
+        If there are several shards, they do not depend on the order of the grid. Together they form the whole sweep
+        even if the commands that run them order the grid differently.
 
         Raises:
             ValueError: if `part` is not in 1 .. `parts`.
@@ -178,7 +179,8 @@ def sweep(
 ) -> SweepResult:
     """Run each configuration of a grid over a scenario many times, and return the metrics of the runs.
 
-    Use it to compare configurations on equal seeds. Give a long sweep a `store`, from which it resumes if interrupted.
+    Use this function to compare configurations on equal seeds. Give a long sweep a `store`: if interrupted, it resumes
+    from there.
 
         found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
         print(found)
@@ -193,20 +195,22 @@ def sweep(
         executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
-        store: the file that receives each run as it ends; its successful runs are not repeated; None = no file.
+        store: the file to which each run is added as it ends; successful runs in it are not repeated; None = no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
-            has at most this half width. The interval is first checked after 30 runs, and `reps` (10,000 if None) is the
-            maximum number of runs.
+            has at most this half width. The interval is first checked when 30 runs have a value of the metric. `reps`
+            (10,000 if None) is the maximum number of runs of a configuration.
         fail_fast: whether the first run that fails ends the sweep.
-        timeout: the wall time after which a run counts as failed, s; see `desim.simulation.watchdog`.
+        timeout: the wall time, s, after which a run counts as failed; see `desim.simulation.watchdog`.
         metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
-            run that lacks one is repeated. A run whose metric raises an exception counts as failed.
+            run that lacks one of them is repeated. If a metric raises an exception, its run counts as failed.
 
     Raises:
-        ScenarioError: if the grid is invalid; the message lists the errors.
-        ValueError: if there are no runs, the metric of `until` does not exist, or a metric has a wrong name.
+        ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
+        ValueError: if there are no runs, a number is out of its range, the metric of `until` does not exist or is not
+            numeric, or a metric of `metrics` has a wrong name, is not a function or has no stable hash.
         StoreError: if the store cannot be written, or belongs to another sweep.
-        ConnectionError: if a scheduler does not answer.
+        ConnectionError: if a scheduler does not answer or has no workers.
+        BrokenExecutor: if a worker of the user's own executor dies.
         RunError: if a run fails and `fail_fast` is set.
     """
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
@@ -229,11 +233,15 @@ def carry_out(
     metrics: Collection[str] = SHOWN,
     on_start: Callable[[], None] = lambda: None,
 ) -> SweepResult:
-    """Perform the runs of a plan that its store lacks, and return the result; runs that failed before are repeated.
+    """Perform the runs of a plan that a store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout`, s, counts as failed. A stored run is repeated if it lacks one of the given
-    metrics, the metric of `until` or a metric of the plan. If the repetition fails, the stored run is kept, and the
-    result reports the failure. `on_start` is called before the first run, unless there is none to perform.
+    A run that takes longer than `timeout` s of wall time counts as failed. A stored run is repeated if it lacks one of
+    the given metrics, the metric of `until` or a metric of the plan. If the repetition fails, the stored run is kept,
+    and the result reports the failure. `on_start` is called before the first run, unless there is none to perform.
+
+    Raises:
+        ValueError: if `until` is invalid, or given together with one of several shards.
+        RunError: if a run fails and `fail_fast` is set.
     """
     if until is not None:
         check_target(*until, plan.metrics)
@@ -257,7 +265,11 @@ def carry_out(
 def _run(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
 ) -> dict[tuple[str, int], Row]:
-    """Perform some runs, add each to the store as it ends, and return those that failed."""
+    """Perform some runs, add each to the store as it ends, and return those that failed.
+
+    Raises:
+        RunError: if a run fails and `fail_fast` is set.
+    """
     failed: dict[tuple[str, int], Row] = {}
     seeds = [plan.seed(configuration, k) for configuration, k in jobs]
     tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
@@ -290,17 +302,18 @@ def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None
 def _wanted(
     plan: SweepPlan, store: Store, metric: str, half_width: float, failed: Collection[tuple[str, int]]
 ) -> list[Job]:
-    """Return runs 0 .. n - 1 of each configuration, where n is the number of runs needed for the half width.
+    """Return runs 0 .. n - 1 of each configuration; n is the number of runs that the half width needs.
 
-    n is predicted from the runs in the store. A run that failed when it was repeated counts as a run without a value.
+    If it is not yet known when the half width is reached, n is the number of runs at which the half width is checked
+    next; see `runs_needed`. A run that fails when it is repeated counts as a run without a value.
     """
     jobs: list[Job] = []
     for configuration in plan.configurations:
         found = store.runs(configuration.key, plan.root)
         rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
         rows |= {k: None for key, k in failed if key == configuration.key}
-        # Runs are stored as they end, so short runs are over-represented beyond the first gap. Only the runs before
-        # the gap count.
+        # Runs are stored as they end, so short runs are over-represented beyond the first gap in the replications. Only
+        # the runs before this gap count.
         first = takewhile(rows.__contains__, count())
         values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]

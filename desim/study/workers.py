@@ -1,7 +1,7 @@
 """Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
-Worker processes ignore the signals of `desim.simulation.interrupts`, which the driver handles, and exit when the driver
-has died.
+Worker processes ignore the signals of `desim.simulation.interrupts`, because the driver handles them: the process that
+dispatches the runs. Worker processes exit when the driver has died.
 """
 
 import logging
@@ -22,13 +22,13 @@ from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
 START_TIMEOUT = 10.0
-"""The time-out for answers of a cluster, s of wall time."""
+"""The time-out, s of wall time, for answers of a cluster."""
 WATCH = 0.5
-"""The interval at which a worker checks that its driver is alive, s of wall time."""
+"""The interval, s of wall time, at which a worker checks that its driver is alive."""
 
 
 class Workers:
-    """The workers of an executor that the user passed, which is never shut down; also the base class of other kinds."""
+    """The workers of a user's executor, which is never shut down; also the base class of the other kinds of workers."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
@@ -36,7 +36,7 @@ class Workers:
         self.count: int = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
         """The number of workers."""
         self.max_pending = 2 * self.count
-        """The number of calls to keep submitted, so that no worker waits for its next call."""
+        """The number of calls that are kept submitted, so that no worker waits for its next call."""
 
     def submit(self, call: Call) -> Future[Any]:
         """Submit a call to a worker."""
@@ -68,7 +68,7 @@ class Workers:
             raise ConnectionError(f"{self._name}: disconnected before the runs were done") from error
 
     def died(self, error: BaseException) -> bool:
-        """Return whether a call failed because its worker died; a Dask cluster retries it on other workers first."""
+        """Return whether a call failed because its worker died; Dask first retries the call on other workers."""
         return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
 
     def renew(self) -> None:
@@ -80,7 +80,7 @@ class Workers:
         raise BrokenExecutor(f"a worker died, so {self._name} accepts no more calls: give a number of workers")
 
     def stop(self) -> None:
-        """End the calls that are running, where the kind of workers allows it; do nothing by default."""
+        """End the running calls if the kind of workers allows it; do nothing by default."""
 
     def __enter__(self) -> Self:
         return self
@@ -90,7 +90,7 @@ class Workers:
 
 
 class InProcess(Workers):
-    """No workers: each call is made when it is submitted, in this process, where a debugger can follow it."""
+    """No worker processes: each call is made at once in this process, where a debugger can follow it."""
 
     def __init__(self) -> None:
         self.count = self.max_pending = 1
@@ -132,8 +132,12 @@ class Processes(Workers):
 class Cluster(Workers):
     """The workers of a Dask scheduler (needs the extra `cluster`).
 
+    Args:
+        address: the address of the scheduler.
+        patience: the time-out, s of wall time, for its answers.
+
     Raises:
-        ConnectionError: if the scheduler does not answer in time, or has no workers.
+        ConnectionError: if Dask is not installed, the scheduler does not answer in time, or it has no workers.
     """
 
     def __init__(self, address: str, patience: float):
@@ -156,7 +160,11 @@ class Cluster(Workers):
         super().__init__(self._client.get_executor(pure=False), sum(self._client.nthreads().values()), address)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Wait until at least one of the given calls has ended, and return all that have; check for lost workers."""
+        """Wait until at least one of the given calls has ended, and return all that have.
+
+        Raises:
+            ConnectionError: if the cluster has no workers within the time-out.
+        """
         while not (found := wait(futures, self._patience, FIRST_COMPLETED).done):
             self._check()
         return found
@@ -178,10 +186,10 @@ class Cluster(Workers):
 def workers_for(executor: Executor | int | str) -> Workers:
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
-    The number 1 means no worker processes, 0 means one per core.
+    The number 1 means that calls are made in this process, and 0 means one worker process per core.
 
     Raises:
-        ConnectionError: if a scheduler does not answer.
+        ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
         ValueError: if a number is negative.
     """
     if isinstance(executor, str):
@@ -195,12 +203,12 @@ def workers_for(executor: Executor | int | str) -> Workers:
 
 
 def _pool(count: int) -> Executor:
-    """Return the pool of idle worker processes, or a new pool; its processes start with the first calls."""
+    """Return the existing pool of worker processes, or create one, whose processes start with the first calls."""
     from loky import get_reusable_executor
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # separately, because this call unblocks the signals when it returns
+            resource_tracker.ensure_running()  # separately, because it unblocks the signals when it returns
     with _block_signals():  # the executor starts a process that tracks its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
@@ -208,7 +216,7 @@ def _pool(count: int) -> Executor:
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:
-    """Return the result of a request, or raise TimeoutError after 1.5 `patience`, s.
+    """Make a request and return its result, or raise TimeoutError after 1.5 times `patience`, s.
 
     The time-out of the Dask client is not enough: the client may wait forever for a scheduler.
     """
@@ -226,10 +234,11 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
 @contextmanager
 def _block_signals() -> Iterator[None]:
-    """Block interrupts while processes start, so that they inherit the block; interrupts are delivered afterwards.
+    """Block the signals of `SIGNALS` while processes start, so that the processes inherit the block.
 
-    Another thread, which does not block signals, may receive one, and Python then runs its handler in the main thread.
-    Temporary handlers therefore record the signals, and the first recorded signal is raised afterwards.
+    Signals that arrive meanwhile are delivered afterwards. A signal may also reach another thread that does not block
+    it; Python would then run the handler of the signal in the main thread. Temporary handlers therefore only record
+    signals, and the first recorded signal is raised again afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -245,13 +254,13 @@ def _block_signals() -> Iterator[None]:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for each, handler in handlers.items():
-            signal.signal(each, handler)  # pending signals are recorded before this
+            signal.signal(each, handler)  # pending signals have been recorded by now
         for number in received[:1]:
             signal.raise_signal(number)
 
 
 def _init_worker(driver: int) -> None:
-    """Prepare a worker process: it ignores interrupts, and exits when its driver has died."""
+    """Make a worker process ignore the signals of `SIGNALS`, and exit when its driver has died."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
 

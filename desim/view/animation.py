@@ -1,6 +1,7 @@
 """A run as a GIF for slides: a plan view of all players, the active pursuers, and the messages in flight.
 
-Colours, symbols and messages are those of the replay: see `desim.analysis.palette` and `desim.view.deliveries`.
+Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.palette` and
+`desim.view.deliveries`.
 
 All frames share one background and one palette; equal runs give equal bytes.
 """
@@ -42,9 +43,9 @@ from desim.view.deliveries import deliveries
 from desim.view.paths import EvaderStyle, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4
-"""Size of a frame, in."""
+"""Size of a frame, inches."""
 PAD = 0.1
-"""Margin around the figure, in."""
+"""Margin around the figure, inches."""
 DPI = 100
 MAX_FRAMES = 1500
 """Maximum number of frames; each takes 0.4 MB of memory."""
@@ -52,11 +53,12 @@ HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", INACTIVE, ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, DELIVERED, LOST)
 PALE = 0.4
-"""Weight of an evader's hue, blended with white, for pursuers that chase it together, if there are several evaders."""
+"""Weight of an evader's hue in the colour of pursuers that chase it together, blended with white; only with several
+evaders."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 RECEIVER_GAP = 0.02
-"""Distance between the mark of an arrival or a loss and the receiver, in widths of the picture."""
+"""Distance, in widths of the axes, between the mark of an arrival or a loss and the receiver."""
 SHADES = 10
 """Number of shades of each colour, towards white."""
 
@@ -69,8 +71,8 @@ def animate(
     Args:
         result: the result of a run with recorded positions; messages are drawn as dots if they were recorded, too.
         path: the output file.
-        begin: the start of the window, s.
-        end: the end of the window, s; None = the end of the run.
+        begin: the start of the time window, s.
+        end: the end of the time window, s; None, or a later time than the end of the run = the end of the run.
         speed: simulated seconds per second of the animation.
         fps: frames per second, at most 50; rounded up such that a frame lasts a whole number of hundredths of a second,
             the time unit of GIF.
@@ -78,6 +80,7 @@ def animate(
     Raises:
         ValueError: if no positions were recorded, `speed` or `fps` is out of bounds, or the window is empty or has too
             many frames.
+        OSError: if the file cannot be written.
     """
     last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
     if not 0.0 <= begin < last:
@@ -101,7 +104,7 @@ def animate(
 
 
 def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
-    """Return a picture of the run at each of the given times (ns), all with the same palette.
+    """Draw the run at each of the given times (ns), and return the pictures, which share one palette.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -111,7 +114,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
         figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
         canvas: Any = FigureCanvasAgg(figure)
         scene = _Scene(figure, result)
-    for artist in scene.moving:  # after the layout, which accounts for them
+    for artist in scene.moving:  # only after the layout, which must account for the artists
         artist.set_animated(True)
     canvas.draw()
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
@@ -203,7 +206,7 @@ class _Scene:
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
-        """Return the legend entries of active pursuers, in grey if their colours depend on their evaders."""
+        """Return the legend entries of active pursuers; in grey with several evaders, which have different hues."""
         first = self._evaders[0]
         if len(self._evaders) == 1:
             return [first.together, first.alone]
@@ -249,10 +252,10 @@ class _Scene:
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
-        """Return the evader that each active pursuer chases at a time, ns.
+        """Return the evader that each active pursuer chases at time t (ns).
 
-        At the end of the run, the pursuers that were active until then are included. With several evaders, those whose
-        evader is captured at the end are not.
+        At the end of the run, the pursuers that were active until then are included. With several evaders, a pursuer is
+        not included if its evader is captured at that instant.
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
@@ -314,14 +317,14 @@ class _MessageDots:
         self._short = short
 
     def under_way(self, t: int) -> Floats:
-        """Return the (k, 2) positions of the messages in flight, m."""
+        """Return the (k, 2) positions, m, of the messages in flight."""
         flying = (self.left <= t) & (t < self._until)
         share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
         found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
         return found
 
     def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
-        """Return the (k, 2) positions of the marks of messages lost, or else delivered, between two times, m."""
+        """Return the (k, 2) positions, m, of the marks of messages lost (or else delivered) between two times (ns)."""
         gone = (self.lost == lost) & (before < self._until) & (self._until <= t)
         way = (self._target - self._source)[gone]
         length = np.hypot(way[:, 0], way[:, 1])

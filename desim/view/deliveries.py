@@ -2,9 +2,9 @@
 
 In the replay and the animation, a message moves at constant speed from the position of its sender at transmission to
 that of its receiver at arrival. In a space-time diagram a message is an arrow between two lines. A lost message ends in
-a cross, which shows the receiver that missed it. In the replay and the animation the cross is just short of the
-receiver and appears at the time of the loss, whatever its cause. For the cross in a space-time diagram see
-`desim.view.spacetime`.
+a cross, which shows the receiver that did not get the message. In the replay and the animation the cross is just short
+of the receiver and appears at the time of the loss, whatever the cause of the loss. For the cross in a space-time
+diagram see `desim.view.spacetime`.
 """
 
 from collections.abc import Iterator
@@ -18,21 +18,21 @@ from desim.simulation.run import Result
 
 
 class Delivery(NamedTuple):
-    """The delivery of one message to one receiver; a broadcast has a delivery for each receiver."""
+    """The delivery or the loss of one message to one receiver; a broadcast has a delivery for each receiver."""
 
     transmission: int
     """The number of the transmission."""
     src: int
     dst: int
     created: int
-    """Time at which the message was handed to the transmitter, ns; earlier than `left` if the transmitter was busy."""
+    """Time, ns, at which the message was handed to the transmitter; earlier than `left` if the transmitter was busy."""
     left: int
-    """Start of transmission, ns. For a message dropped from the queue: time of the drop. For a message still queued at
-    the end of the run: a time after the end."""
+    """Start of transmission, ns. For a message lost in the queue: time of the loss. For a message still queued at the
+    end of the run: a time after the end."""
     until: int
-    """Time of arrival or loss, ns; after the end of the run if it was still in flight then."""
+    """Time of arrival or loss, ns; after the end of the run if the message was still queued or in flight then."""
     cause: Cause | None
-    """Cause of the loss; None if it was not lost."""
+    """Cause of the loss; None if the message was not lost."""
     size: int
     """Bytes."""
     body: Any
@@ -60,7 +60,7 @@ def deliveries(result: Result) -> list[Delivery]:
 
 
 def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
-    """Yield the deliveries that an event begins; a loss is recorded by a later event."""
+    """Yield the deliveries that an event begins; a later event, `Lost`, reports a loss."""
     if isinstance(event, Queued):
         for dst in event.dst:
             yield Delivery(event.transmission, event.src, dst, event.t, never, never, None, event.size, None)
@@ -79,7 +79,7 @@ class Interval(NamedTuple):
 
 
 class Chase(NamedTuple):
-    """An interval in which a pursuer chased an evader, ns."""
+    """An interval of time, ns, in which a pursuer chased an evader."""
 
     begin: int
     end: int
@@ -103,7 +103,7 @@ def chasing(result: Result) -> list[list[Chase]]:
 
 
 class Handover(NamedTuple):
-    """A pursuer begins to chase an evader alone: it is the first to do so, or replaces the previous one."""
+    """A pursuer begins to chase an evader alone: it is the first to do so, or replaces the previous lone pursuer."""
 
     t: int
     """ns"""
@@ -113,13 +113,13 @@ class Handover(NamedTuple):
 
 
 def handover_events(result: Result) -> list[Handover]:
-    """Return the handovers of all evaders, in order of time, with the first pursuer that chases each evader alone."""
+    """Return the handovers of all evaders, in order of time, including the first lone pursuer of each evader."""
     count = len(started(result).evaders)
     return sorted(Handover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
 
 def outages(result: Result) -> list[tuple[Fault, Interval]]:
-    """Return the faults of a run with their intervals, in order of their start; an open fault ends with the run."""
+    """Return the faults of a run with their intervals, in order of their start; the end of the run ends all faults."""
     end, open_faults = ended(result).t, list[FaultStarted]()
     found: list[tuple[Fault, Interval]] = []
     for event in result.trace:

@@ -30,14 +30,15 @@ def label_points(
 ) -> list[Text]:
     """Write a short label beside each point and return the texts.
 
-    Each label takes the position that overlaps least with points, earlier labels and the outside of the axes.
+    Each label takes one of eight positions around its point: the one that overlaps least with points, earlier labels
+    and the outside of the axes.
 
     Args:
         axes: the axes to write on. They must have their final limits, and their figure its final layout
             (`draw_without_rendering`).
         places: the points (x, y), in data coordinates.
         names: the labels of the points.
-        avoid: further points to keep free.
+        avoid: further points that labels should not cover.
         look: further properties of the texts.
     """
     assert isinstance(axes.figure, Figure)

@@ -40,9 +40,9 @@ class EvaderStyle(NamedTuple):
     inner: str
     """The fill colour of the evader's marker."""
     alone: str
-    """The colour of a pursuer that chases it alone."""
+    """The colour of a pursuer that chases the evader alone."""
     together: str
-    """The colour of a pursuer that chases it together with others."""
+    """The colour of a pursuer that chases the evader together with others."""
 
     @classmethod
     def of(cls, evader: int, count: int) -> "EvaderStyle":
@@ -62,7 +62,7 @@ class ActivePeriod(NamedTuple):
     end: int
     """ns"""
     alone: bool
-    """Whether no other pursuer chased that evader."""
+    """Whether no other pursuer chased the evader."""
     evader: int
     """1 .. M"""
 
@@ -129,7 +129,7 @@ class Paths:
         return self._along(self.pursuers[:, pursuer], times)
 
     def position_of(self, handover: Handover) -> tuple[float, float]:
-        """Return the position (x, y) of the pursuer that takes over, m."""
+        """Return the position (x, y), m, of the pursuer that takes over."""
         x, y = self.at(handover.pursuer, np.array([handover.t]))[0].tolist()
         return x, y
 
@@ -142,10 +142,11 @@ class Paths:
 
 
 def draw_pursuit(axes: Axes, result: Result) -> None:
-    """Draw the paths of active pursuers, bold while alone and thin with others, with a square at each handover.
+    """Draw the paths of evaders and active pursuers, with a square at each handover and a star at each capture.
 
-    The first square of an evader marks the first pursuer that chases it alone. Of a pursuer that was never active, only
-    the circle at its initial position is drawn. `label_handovers` adds the numbers of the pursuers.
+    The path of a pursuer is bold while it chases alone and thin while it chases with others. Of a pursuer that was
+    never active, only the circle at its initial position is drawn. The first square of an evader marks the first
+    pursuer that chases it alone. `label_handovers` adds the numbers of the pursuers.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -192,9 +193,9 @@ def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, E
 
 
 def label_handovers(axes: Axes, result: Result) -> None:
-    """Label each square of `draw_pursuit` with the number of its pursuer.
+    """Label each square of `draw_pursuit` with the number of the pursuer that takes over.
 
-    If there are several evaders, their initial positions are labelled with their numbers. See `label_points` for the
+    If there are several evaders, the initial position of each is labelled with its number. See `label_points` for the
     requirements on the axes.
     """
     paths, chain = Paths(result), handover_events(result)

@@ -3,9 +3,9 @@
 The format is that of Google's document "Trace Event Format", as Perfetto reads it
 (https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source). Times
 `ts` and durations `dur` are in microseconds, with decimals. The phases `ph` are "M", which names a process or a thread;
-"X", a slice of a thread; "i", an instant; "C", a counter; "b" and "e", the begin and end of an asynchronous slice. The
-two ends of such a slice agree in pid, cat, id and name; slices may overlap, and those of equal name in one process
-share a track.
+"X", a slice of a thread; "i", an instant; "C", a counter; "b" and "e", the start and end of an asynchronous slice. The
+two events of such a slice have the same pid, cat, id and name; slices may overlap, and those of equal name in one
+process share a track.
 
 The pursuers are the threads of one process. Each receiver is a process whose tracks are its incoming links.
 """
@@ -110,7 +110,7 @@ def _instants(result: Result) -> Iterator[Entry]:
 
 
 def _counts(result: Result) -> Iterator[Entry]:
-    """Yield the counters at each change: active pursuers and, if there are several evaders, pursuers on each evader."""
+    """Yield the counters at each change of action: active pursuers; with several evaders, also those of each evader."""
     start = started(result)
     on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
 
@@ -128,7 +128,7 @@ def _counts(result: Result) -> Iterator[Entry]:
 
 
 def _messages(result: Result) -> Iterator[Entry]:
-    """Yield the begin and end of each delivery; a message in flight at the end of the run lasts until its arrival."""
+    """Yield the start and end of each delivery; a message in flight at the end of the run lasts until its arrival."""
     size, over = len(started(result).active), ended(result).t
     for each in deliveries(result):
         link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.transmission}.{each.dst}"}
@@ -148,7 +148,7 @@ def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more:
 def _microseconds(t: int) -> float | int:
     """Convert a time from nanoseconds to microseconds.
 
-    Perfetto converts the result back by int(1000 * result), which gives exactly `t`, for times up to 100 days.
+    Perfetto converts the result back by int(1000 * result). For times up to 100 days, this gives exactly `t`.
     """
     if t % 1000 == 0:
         return t // 1000
@@ -157,7 +157,7 @@ def _microseconds(t: int) -> float | int:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a value in JSON types; a message body of unknown type becomes its `repr`."""
+    """Return a value in JSON types; a value of unknown type, such as a user's message body, becomes its `repr`."""
     if isinstance(value, float):
         return to_json(value)
     if value is None or isinstance(value, str | int):

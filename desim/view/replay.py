@@ -1,7 +1,7 @@
 """The replay of a run: one self-contained HTML page; equal runs give equal bytes.
 
-In the data of the page, times are whole ticks, and positions are whole millimetres or, beyond 1000 km, multiples of a
-coarser unit. Columns of numbers are little-endian typed arrays in base64.
+In the data of the page, times are whole ticks (see `_Ticks`). Positions are whole millimetres or, beyond about 1000 km,
+multiples of a coarser unit. Columns of numbers are little-endian typed arrays in base64.
 """
 
 from base64 import b64encode
@@ -50,7 +50,7 @@ from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
 
 MAX_REPLAY_TIME = 2**32 - 1
-"""The largest tick that a column holds."""
+"""The largest tick that a column can hold."""
 DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 HEIGHT = 760
@@ -60,7 +60,7 @@ TRIGGERS = {
     "revision": "announced at every revision",
     "never": "nothing announced",
 }
-"""What is said of a run without heartbeats."""
+"""By trigger, the description of the announcements of a run without heartbeats."""
 ReplayData = dict[str, Any]
 """A JSON object."""
 
@@ -171,7 +171,7 @@ def conditions(scenario: Scenario) -> str:
 
 
 def _model(model: Any) -> str:
-    """Return the kind of a model and its numbers, except 0 and inf, or the name of a model that is not a `Value`."""
+    """Return a model as text: its kind and its numbers except 0 and inf; if it is not a `Value`, its name."""
     if not isinstance(model, Value):
         return str(getattr(model, "__name__", type(model).__name__))
     given = {name: getattr(model, name) for name in type(model).model_fields}
@@ -189,7 +189,7 @@ def _number(number: float) -> str:
 
 
 class _Ticks(NamedTuple):
-    """The unit of time: the smallest power of ten in nanoseconds such that the run has fewer than 2^31 ticks."""
+    """The tick, the unit of time in the page: the least power of ten, ns, with fewer than 2^31 ticks in the run."""
 
     length: int
     """Duration of a tick, ns."""
@@ -209,7 +209,7 @@ class _Ticks(NamedTuple):
         return self.nearest(self.end)
 
     def nearest(self, t: int) -> int:
-        """Return the tick nearest to a time, ns."""
+        """Return the tick nearest to a time (ns)."""
         return (t + self.length // 2) // self.length
 
     def __call__(self, times: ArrayLike) -> str:
@@ -261,19 +261,19 @@ def _document(result: Result) -> ReplayData:
 
 
 def _arcs(result: Result) -> str | None:
-    """Return the edges (sender, receiver) of the communication graph as a column; None if it is complete."""
+    """Return the edges (sender, receiver) of the communication graph as a column; None if the graph is complete."""
     size = len(started(result).active)
     graph = result.scenario.network.graph(size)
     return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 
 def _reception(result: Result) -> ReplayData:
-    """Return the maximum distances of reception between linked pursuers, m.
+    """Return the maximum distances, m, of reception between linked pursuers.
 
-    `radius` is common to all pairs (None: unlimited). `radii` has a distance for each pair i < j, if fading is drawn
-    once per link. If fading is drawn for each message (`chance` is true), `radius` is the distance at which the
-    reception probability is 0.5. `known` is false, and no distance is given, if the probability does not decrease
-    monotonically with distance.
+    `radius` is common to all pairs of pursuers. If fading is drawn once per link, `radii` has a distance for each pair
+    i < j instead. If fading is drawn for each message (`chance` is true), `radius` is the distance at which the
+    reception probability is 0.5. If the range is unlimited, both are None. Both are also None, and `known` is false, if
+    the reception probability increases with distance anywhere.
     """
     links, size = result.scenario.network, len(started(result).active)
     found: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
@@ -291,7 +291,7 @@ def _reception(result: Result) -> ReplayData:
 
 
 def _falls(links: Links) -> bool:
-    """Return whether the reception probability never increases with distance, on a grid up to 4 times the range."""
+    """Return whether the reception probability never increases between 1000 distances up to 4 times the range."""
     if not isfinite(links.range):
         return True
     chance = links.reception(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
@@ -299,7 +299,7 @@ def _falls(links: Links) -> bool:
 
 
 def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
-    """Return the (size, size) maximum distances of reception between any two nodes, m, by bisection."""
+    """Return the (size, size) maximum distances, m, of reception between nodes, by bisection up to `farthest`."""
     places = np.zeros((size, 2))
     found = np.zeros((size, size))
     graph = Complete()(size)
@@ -317,12 +317,12 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
 
 
 def _places(result: Result) -> Floats:
-    """Return the (samples, N + M, 2) positions of all players, pursuers first, m."""
+    """Return the (samples, N + M, 2) positions, m, of all players, pursuers first."""
     return np.array([[*each.pursuers, *each.evaders] for each in samples(result)])
 
 
 def _per_metre(places: Floats) -> float:
-    """Return the units of length per metre: 1000, divided by 10 until all positions fit 32 bits."""
+    """Return the units of length per metre: 1000, divided by 10 until positions and their increments fit 32 bits."""
     per_metre = 1000.0
     while np.abs(places).max() * per_metre >= 2**30:
         per_metre /= 10.0
@@ -391,7 +391,7 @@ def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
 
 
 def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
-    """Return a fault that lasted from `begin` to `until`, ns."""
+    """Return the data of a fault that lasted from `begin` to `until` (ns)."""
     found: ReplayData
     if isinstance(fault, Crash):
         found = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
@@ -405,8 +405,8 @@ def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
 def _messages(result: Result, ticks: _Ticks) -> ReplayData:
     """Return the transmissions as columns in order of time, and their deliveries as columns grouped by transmission.
 
-    A message is in flight from the instant at which it is sent or queued at the transmitter until it arrives or is
-    lost.
+    The page shows a message from the instant at which it is sent or queued (`begin`) until it arrives or is lost. The
+    message leaves its sender at the start of its transmission (`left`).
     """
     own = sorted(deliveries(result), key=lambda each: (each.created, each.transmission, each.dst))
     rows = [list(row) for _, row in groupby(own, key=lambda each: each.transmission)]
@@ -427,7 +427,8 @@ def _messages(result: Result, ticks: _Ticks) -> ReplayData:
 def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
     """Return the changes of beliefs as columns: time, reader, source, and the source's action as last received.
 
-    An action is 0 .. M, or M + 1 if nothing was received. Of several changes at one instant, the last one counts.
+    An action is 0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
+    `announce.warm_start`, the initial actions are known. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1
     warm = result.scenario.announce.warm_start & (known["begin"] == 0)

@@ -37,7 +37,7 @@ MAPPED = "active_time"
 MAX_FAILURES = 20
 """Maximum number of different tracebacks shown."""
 SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
-"""A file in a traceback; its group is the name, with that of its folder."""
+"""Matches the path of a file in a traceback; the group is the name of the file, preceded by that of its folder."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
 """Colours that are illegible on a dark page, and the CSS colours that replace them."""
@@ -62,7 +62,7 @@ class Study:
         """Read a folder of `desim sweep`, of `desim explain`, or of both.
 
         Raises:
-            OSError: if a file cannot be read, or there is no store (StoreError).
+            OSError: if a file cannot be read, or the store is missing or damaged (StoreError).
             ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
         with Store(folder / STORE, read_only=True) as kept:
@@ -91,7 +91,7 @@ class Study:
 
     @property
     def measured(self) -> list[str]:
-        """The metrics with a value in at least one run, except `captured`, which every table includes."""
+        """The numeric metrics with a value in at least one run, except `captured`, which every table includes."""
         names = [name for name, metric in METRICS.items() if metric.is_number and name != "captured"]
         groups = self.result.groups
         return [
@@ -135,7 +135,7 @@ def report(study: Study) -> str:
 
 
 def _waterfalls(found: Explanation) -> Iterator["Markup"]:
-    """Yield the costs of the imperfections in each metric as a figure."""
+    """Yield a figure for each metric of an explanation: the cost of each imperfection in this metric."""
     from desim.study.figures import waterfall
 
     for name, cost in found.costs.items():
@@ -146,8 +146,9 @@ def findings(study: Study) -> Iterator[str]:
     """Yield the findings as sentences: the greatest cost of an imperfection, and the greatest paired difference.
 
     A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. The
-    test for a difference from 0 has a level of 5 % for all costs or all differences together (Bonferroni). The interval
-    shown is that of the single difference, as in the tables. If nothing can be compared, there is no sentence.
+    greatest is the one with the greatest absolute mean; those that differ significantly from 0 come first. The test for
+    this has a level of 5 % for all costs or all differences together (Bonferroni). The interval shown is that of the
+    one cost or difference, as in the tables. If nothing can be compared, there is no sentence.
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)
@@ -202,10 +203,11 @@ def _greatest_difference(study: Study) -> Iterator[str]:
 
 
 def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, tuple[int, Estimate]]:
-    """Return the paired difference of each configuration from its reference, by its position in `groups`.
+    """Return the paired differences of a metric along a key of the grid.
 
-    The reference has the first value of a key and is otherwise equal. Each value is the position of the reference and
-    the difference. References themselves are absent.
+    Each configuration is compared with a reference that has the first value of the key and is otherwise equal. The
+    result maps the position of the configuration in `groups` to the position of its reference and the difference.
+    References themselves are absent.
     """
     others = result.first_along(key)
     found = {other: result.differences(metric, reference=other) for other in set(others)}
@@ -213,7 +215,7 @@ def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, 
 
 
 def _excludes_0(found: Estimate, count: int) -> bool:
-    """Return whether one of `count` means differs from 0 at a level of 5 % / `count` (two-sided t test)."""
+    """Return whether a mean, one of `count`, differs from 0 in a two-sided t test at a level of 5 % / `count`."""
     from scipy.special import stdtrit
 
     return bool(abs(found.mean) > stdtrit(found.count - 1, 1.0 - 0.025 / count) * found.standard_error)

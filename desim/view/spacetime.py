@@ -2,8 +2,8 @@
 
 After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
 a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
-arrival time: it is drawn as if it took the mean latency of the other messages, and ends just short of the line of its
-receiver. A message lost on arrival ends on the line of its receiver.
+arrival time: it is drawn as if it took the mean latency of the messages that are not lost, and ends just short of the
+line of its receiver. A message lost on arrival ends on the line of its receiver.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
 MAX_DENSITY = 24
-"""Maximum number of messages per centimetre that can be told apart; half as many are easy to read."""
+"""Maximum number of messages that can be told apart per centimetre of width; half as many are easy to read."""
 ARROWS: dict[str, Any] = {
     **{"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.008},
     **{"headwidth": 6.0, "headlength": 7.0, "headaxislength": 6.0, "minshaft": 1.0, "minlength": 0.0},
 }
-"""Arrows between two points in data coordinates; shaft width in inches, heads in shaft widths."""
+"""Style of an arrow between two points in data coordinates; shaft width in inches, size of the head in shaft widths."""
 LOSS_GAP = 0.25
 """Distance between the end of a message lost at transmission and the line of its receiver, in line spacings."""
 PALE = "#8c8c8c"
@@ -64,8 +64,8 @@ def spacetime(
         size: the width and, optionally, the height of the figure; a column of a paper is about 8.5 cm wide.
 
     Raises:
-        ValueError: if messages were not recorded, a pursuer does not exist or is given twice, the window is empty, or
-            the messages in it are too many to be told apart.
+        ValueError: if messages were sent and not recorded, no pursuer is given, a pursuer does not exist or is given
+            twice, the size is invalid, the window is empty, or it has too many messages to be told apart.
     """
     width, height = size_of(size)
     shown = list(pursuers) if pursuers is not None else _busiest(result)
@@ -125,12 +125,13 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
 def _window(
     result: Result, shown: Sequence[int], begin: float | None, end: float | None, most: int
 ) -> tuple[Interval, list[Delivery]]:
-    """Return the window (ns) and the deliveries among the pursuers shown that are in flight in it.
+    """Return the time window (ns), and the deliveries in flight in it from and to the pursuers shown.
 
-    Without an end, the window holds about `most` / 2 messages; messages transmitted at the same time stay together.
+    Without a given end, the window ends so early that it has at most about `most` / 2 messages; messages transmitted at
+    the same time stay together.
 
     Raises:
-        ValueError: if there are more than `most` messages, the number that can be told apart.
+        ValueError: if there are more than `most` deliveries, the number that can be told apart.
     """
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
@@ -154,7 +155,7 @@ def _window(
 
 
 def _mean_latency(own: Sequence[Delivery]) -> float:
-    """Return the mean latency of the messages that are not lost, s; 0 if there are none."""
+    """Return the mean latency, s, of the messages that are not lost; 0 if there are none."""
     times = [each.until - each.left for each in own if each.cause is None]
     return float(np.mean(times)) / SECOND if times else 0.0
 

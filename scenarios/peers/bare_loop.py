@@ -9,10 +9,15 @@ from desim import Scenario
 def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
     """Run a pursuit and return the number of slots until capture.
 
+    Without capture, return one less than the number of slots until the horizon.
+
     Args:
-        scenario: scenario that gives the team, the evader, the capture radius and the horizon.
+        scenario: scenario that gives the team, the only evader, the capture radius and the horizon.
         seed: seed of the initial positions, the order of revisions and the decisions.
         slot: slot and motion step, delta = h, s.
+
+    Raises:
+        ValueError: if the scenario has several evaders.
     """
     rng = np.random.default_rng(seed)
     (evader,) = scenario.evaders

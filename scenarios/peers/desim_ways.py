@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in desim, as records and as messages."""
+"""The broadcasts of a workload in desim: as published records, and as messages to inboxes."""
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Desim:
 
 
 class Publish(Desim):
-    """Records: `Network.publish` and `Network.latest_records`."""
+    """Records: `Network.publish`, and `Network.latest_records`, which keeps the newest record of each sender."""
 
     def read(self, node: int) -> object:
         return self.network.latest_records(node)

@@ -1,8 +1,9 @@
 """The broadcasts of a workload in other simulators, each in a temporary environment.
 
-Their programs are standalone. They read a workload as text from stdin: number of turns, time between two turns (s),
-mean latency (s), its coefficient of variation (0: constant) and a seed, then a line per node with its neighbours. They
-draw their own latencies, run until all messages are delivered, and print the number of deliveries and the CPU time (s).
+The programs for these simulators (peer_*) are standalone and read a workload as text from stdin. The first line has
+the number of turns, the time between two turns (s), the mean latency (s), the coefficient of variation of the latency
+(0: constant) and a seed. Then a line per node, in order of the ids, lists its neighbours. Each program draws its own
+latencies, runs until all messages are delivered, and prints the number of deliveries and the CPU time (s) as JSON.
 """
 
 import json
@@ -31,17 +32,18 @@ class Peer:
 
     program: str
     packages: tuple[str, ...]
-    """Packages of the Python index with exact versions or, for a program in C++, of Debian."""
+    """Python packages with exact versions; for a program in C++, Debian packages."""
     libraries: tuple[str, ...] = ()
-    """Libraries to link with."""
+    """Libraries to link a program in C++ with."""
     share: float = 1.0
-    """Share of the turns of a workload that it runs, less than 1 for a slow simulator."""
+    """Share of the turns of a workload that the program runs, less than 1 for a slow simulator."""
 
     def make(self, folder: Path) -> list[str]:
         """Make an environment in a new folder and return the command that runs the program.
 
         Raises:
-            UnavailableError: if it cannot be made.
+            UnavailableError: if the environment cannot be made.
+            FileExistsError: if the folder exists.
         """
         folder.mkdir()
         return self._build(folder) if self.program.endswith(".cpp") else self._install(folder)
@@ -58,16 +60,16 @@ class Peer:
             _run_command(["dpkg", "-x", str(package), "."], folder)
         found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
         where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
-        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # also for dependencies
+        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # RPATH: for dependencies, too
         what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
         _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
         return [str(folder / "program")]
 
     def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:
-        """Run the program; return the number of deliveries and the CPU time, s.
+        """Run the program on its share of a workload; return the number of deliveries and the CPU time, s.
 
         Raises:
-            UnavailableError: if it fails or delivers a wrong number of messages.
+            UnavailableError: if the program fails or delivers a wrong number of messages.
         """
         work = replace(work, turns=max(1, round(self.share * work.turns)))
         answer = json.loads(_run_command(command, stdin=text(work)).splitlines()[-1])
@@ -113,7 +115,7 @@ def _run_command(command: Sequence[str], folder: Path | None = None, stdin: str 
     """Run a command, with some text on stdin, and return its output.
 
     Raises:
-        UnavailableError: if it does not exist, fails or takes too long.
+        UnavailableError: if the command does not exist, fails or takes too long.
     """
     try:
         ended = subprocess.run(

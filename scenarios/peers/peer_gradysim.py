@@ -1,7 +1,7 @@
 """The broadcasts of a workload in GrADyS-SIM NextGen, one packet per message. A standalone program; see `elsewhere`.
 
-The simulator's medium has a single delay, and checks its range for every node. This medium transmits to the neighbours
-only, with a delay for each, which is faster than the simulator's broadcast.
+The simulator's own medium has a single delay, and checks for every node whether it is within range. `Medium` transmits
+to the neighbours only, with a separate delay for each. This is faster than the simulator's broadcast.
 """
 
 import json
@@ -40,7 +40,7 @@ class Medium(CommunicationHandler):  # type: ignore[misc]
 
 
 class Talker(IProtocol):  # type: ignore[misc]
-    """A node that broadcasts its turns and keeps the newest number from each other node."""
+    """A node that broadcasts the number of each of its turns and keeps the newest number from each other node."""
 
     def initialize(self) -> None:
         self.table: dict[int, int] = {}

@@ -1,6 +1,7 @@
-"""The broadcasts of a workload in mango's simulation world, one message each. A standalone program; see `elsewhere`.
+"""The broadcasts of a workload in mango's simulation world, one message per receiver.
 
-The world steps from turn to turn and delivers all messages that have arrived, which is faster than a step per arrival.
+The world takes a step per turn and delivers all messages that have arrived. This is faster than a step per arrival.
+A standalone program; see `elsewhere`.
 """
 
 import asyncio

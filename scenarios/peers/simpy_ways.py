@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in plain SimPy: as documented, one event per message, one event per broadcast."""
+"""The broadcasts of a workload in plain SimPy: as documented, one event per message, and one event per broadcast."""
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -15,7 +15,7 @@ from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Wor
 
 
 class PlainSimPy:
-    """The common part of these ways: time in seconds, and a latency drawn for each message."""
+    """The common part of the ways with SimPy: time in seconds and, by default, latencies drawn message by message."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -39,7 +39,7 @@ class PlainSimPy:
             yield self.env.timeout(TICK)
 
     def hops(self, src: int) -> Iterable[tuple[int, float]]:
-        """Yield each neighbour of a node and the latency of a message to it, s."""
+        """Count the messages of a broadcast as sent; yield each neighbour and the latency, s, of the message to it."""
         dst, model, rng = self.neighbours[src], self.work.latency, self.rng
         self.sent += len(dst)
         if isinstance(model, Constant):
@@ -52,7 +52,7 @@ class PlainSimPy:
             yield node, rng.lognormal(mean, deviation)
 
     def outcome(self) -> Outcome:
-        """Return the outcome; each pending timeout but that of the next turn is a message in flight."""
+        """Return the outcome; each pending timeout, except that of the next turn, is a message in flight."""
         ahead = sum(isinstance(event, simpy.Timeout) for *_, event in self.env._queue)
         return Outcome(self.sent - (ahead - 1), self.tables)
 
@@ -96,7 +96,7 @@ class Documented(PlainSimPy):
 
 
 class PerMessage(PlainSimPy):
-    """One timeout per message, whose callback writes into the receiver's table."""
+    """One timeout per message; the callback of the timeout writes into the receiver's table."""
 
     def broadcast(self, src: int, number: int) -> None:
         timeout, tables = self.env.timeout, self.tables
@@ -123,13 +123,13 @@ class PerBroadcast(PlainSimPy):
         self.reached = [[self.tables[node] for node in each] for each in workload.neighbours()]
         self.delivered = 0
         self.look = 0.0
-        """Time at which a node reads next, s: all arrivals until then can be written at once."""
+        """Time, s, at which a node reads next: all arrivals until then can be written at once."""
 
     def turns(self) -> Turns:
         return self.together() if isinstance(self.work.latency, Constant) else self.one_by_one()
 
     def together(self) -> Turns:
-        """Use one timeout per broadcast for constant latency: messages cannot overtake each other."""
+        """Use one timeout per broadcast: with constant latency, messages cannot overtake each other."""
         env, deliver, latency = self.env, self.deliver, self.work.latency
         assert isinstance(latency, Constant)
         for number in range(self.work.turns):
@@ -159,7 +159,7 @@ class PerBroadcast(PlainSimPy):
 
 
 class _Visits(simpy.Event):
-    """A broadcast in flight: an event that is scheduled again for each next arrival."""
+    """A broadcast in flight: one event, scheduled again after each visit for the first arrival not yet written."""
 
     def __init__(self, way: PerBroadcast, number: int, arrivals: Iterator[tuple[float, int]]):
         self.env, self._ok, self._value = way.env, True, None
@@ -173,7 +173,7 @@ class _Visits(simpy.Event):
         self.env.schedule(self, delay=when - self.env.now)
 
     def visit(self, _: simpy.Event) -> None:
-        """Write into the tables of all receivers that are reached before a node reads."""
+        """Write into the tables of all receivers that are reached before the next node reads."""
         way, src, number, tables, visited = self.way, self.src, self.number, self.way.tables, 1
         table = tables[self.node]
         if table.get(src, -1) < number:

@@ -1,4 +1,4 @@
-"""The ways to deliver the broadcasts of a workload that need no other simulator."""
+"""The ways, by name, to deliver the broadcasts of a workload in this process; `elsewhere` has other simulators."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

@@ -1,7 +1,7 @@
 """The workloads: senders, receivers, times and latencies of broadcasts.
 
 In each workload the nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the
-number of the turn. Its table contains the newest number received from each other node.
+number of the turn. The table of a node contains the newest number received from each other node.
 """
 
 from collections.abc import Generator
@@ -34,7 +34,7 @@ class Workload:
     turns: int
     latency: Constant | Lognormal
     links: Links | None = None
-    """Links for the ways of desim, if they have more than a latency; the other ways use the latency only."""
+    """Links for the ways of desim; None: links with this latency. The other ways always use the latency only."""
     seed: int = 0
 
     @property
@@ -53,11 +53,11 @@ class Workload:
 
 
 LOGNORMAL = Lognormal(mean=0.02, cv=0.5)
-"""The latency of W2 and W3."""
+"""The latency of the workloads W2 and W3."""
 
 
 def disk_graph(size: int, degree: float, seed: int) -> "nx.Graph[int]":
-    """Return a random geometric graph in a square, with a radius that gives a mean degree."""
+    """Return a random geometric graph in a square; its radius is chosen to give the mean degree `degree`."""
     distances = pdist(np.random.default_rng(seed).random((size, 2)))
     near = distances <= np.quantile(distances, degree / (size - 1))
     return nx.from_numpy_array(squareform(near))
@@ -82,7 +82,7 @@ class Outcome(NamedTuple):
 
 
 def note(table: Table, src: int, number: int) -> None:
-    """Write a number into a table unless it has a newer one from the same node."""
+    """Write a number into a table unless the table has a newer one from the same node."""
     if table.get(src, -1) < number:
         table[src] = number
 
@@ -98,7 +98,7 @@ class Arrivals:
         self._block, self._next = np.empty(0), 0
 
     def __call__(self, src: int, now: float) -> "zip[tuple[float, int]]":
-        """Return the arrival times, s, and the receivers of a broadcast sent now, in the order of arrival."""
+        """Draw the arrivals of a broadcast sent at `now`, s; return their times, s, and receivers in order of time."""
         dst = self._neighbours[src]
         start, end = self._next, self._next + len(dst)
         if end > len(self._block):
