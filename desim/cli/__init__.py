@@ -13,6 +13,7 @@ from desim.cli.explain import explain
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.pages import replay, report
+from desim.cli.play import play
 from desim.cli.plot import plot
 from desim.cli.program import Program
 from desim.cli.start import examples, new
@@ -48,7 +49,7 @@ def main() -> None:
 
 
 for command in (
-    *(examples, new, run, replay, plot, sweep, explain, report),
+    *(examples, new, run, play, replay, plot, sweep, explain, report),
     *(merge, export, check, keys, metrics, protocols, schema),
 ):
     main.add_command(command)

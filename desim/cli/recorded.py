@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from desim.study.result import SweepResult
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
-SAMPLES = 0.05
-"""Time between position samples, s, of a run simulated for a command, if its scenario records no trajectory."""
 
 
 def is_recorded(source: Path) -> bool:
@@ -70,7 +68,6 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Run a scenario file with messages and trajectories recorded, and return the result."""
     from desim.simulation.run import run
+    from desim.view.replay import with_recordings
 
-    scenario = source_of(file, overrides)[1]
-    record = scenario.record.model_copy(update={"messages": True, "trajectory": scenario.record.trajectory or SAMPLES})
-    return run(scenario.model_copy(update={"record": record}), seed)
+    return run(with_recordings(source_of(file, overrides)[1]), seed)

@@ -53,6 +53,8 @@ MAX_REPLAY_TIME = 2**32 - 1
 """The largest tick that a column can hold."""
 DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
+SAMPLES = 0.05
+"""Time between samples of positions, if a scenario that is run for a replay records none, s."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
 TRIGGERS = {
@@ -111,6 +113,14 @@ def replay(result: Result) -> str:
         palette=palette,
         warnings=list(missing_recordings(result)),
         run=_document(result),
+    )
+
+
+def with_recordings(scenario: Scenario) -> Scenario:
+    """Return a scenario whose runs are recorded as a replay needs: messages, and positions unless it records them."""
+    record = scenario.record
+    return scenario.model_copy(
+        update={"record": record.model_copy(update={"messages": True, "trajectory": record.trajectory or SAMPLES})}
     )
 
 

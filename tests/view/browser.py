@@ -67,14 +67,22 @@ class Page:
 
     def open(self, path, width=1200, height=850, theme="light"):
         """Open a file, in a window of a size (px)."""
+        self.visit(path.resolve().as_uri(), width, height, theme)
+
+    def visit(self, address, width=1280, height=800, theme="light"):
+        """Open an address, in a window of a size (px)."""
+        self.resize(width, height, theme)
+        self.errors.clear()
+        self.requests.clear()
+        self.send("Page.navigate", url=address)
+        self.until("document.readyState === 'complete'")
+
+    def resize(self, width, height, theme="light"):
+        """Give the window a size (px) and the system a theme."""
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
         self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
-        self.errors.clear()
-        self.requests.clear()
-        self.send("Page.navigate", url=path.resolve().as_uri())
-        self.until("document.readyState === 'complete'")
 
     def value(self, expression):
         """Return what an expression of JavaScript comes to, awaited if it is a promise."""

@@ -1,0 +1,203 @@
+"""The controls with which `desim play` changes the keys of a scenario, made from the models of scenario files."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import inf, isinf
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from desim.config.choice import OneOf, choices_of, definition_of, import_name
+from desim.config.model import fields_of, markers_of, models_in
+from desim.scenario.key_index import unit_in
+from desim.scenario.scenario import Scenario
+
+Form = Literal["kind", "choice", "flag", "integer", "number", "text"]
+FIRST = (
+    "network.latency",
+    "network.loss",
+    "network.range",
+    "team.count",
+    "announce.heartbeat",
+    "protocol",
+    "protocol.schedule",
+    "evader.strategy",
+    "seed",
+)
+"""The keys that come first; those of a kind are followed by the parameters of the kind, except for `protocol`."""
+BY_UNIT: Mapping[str, tuple[float, float]] = {"s": (0.001, 10.0), "1/s": (0.1, 100.0), "m": (0.1, 100.0)}
+"""The ends of the logarithmic slider of a key, by its unit."""
+LINEAR: Mapping[str, tuple[float, float]] = {"team.count": (1.0, 60.0)}
+"""The ends of the linear sliders of keys that have no upper bound."""
+WIDEST = 1000.0
+"""The largest difference of two bounds between which there is a linear slider."""
+
+BARE = re.compile(r"(?!(?:inf|nan|true|false)$)[A-Za-z_][\w:. -]*")
+"""A text that needs no quotes in `--set`."""
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A slider for a number."""
+
+    low: float
+    high: float
+    is_log: bool = False
+    """Whether equal distances are equal ratios."""
+    at_low: float | None = None
+    """The value at the lower end, if it is not `low`: 0 on a logarithmic slider."""
+    at_high: float | None = None
+    """The value at the upper end, if it is not `high`: inf."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """The control of one key."""
+
+    key: str
+    """The dotted key, as in `--set`."""
+    form: Form
+    """kind: the kind of a model; choice: one of several texts; flag: true or false; text: any other value, for which
+    `options` has suggestions."""
+    value: str
+    """The present value as in `--set`; "" for none."""
+    help: str
+    unit: str = ""
+    options: tuple[str, ...] = ()
+    """The values of a kind or a choice."""
+    low: float | None = None
+    """The least value of a number."""
+    high: float | None = None
+    """The greatest value of a number."""
+    slider: Slider | None = None
+    first: int | None = None
+    """The position of the key among the keys that come first; None for all others."""
+
+
+def controls(given: Scenario | Mapping[str, Any]) -> list[Control]:
+    """Return a control for each key of a scenario, given as a model or, if it is not valid, as tables."""
+    found = _controls(Scenario, dict(given) if isinstance(given, Scenario) else given, ())
+    return sorted(found, key=lambda each: len(FIRST) if each.first is None else each.first)
+
+
+def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Control]:
+    """Yield the controls of the fields of a model, given their values, at a place in the file."""
+    for name, field in fields_of(model).items():
+        if name in {"kind", "sweep"}:
+            continue
+        default = None if field.is_required() else field.get_default(call_default_factory=True)
+        value = given.get(name, default)
+        tables = isinstance(value, list | tuple) and value and all(isinstance(each, BaseModel | dict) for each in value)
+        for k, each in enumerate(value) if tables else [(None, value)]:
+            place = (*above, name) if k is None else (*above, name, str(k))
+            yield from _of_value(field, each, place)
+
+
+def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[Control]:
+    """Yield the controls of one value of a field: its own, and those of the model that it holds."""
+    choice, plain = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
+    inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else plain
+    if isinstance(value, list | tuple):
+        yield _control(place, "text", as_text(value), field)
+        return
+    if choice is not None:
+        if value is None:
+            return
+        kind, inner = _kind(choice, value)
+        yield _control(place, "kind", kind, field, options=tuple(choice.choices()))
+        if not isinstance(value, BaseModel | dict) and choice.number is not None and not isinstance(value, str):
+            value = {choice.number[1]: value}
+    elif not isinstance(value, BaseModel | dict):
+        yield _scalar(place, field, value)
+        return
+    if inner is not None:
+        yield from _controls(inner, dict(value) if isinstance(value, BaseModel | dict) else {}, place)
+
+
+def _kind(choice: OneOf, value: Any) -> tuple[str, type[BaseModel] | None]:
+    """Return the kind of a value, and its model if it has one: a table, a bare kind or number, or a model."""
+    if isinstance(value, BaseModel):
+        kind = dict(value).get("kind")
+        return (kind if isinstance(kind, str) else import_name(type(value))), type(value)
+    if isinstance(value, dict | str):
+        kind = str(value.get("kind", "")) if isinstance(value, dict) else value
+        return kind, choice.choice(kind)
+    if choice.number is not None and isinstance(value, int | float):
+        return choice.number[0], choice.choice(choice.number[0])
+    return import_name(definition_of(value)), None
+
+
+def _scalar(place: tuple[str, ...], field: FieldInfo, value: Any) -> Control:
+    """Return the control of a value that is no model."""
+    types = [each for each in _types(field.annotation) if each is not NoneType]
+    options = tuple(as_text(each) for kind in types if get_origin(kind) is Literal for each in get_args(kind))
+    if types == [bool]:
+        return _control(place, "flag", as_text(value), field)
+    if options or types not in ([int], [float]):
+        is_choice = all(get_origin(kind) is Literal for kind in types)
+        return _control(place, "choice" if is_choice else "text", as_text(value), field, options=options)
+    low, high, may_be_low = _bounds(field)
+    slider = _slider(".".join(place), unit_in(field), low, high, value, may_be_low=may_be_low)
+    bounds = {"low": None if isinf(low) else low, "high": None if isinf(high) else high}
+    return _control(place, "integer" if types == [int] else "number", as_text(value), field, slider=slider, **bounds)
+
+
+def _bounds(field: FieldInfo) -> tuple[float, float, bool]:
+    """Return the bounds of a number, and whether it may be the lower one."""
+    low, high, may_be_low = -inf, inf, True
+    for each in markers_of(field):
+        if isinstance(each, Ge | Gt):
+            low, may_be_low = float(each.ge if isinstance(each, Ge) else each.gt), isinstance(each, Ge)  # type: ignore[arg-type]
+        elif isinstance(each, Le | Lt):
+            high = float(each.le if isinstance(each, Le) else each.lt)  # type: ignore[arg-type]
+    return low, high, may_be_low
+
+
+def _types(annotation: Any) -> list[Any]:
+    """Return the types of which a value may be, without those inside tuples."""
+    if get_origin(annotation) in {None, tuple, list, dict, Literal}:
+        return [annotation]
+    return [each for inner in get_args(annotation) for each in _types(inner)]
+
+
+def _slider(key: str, unit: str | None, low: float, high: float, value: Any, *, may_be_low: bool) -> Slider | None:
+    """Return the slider of a number; None if it has none, or if the value is not on it."""
+    if key in LINEAR:
+        slider = Slider(*LINEAR[key])
+    elif high - low <= WIDEST:
+        slider = Slider(low, high)
+    elif unit is not None and unit in BY_UNIT and low >= 0.0:
+        at_low, at_high = 0.0 if low == 0.0 and may_be_low else None, inf if isinf(high) else None
+        slider = Slider(*BY_UNIT[unit], is_log=True, at_low=at_low, at_high=at_high)
+    else:
+        return None
+    on = value is not None and (slider.low <= value <= slider.high or value in {slider.at_low, slider.at_high})
+    return slider if on else None
+
+
+def _control(place: tuple[str, ...], form: Form, value: str, field: FieldInfo, **more: Any) -> Control:
+    text = " ".join((field.description or "").split())
+    return Control(".".join(place), form, value, text, unit_in(field) or "", first=_first(place), **more)
+
+
+def _first(place: tuple[str, ...]) -> int | None:
+    """Return the position of a place among the keys that come first; see `FIRST`."""
+    key = ".".join(part for part in place if not part.isdigit())
+    above = key.rpartition(".")[0]
+    return FIRST.index(key) if key in FIRST else FIRST.index(above) if above in FIRST and above != "protocol" else None
+
+
+def as_text(value: Any) -> str:
+    """Return a value as in `--set`; "" for None."""
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value if BARE.fullmatch(value) else json.dumps(value)
+    if isinstance(value, bool | list | tuple):
+        return json.dumps(value).replace("Infinity", "inf")
+    return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(value)

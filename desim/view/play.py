@@ -1,0 +1,327 @@
+"""A scenario to play with: its keys are changed one by one, and each run is compared with a run that was pinned.
+
+The page of `desim play` (`desim.view.play_server`) and the widget of notebooks (`desim.view.widget`) show what the
+functions here return. All of it is JSON, because the runs are performed in worker processes.
+"""
+
+import re
+import shlex
+import traceback
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cloudpickle
+import tomli_w
+
+from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.config.json_numbers import to_json
+from desim.results import provenance, run_folder
+from desim.scenario.checks import warnings
+from desim.scenario.overrides import ScenarioError, Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.simulation.run import Result, run
+from desim.simulation.watchdog import TimedOut, within
+from desim.study.batch import seeds_from
+from desim.study.workers import Workers
+from desim.view.controls import controls
+from desim.view.replay import replay, with_recordings
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+FIRST = (
+    "capture_time",
+    "active_time",
+    "misassigned_time",
+    "handovers",
+    "messages_sent",
+    "messages_lost",
+    "age_mean",
+    "belief_error",
+)
+"""The metrics that are shown first, in their order."""
+INNERMOST = 3
+"""The number of innermost calls shown of an exception in a user's code."""
+KEPT = 8
+"""The number of results that a process keeps: the pinned run is shown again with every change."""
+_recent: dict[bytes, Result] = {}
+"""The results kept, by the pickled playground and changes, the oldest first."""
+Answer = dict[str, Any]
+"""A JSON object."""
+Changes = Sequence[str]
+"""Changes of keys, each KEY=VALUE as in `--set`."""
+
+
+@dataclass(frozen=True)
+class Playground:
+    """A scenario whose keys can be changed."""
+
+    base: Source
+    """The scenario before any change."""
+    file: Path | None
+    """Its file; None for a scenario that was constructed in Python."""
+    start: tuple[str, ...] = ()
+    """The changes with which a page begins."""
+    timeout: float = 30.0
+    """The wall time after which a run is ended, s."""
+
+    def changed(self, changes: Changes) -> Source:
+        """Return the source with changes, without its sweep.
+
+        Raises:
+            ScenarioError: if a change is no KEY=VALUE, or its key does not belong to a table.
+        """
+        source = self.base.copy()
+        source.tables.pop("sweep", None)
+        for each in changes:
+            source.override(each)
+        return source
+
+    def scenario(self, changes: Changes) -> Scenario:
+        """Return the scenario with changes, recorded as a replay needs.
+
+        Raises:
+            ScenarioError: if it is not valid.
+        """
+        return with_recordings(validate(self.changed(changes)))
+
+    def result(self, changes: Changes) -> Result:
+        """Run the scenario with changes.
+
+        Raises:
+            ScenarioError: if it is not valid.
+            TimedOut: if it takes longer than the time limit.
+        """
+        key = cloudpickle.dumps((self, tuple(changes)))
+        if key not in _recent:
+            with within(self.timeout):
+                _recent[key] = run(self.scenario(changes))
+            if len(_recent) > KEPT:
+                del _recent[next(iter(_recent))]
+        return _recent[key]
+
+    def answer(self, now: Changes, pinned: Changes | None) -> Answer:
+        """Run the scenario and return all that is shown of it.
+
+        Args:
+            now: the changes of the run that is shown.
+            pinned: the changes of the run with which it is compared; None if there is none.
+
+        Returns:
+            `controls`, the controls of the keys; and either `errors`, a message for each key that is wrong (the key ""
+            for any other), or `page` (the replay), `metrics`, `warnings` and `texts` (the scenario as TOML, as a
+            command and in Python).
+        """
+        try:
+            scenario = self.scenario(now)
+        except ScenarioError as error:
+            return _json({"errors": _by_key(str(error), now), "controls": self.controls(now)})
+        shown = {"controls": [asdict(each) for each in controls(scenario)]}
+        try:
+            result, other = self.result(now), None if pinned is None else self.result(pinned)
+        except (Exception, TimedOut) as error:
+            return _json(shown | {"errors": {"": _reason(error)}})
+        ghost = None if pinned is None or list(pinned) == list(now) else other
+        return _json(
+            shown
+            | {
+                "page": replay(result, ghost),
+                "metrics": list(_compared(summary(result), None if other is None else summary(other))),
+                "seeds": [result.seed, None if other is None else other.seed],
+                "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
+                "texts": self.texts(now),
+            }
+        )
+
+    @property
+    def name(self) -> str:
+        """The name of the scenario."""
+        return str(self.base.tables.get("name", "scenario"))
+
+    def controls(self, changes: Changes) -> list[Answer]:
+        """Return the controls of a scenario that is not valid; those of the base if the changes cannot be applied."""
+        try:
+            return [asdict(each) for each in controls(self.changed(changes).tables)]
+        except (ScenarioError, TypeError, ValueError, AttributeError):
+            return [asdict(each) for each in controls(self.base.tables)]
+
+    def texts(self, changes: Changes) -> dict[str, str]:
+        """Return the scenario with changes as the text of a file, as a command, and as a program."""
+        source = self.changed(changes)
+        file = str(self.file or f"{self.name}.toml")
+        allow = ["--allow-import"] if self.file is not None and self.base.allow_import else []
+        options = [word for each in changes for word in ("--set", each)] if self.file is not None else []
+        given = f", {list(changes)!r}" if options else ""
+        return {
+            "toml": tomli_w.dumps(Source.of(validate(source)).tables if self.file is None else source.tables),
+            "command": shlex.join(["desim", "run", file, *allow, *options]),
+            "python": "from desim import load, run\n\n"
+            f"result = run(load({file!r}{given}{', allow_import=True' if allow else ''}))\n",
+        }
+
+    def save(self, changes: Changes) -> Path:
+        """Run the scenario and write the run to a new folder out/NAME-1, -2, ..., which `desim run --from` repeats.
+
+        Raises:
+            ScenarioError: if the scenario is not valid.
+            TimedOut: if the run takes longer than the time limit.
+            OSError: if the folder cannot be written.
+        """
+        scenario = self.scenario(changes)
+        name = re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed"
+        made = provenance.document(provenance.RUN, scenario, seed=scenario.seed, folder=self.folder)
+        for k in range(1, 10**6):
+            try:
+                (folder := Path("out") / f"{name}-{k}").mkdir(parents=True)
+            except FileExistsError:
+                continue
+            run_folder.write(self.result(changes), folder, made)
+            return folder
+        raise OSError(f"out/{name}-1, -2, ... all exist")
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the scenario file."""
+        return None if self.file is None else self.file.parent
+
+    def pair(self, now: Changes, pinned: Changes, seed: int) -> tuple[Summary, Summary] | str:
+        """Run the scenario with both changes and one seed; return the metrics of both runs, or why one failed."""
+        try:
+            scenarios = self.scenario(now), self.scenario(pinned)
+            with within(2 * self.timeout):
+                first, second = (summary(run(each, seed)) for each in scenarios)
+        except (Exception, TimedOut) as error:
+            return _reason(error)
+        return first, second
+
+
+def paired_runs(
+    playground: Playground, now: Changes, pinned: Changes, count: int, workers: Workers
+) -> Generator[Answer, None, None]:
+    """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
+
+    The seeds are those of the shown scenario and its successors. If the generator is closed, runs that have not begun
+    are left out.
+
+    Raises:
+        ScenarioError: if a scenario is not valid.
+    """
+    first = playground.scenario(now).seed
+    playground.scenario(pinned)
+    waiting = list(seeds_from(first, count))[::-1]
+    pending: set[Future[Any]] = set()
+    pairs: list[tuple[Summary, Summary]] = []
+    failures: list[str] = []
+    try:
+        while waiting or pending:
+            while waiting and len(pending) < workers.count:
+                pending.add(workers.submit(partial(playground.pair, now, pinned, waiting.pop())))
+            for future in workers.done(pending):
+                pending.remove(future)
+                found = workers.result(future)
+                if isinstance(found, str):
+                    failures.append(found)
+                else:
+                    pairs.append(found)
+                yield _differences(pairs, failures, count)
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], count: int) -> Answer:
+    """Return how far some runs are, and the mean difference of each metric with its 95 % interval."""
+    rows = []
+    for name in _ordered(pairs[0][0]) if pairs else []:
+        values, others = ([_number(each[k][name]) for each in pairs] for k in (0, 1))
+        found = paired(values, others)
+        if found.count:
+            rows.append(
+                _row(name, pairs[0][0])
+                | {
+                    "now": _mean(values),
+                    "pinned": _mean(others),
+                    "difference": _with_interval(found, sign="+"),
+                    "differs": abs(found.mean) > found.half_width,
+                    "sign": found.mean,
+                    "count": found.count,
+                }
+            )
+    done = len(pairs) + len(failures)
+    return _json({"done": done, "of": count, "failed": len(failures), "failure": failures[:1], "metrics": rows})
+
+
+def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
+    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run."""
+    for name in _ordered(now):
+        value, other = now[name], None if pinned is None else pinned.get(name)
+        if value is None and other is None:
+            continue
+        row = _row(name, now) | {"value": _formatted(value)}
+        if value is not None and other is not None and (difference := _number(value) - _number(other)):
+            row |= {"difference": _formatted(difference, "+"), "sign": difference}
+        yield row
+
+
+def _row(name: str, found: Summary) -> Answer:
+    """Return the name of a metric, its unit and whether more of it is better or worse."""
+    more_is = METRICS[name].more_is if name in METRICS else None
+    return {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is, "first": name in FIRST}
+
+
+def _ordered(found: Summary) -> list[str]:
+    """Return the names of the metrics that are numbers, those of `FIRST` first."""
+    names = [name for name in found if name not in METRICS or METRICS[name].is_number]
+    return [*FIRST, *(name for name in names if name not in FIRST)]
+
+
+def _number(value: Any) -> Any:
+    return value if value is None else float(value)
+
+
+def _mean(values: Sequence[float | None]) -> str:
+    return _formatted(mean([each for each in values if each is not None]).mean)
+
+
+def _with_interval(found: Estimate, sign: str = "") -> str:
+    return f"{_formatted(found.mean, sign)} \N{PLUS-MINUS SIGN} {_formatted(found.half_width)}"
+
+
+def _formatted(value: Any, sign: str = "") -> str:
+    """Return a value of a metric as text."""
+    if value is None or value != value:
+        return "\N{EN DASH}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if float(value).is_integer() and abs(value) < 1e15:
+        return f"{int(value):{sign},}"
+    return f"{value:{sign},.{3 if abs(value) < 100.0 else 1}f}"
+
+
+def _by_key(text: str, changes: Changes) -> dict[str, str]:
+    """Return the message of each key in the lines of a ScenarioError; under "" those that name no key."""
+    found: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        change = next((each for each in changes if line.startswith(f"--set {each}: ")), None)
+        said = line if change is None else line.removeprefix(f"--set {change}: ")
+        place = re.fullmatch(r"(?:.*?:\d+: |the scenario: )?([a-z_][\w.-]*): (.*)", said)
+        key, message = (place[1], place[2]) if place else ((change or "").partition("=")[0], said)
+        found.setdefault(key, []).append(message)
+    return {key: "\n".join(messages) for key, messages in found.items()}
+
+
+def _reason(error: BaseException) -> str:
+    """Return why a run failed: the limit that it exceeded, or the exception and its innermost calls."""
+    if isinstance(error, TimedOut):
+        return f"The run {error}"
+    return "".join(traceback.format_exception(error, limit=-INNERMOST)).strip()
+
+
+def _json(answer: Answer) -> Answer:
+    """Return an answer with infinity and NaN as strings."""
+    return dict(to_json(answer))

@@ -1,0 +1,241 @@
+"""The server of `desim play`: one page for one user of this machine.
+
+It listens on the loopback interface only. Its address has a secret token, and a request is refused if it is for another
+host, as under DNS rebinding, or if a page of another origin makes it. It ends when it is interrupted, or when its last
+page has been closed.
+"""
+
+import json
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any, cast
+
+from desim.analysis import palette
+from desim.config.json_numbers import to_json
+from desim.scenario.overrides import ScenarioError
+from desim.simulation.watchdog import TimedOut
+from desim.study.workers import Workers
+from desim.view.play import Answer, Playground, paired_runs
+
+LINGER = 5.0
+"""The time for which the server waits for a page after the last one was closed, s: a reload closes it, too."""
+BEAT = 1.0
+"""The time between two signs of life to a page, s; a page that is gone is noticed then."""
+MAX_BODY = 1_000_000
+"""The largest request, bytes."""
+MAX_SEEDS = 1000
+"""The largest number of seeds of a comparison."""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
+"""What the page may load: nothing but what is in it, and what this server answers."""
+
+
+class PlayServer(ThreadingHTTPServer):
+    """The server of a playground.
+
+    Args:
+        playground: the scenario to play with.
+        workers: they perform the runs.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, playground: Playground, workers: Workers):
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.playground, self.workers = playground, workers
+        self.token = secrets.token_urlsafe(16)
+        self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
+        self._pages, self._closed_at = 0, float("inf")
+        self._lock = threading.Lock()
+
+    def warm_up(self) -> None:
+        """Let each worker import what a run needs, without waiting for it."""
+        start = self.playground.start
+        for _ in range(self.workers.count):
+            self.workers.submit(partial(self.playground.answer, start, None))
+
+    @property
+    def address(self) -> str:
+        """The address of the page."""
+        return f"http://127.0.0.1:{self.server_port}/{self.token}/"
+
+    def serve_until_closed(self) -> None:
+        """Answer requests until the last page has been closed for `LINGER` s."""
+        threading.Thread(target=self._watch, daemon=True).start()
+        self.serve_forever(poll_interval=0.1)
+
+    def page_opened(self) -> None:
+        """Note that one more page is open."""
+        with self._lock:
+            self._pages += 1
+            self._closed_at = float("inf")
+
+    def page_closed(self) -> None:
+        """Note that a page was closed."""
+        with self._lock:
+            self._pages -= 1
+            if not self._pages:
+                self._closed_at = time.monotonic()
+
+    def _watch(self) -> None:
+        while time.monotonic() < self._closed_at + LINGER:
+            time.sleep(0.1)
+        self.shutdown()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Ignore connections that the browser has closed; raise any other error."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+def page(playground: Playground) -> str:
+    """Return the page of a playground; needs jinja2 (the extra `plot`)."""
+    from jinja2 import Environment
+
+    parts = {each: files("desim.view").joinpath(f"play.{each}").read_text(encoding="utf-8") for each in ("js", "css")}
+    template = files("desim.view").joinpath("play.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, keep_trailing_newline=True)
+    return environment.from_string(template).render(
+        name=playground.name, start=list(playground.start), palette=palette, **parts
+    )
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one request."""
+
+    server_version, sys_version = "desim", ""
+
+    @property
+    def _play(self) -> PlayServer:
+        return cast("PlayServer", self.server)
+
+    def do_GET(self) -> None:
+        """Answer with the page, or with signs of life as long as the page is open."""
+        self._answer({"": self._page, "alive": self._alive})
+
+    def do_POST(self) -> None:
+        """Answer with a run, with paired runs one by one, or save a run."""
+        self._answer({"run": self._run, "seeds": self._seeds, "save": self._save})
+
+    def log_message(self, *_: Any) -> None:
+        """Print nothing."""
+
+    def _answer(self, routes: Mapping[str, Callable[[], None]]) -> None:
+        refused = self._refusal()
+        path = self.path.partition("?")[0]
+        token, _, name = path.removeprefix("/").partition("/")
+        if refused:
+            self.send_error(HTTPStatus.FORBIDDEN, refused)
+        elif not secrets.compare_digest(token.encode(), self._play.token.encode()) or name not in routes:
+            self.send_error(HTTPStatus.NOT_FOUND)
+        else:
+            routes[name]()
+
+    def _refusal(self) -> str | None:
+        """Return why a request is refused, by its headers; None if it is not."""
+        if self.headers.get("Host") not in self._play.hosts:
+            return "Other host"
+        origin = self.headers.get("Origin")
+        own = {f"http://{each}" for each in self._play.hosts}
+        if origin not in own if self.command == "POST" else origin is not None and origin not in own:
+            return "Other origin"
+        return None
+
+    def _body(self) -> Answer | None:
+        """Return the JSON object of a request; None, after an answer, if it is no such object."""
+        length = self.headers.get("Content-Length", "")
+        if length.isdecimal() and int(length) <= MAX_BODY:
+            try:
+                found = json.loads(self.rfile.read(int(length)))
+            except ValueError:
+                found = None
+            if _is_request(found):
+                return dict(found)
+        self.send_error(HTTPStatus.BAD_REQUEST)
+        return None
+
+    def _begin(self, kind: str, length: int | None = None) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        if length is not None:
+            self.send_header("Content-Length", str(length))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", f"{POLICY}; frame-ancestors 'none'; base-uri 'none'")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+
+    def _send(self, kind: str, content: bytes) -> None:
+        self._begin(kind, len(content))
+        self.wfile.write(content)
+
+    def _send_json(self, answer: Answer) -> None:
+        self._send("application/json", json.dumps(to_json(answer), allow_nan=False).encode())
+
+    def _page(self) -> None:
+        self._send("text/html", page(self._play.playground).encode())
+
+    def _alive(self) -> None:
+        self._play.page_opened()
+        try:
+            self._begin("text/event-stream")
+            while True:
+                self.wfile.write(b":\n\n")
+                time.sleep(BEAT)
+        except OSError:
+            pass
+        finally:
+            self._play.page_closed()
+
+    def _run(self) -> None:
+        if (body := self._body()) is None:
+            return
+        workers, playground = self._play.workers, self._play.playground
+        try:
+            answer = workers.result(workers.submit(partial(playground.answer, body["now"], body["pinned"])))
+        except Exception as error:  # the worker died, or the answer cannot be sent
+            if workers.died(error):
+                workers.renew()
+            answer = {"controls": playground.controls(body["now"]), "errors": {"": f"{type(error).__name__}: {error}"}}
+        self._send_json(answer)
+
+    def _seeds(self) -> None:
+        if (body := self._body()) is None:
+            return
+        self._begin("application/x-ndjson")
+        found = paired_runs(self._play.playground, body["now"], body["pinned"], body["count"], self._play.workers)
+        try:
+            for each in found:
+                self.wfile.write(json.dumps(each, allow_nan=False).encode() + b"\n")
+        except Exception as error:
+            if isinstance(error, OSError) and not isinstance(error, ConnectionError):
+                raise
+            if not isinstance(error, ConnectionError):
+                self.wfile.write(json.dumps({"error": f"{type(error).__name__}: {error}"}).encode() + b"\n")
+        finally:
+            found.close()
+
+    def _save(self) -> None:
+        if (body := self._body()) is None:
+            return
+        try:
+            self._send_json({"folder": str(self._play.playground.save(body["now"]))})
+        except (ScenarioError, OSError, TimedOut) as error:
+            self._send_json({"error": str(error)})
+
+
+def _is_request(body: Any) -> bool:
+    """Return whether a JSON value has the form of a request: changes `now` and `pinned`, and a `count` of seeds."""
+    if not isinstance(body, dict):
+        return False
+    now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
+    changes = [now] if pinned is None else [now, pinned]
+    has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
+    return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS

@@ -1,0 +1,81 @@
+"""The controls follow from the models: each key of a scenario has one, and its value can be set as it is."""
+
+import pytest
+
+from desim import Announcements, Links, Scenario, Team, load
+from desim.kernel.latency import Gamma
+from desim.scenario.overrides import Source
+from desim.scenario.toml import read, validate
+from desim.view.controls import FIRST, Slider, controls
+from scenarios.study import SCENARIOS
+
+FILES = sorted(SCENARIOS.glob("*.toml"))
+
+
+def by_key(given):
+    found = controls(given)
+    keys = {each.key: each for each in found}
+    assert len(keys) == len(found)
+    return keys
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
+def test_a_control_set_to_its_own_value_changes_nothing(file):
+    scenario, source = load(file), read(file)
+    source.tables.pop("sweep", None)
+    for each in controls(scenario):
+        if each.value not in {"", "[]"}:  # an empty list may exclude another key
+            source.override(f"{each.key}{'.kind' if each.form == 'kind' else ''}={each.value}")
+    found = validate(source)
+    assert found.model_copy(update={"sweep": scenario.sweep}) == scenario
+
+
+def test_first_come_the_keys_that_people_change_most():
+    first = [each.key for each in controls(load(SCENARIOS / "relay.toml")) if each.first is not None]
+    assert [key for key in first if key in FIRST] == list(FIRST)
+    assert first[:4] == ["network.latency", "network.latency.value", "network.loss", "network.loss.p"]
+    several = [each.key for each in controls(load(SCENARIOS / "many.toml")) if each.first is not None]
+    assert "evader.0.strategy" in several or "evader.strategy" in several
+
+
+def test_a_control_has_the_bounds_unit_help_and_kinds_of_its_key():
+    found = by_key(load(SCENARIOS / "relay.toml"))
+    latency = found["network.latency.value"]
+    assert (latency.form, latency.value, latency.unit, latency.low) == ("number", "0.02", "s", 0.0)
+    assert latency.help == "One-way latency, s."
+    assert latency.slider == Slider(0.001, 10.0, is_log=True, at_low=0.0)
+    assert found["network.range"].slider == Slider(0.1, 100.0, is_log=True, at_high=float("inf"))
+    assert found["network.loss.p"].slider == Slider(0.0, 1.0)
+    assert found["team.count"].slider == Slider(1.0, 60.0)
+    assert (found["seed"].form, found["seed"].slider) == ("integer", None)
+    assert {"sap", "cbba", "local_min"} <= set(found["protocol"].options)
+    assert (found["motion.static"].form, found["motion.static"].value) == ("flag", "false")
+    assert (found["capture.test"].form, found["capture.test"].options) == ("choice", ("segment", "sample"))
+    assert found["announce.belief_timeout"].options == ("auto",)
+    assert found["prune"].value == '"inf"'
+    assert found["fault"].value == "[]"
+    assert found["team.box"].value == "[0.0, 20.0]"
+    assert by_key(load(SCENARIOS / "voronoi.toml"))["team.speeds"].form == "text"
+
+
+def test_a_value_beyond_the_ends_of_its_slider_has_none():
+    far = by_key(Scenario(network=Links(range=500.0), announce=Announcements(heartbeat=0.1)))
+    assert far["network.range"].slider is None
+    assert far["announce.heartbeat"].slider is not None
+
+
+def test_tables_that_are_not_valid_have_the_controls_of_their_kinds():
+    """A bitrate has no default, so the table is not valid before the key is set."""
+    tables = {"network": {"medium": {"kind": "bitrate"}, "latency": 0.1, "loss": "gilbert_elliott"}, "protocol": "cbba"}
+    found = by_key(tables)
+    assert found["network.medium.bitrate"].value == ""
+    assert found["network.latency.value"].value == "0.1"
+    assert found["network.loss"].value == "gilbert_elliott"
+    assert found["protocol"].value == "cbba"
+    assert by_key({"protocol": {"kind": "none"}})["protocol"].value == "none"
+
+
+def test_models_made_in_python_have_the_controls_of_their_tables():
+    scenario = Scenario(team=Team(count=8, speeds=1.2), network=Links(latency=Gamma(shape=2.0, scale=0.05)))
+    assert by_key(scenario)["network.latency.shape"].value == "2"
+    assert by_key(Source.of(scenario).tables)["network.latency"].value == "gamma"

@@ -1,0 +1,489 @@
+"""`desim play`: what a change shows, what the server refuses, and the page in a browser."""
+
+import http.client
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from contextlib import closing, contextmanager
+from pathlib import Path
+from threading import Thread
+from urllib.parse import urlsplit
+from urllib.request import urlopen
+
+import pytest
+
+from desim import Scenario, Team, load, run, summary
+from desim.analysis.statistics import paired
+from desim.scenario.overrides import Source
+from desim.scenario.toml import read
+from desim.study.workers import InProcess
+from desim.view import play_server
+from desim.view.play import Playground, paired_runs
+from desim.view.play_server import PlayServer
+from scenarios.study import SCENARIOS
+from tests.command import accepted, refused
+from tests.view.browser import in_chromium
+
+RELAY = SCENARIOS / "relay.toml"
+SMALL = ("team.count=6", "horizon=1.0")
+
+
+@pytest.fixture(scope="module")
+def small():
+    return Playground(read(RELAY), RELAY, SMALL)
+
+
+@pytest.fixture(scope="module")
+def answer(small):
+    return small.answer([*SMALL, "network.latency.value=0.3"], SMALL)
+
+
+def test_an_answer_has_the_metrics_of_the_run_and_their_differences(answer):
+    now, pinned = (
+        summary(run(load(RELAY, [*SMALL, f"network.latency.value={latency}", "record.trajectory=0.05"])))
+        for latency in (0.3, 0.02)
+    )
+    shown = {row["name"]: row for row in answer["metrics"]}
+    assert now.active_time != pinned.active_time
+    assert shown["active time"] | {"sign": None} == {
+        "name": "active time",
+        "unit": "s",
+        "more_is": "worse",
+        "first": True,
+        "value": f"{now.active_time:.3f}",
+        "difference": f"{now.active_time - pinned.active_time:+.3f}",
+        "sign": None,
+    }
+    assert shown["active time"]["sign"] == pytest.approx(now.active_time - pinned.active_time)
+    assert answer["seeds"] == [3, 3]
+    assert answer["page"].startswith("<!doctype html>") or "<!doctype html>" in answer["page"]
+
+
+def test_an_answer_is_json(answer):
+    assert json.loads(json.dumps(answer, allow_nan=False)) == answer
+
+
+def test_a_run_that_is_its_own_reference_has_no_ghost_and_no_differences(small):
+    found = small.answer(SMALL, SMALL)
+    assert not any("difference" in row for row in found["metrics"])
+    assert '"ghost": null' in found["page"].replace('"ghost":null', '"ghost": null')
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "why"),
+    [
+        ("network.loss.p=2", "network.loss.p", "less than or equal to 1"),
+        ("network.medium.kind=bitrate", "network.medium.bitrate", ""),
+        ("network.medium.kind=bitrat", "network.medium.kind", "bitrate"),
+        ("team.cout=3", "team.cout", "did you mean"),
+        ("team.count=[", "team.count", "is not a TOML value"),
+        ("team.count.x=3", "team.count.x", "is not a key of a table"),
+        ("protocol.kind=some.module:Rule", "protocol", "--allow-import"),
+        ("nonsense", "nonsense", "KEY=VALUE"),
+    ],
+)
+def test_a_wrong_value_is_reported_at_its_key_and_the_controls_stay(small, change, key, why):
+    found = small.answer([*SMALL, change], SMALL)
+    assert key in found["errors"] or f"{key}.kind" in found["errors"], found["errors"]
+    assert why in " ".join(found["errors"].values())
+    assert "page" not in found
+    assert any(each["key"] == "team.count" for each in found["controls"])
+
+
+def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
+    found = Playground(read(RELAY), RELAY, timeout=0.05).answer(["team.count=60"], None)
+    assert found["errors"][""].startswith("The run took longer than 0.05 s: ")
+
+
+def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
+    (tmp_path / "rule_that_fails.py").write_text(
+        "def rule(me):\n    yield me.sleep(0.1)\n    raise ValueError('mine')\n"
+    )
+    (tmp_path / "fails.toml").write_text('protocol.kind = "rule_that_fails:rule"\n')
+    file = tmp_path / "fails.toml"
+    found = Playground(read(file, allow_import=True), file).answer([], None)
+    assert "ValueError: mine" in found["errors"][""]
+    assert "rule_that_fails.py" in found["errors"][""]
+
+
+def test_the_texts_make_the_same_scenario_again(small, answer, tmp_path):
+    changes = [*SMALL, "network.latency.value=0.3"]
+    own = load(RELAY, changes)
+    (tmp_path / "copy.toml").write_text(answer["texts"]["toml"])
+    assert load(tmp_path / "copy.toml") == own.model_copy(update={"sweep": type(own.sweep)()})
+    assert answer["texts"]["command"] == (
+        f"desim run {RELAY} --set team.count=6 --set horizon=1.0 --set network.latency.value=0.3"
+    )
+    made = {}
+    exec(answer["texts"]["python"], made)
+    assert made["result"].scenario == own
+
+
+def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
+    scenario = Scenario(team=Team(count=4, speeds=1.2), horizon=1.0)
+    ground = Playground(Source.of(scenario), None)
+    found = ground.answer(["team.count=5"], [])
+    assert "errors" not in found
+    (tmp_path / "copy.toml").write_text(found["texts"]["toml"])
+    assert load(tmp_path / "copy.toml").team.count == 5
+    assert tomllib.loads(found["texts"]["toml"])["team"] == {"count": 5, "speeds": 1.2}
+
+
+def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, second = small.save(SMALL), small.save(SMALL)
+    assert (str(first), str(second)) == ("out/relay-1", "out/relay-2")
+    accepted("run", "--from", first / "run.json", "-o", "again")
+    for name in ("trace.jsonl", "summary.json", "scenario.toml"):
+        assert (first / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
+    changes = [*SMALL, "network.latency.value=0.3"]
+    *earlier, last = paired_runs(small, changes, SMALL, 4, InProcess())
+    assert [each["done"] for each in (*earlier, last)] == [1, 2, 3, 4]
+    values = [
+        [summary(run(small.scenario(each), seed)).active_time for seed in range(3, 7)] for each in (changes, SMALL)
+    ]
+    found = paired(*values)
+    shown = {row["name"]: row for row in last["metrics"]}["active time"]
+    assert shown["difference"] == f"{found.mean:+.3f} \N{PLUS-MINUS SIGN} {found.half_width:.3f}"
+    assert shown["differs"] == (abs(found.mean) > found.half_width)
+    assert shown["count"] == 4
+    assert not math.isnan(found.half_width)
+
+
+def test_a_comparison_that_is_closed_begins_no_more_runs(small, monkeypatch):
+    begun = []
+    monkeypatch.setattr(Playground, "pair", lambda self, now, pinned, seed: begun.append(seed) or "no result")
+    found = paired_runs(small, SMALL, SMALL, 30, InProcess())
+    assert next(found)["failed"] == 1
+    found.close()
+    assert begun == [3]
+
+
+# The server.
+
+
+@pytest.fixture
+def server(small):
+    """Yield a server in this process, which performs runs in this process, too."""
+    with PlayServer(small, InProcess()) as made:
+        thread = Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
+
+
+def asked(server, method, name, body=None, **headers):
+    """Return the status, the headers and the text of the answer to a request."""
+    parts = urlsplit(server.address)
+    with closing(http.client.HTTPConnection(parts.hostname, parts.port, timeout=30)) as connection:
+        connection.putrequest(method, name, skip_host=True)
+        content = b"" if body is None else json.dumps(body).encode()
+        given = {"Host": parts.netloc, "Content-Length": len(content)} | headers
+        for key, value in given.items():
+            connection.putheader(key.replace("_", "-"), str(value))
+        connection.endheaders(content)
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read().decode()
+
+
+def test_the_page_is_served_at_its_secret_address_only(server):
+    path = urlsplit(server.address).path
+    status, headers, text = asked(server, "GET", path)
+    assert status == 200
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert headers["Referrer-Policy"] == "no-referrer"
+    assert "relay" in text
+    assert server.socket.getsockname()[0] == "127.0.0.1"
+    for wrong in ("/", "/none/", f"{path[:-2]}/", f"{path}none", "/../../etc/passwd"):
+        assert asked(server, "GET", wrong)[0] == 404, wrong
+
+
+def test_other_hosts_and_other_origins_are_refused(server):
+    """DNS rebinding gives a foreign host; a page of another site gives its origin, and some requests give none."""
+    path, body = urlsplit(server.address).path, {"now": [], "pinned": None}
+    own = server.address.removesuffix(path)
+    assert asked(server, "POST", f"{path}run", body, Origin=own)[0] == 200
+    assert asked(server, "GET", path, Host="evil.example")[0] == 403
+    assert asked(server, "GET", path, Host=f"evil.example:{server.server_port}")[0] == 403
+    assert asked(server, "GET", f"{path}alive", Origin="http://evil.example")[0] == 403
+    for origin in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {}):
+        assert asked(server, "POST", f"{path}run", body, **origin)[0] == 403
+    assert asked(server, "POST", f"/wrong{path}run", body, Origin=own)[0] == 404
+
+
+@pytest.mark.parametrize(
+    "body", [None, [], {}, {"now": "a"}, {"now": [1]}, {"now": [], "pinned": 3}, {"now": [], "count": 10**6}]
+)
+def test_a_request_of_another_form_is_refused(server, body):
+    path = urlsplit(server.address).path
+    own = server.address.removesuffix(path)
+    assert asked(server, "POST", f"{path}seeds", body, Origin=own)[0] == 400
+
+
+def test_a_comparison_arrives_line_by_line(server):
+    path = urlsplit(server.address).path
+    body = {"now": [*SMALL, "network.latency.value=0.3"], "pinned": list(SMALL), "count": 2}
+    status, _, text = asked(server, "POST", f"{path}seeds", body, Origin=server.address.removesuffix(path))
+    assert status == 200
+    assert [json.loads(line)["done"] for line in text.splitlines()] == [1, 2]
+    wrong = body | {"now": ["team.count=0"]}
+    _, _, text = asked(server, "POST", f"{path}seeds", wrong, Origin=server.address.removesuffix(path))
+    assert "team.count" in json.loads(text)["error"]
+
+
+def test_a_wrong_file_is_refused_as_by_run(tmp_path):
+    (tmp_path / "wrong.toml").write_text("team.count = 0\n")
+    assert refused("play", tmp_path / "wrong.toml", "--no-browser").startswith(f"{tmp_path}/wrong.toml:1: team.count: ")
+    assert "cannot be read" in refused("play", tmp_path / "none.toml", "--no-browser")
+
+
+# The program and its page.
+
+
+@contextmanager
+def program(*options, cwd):
+    """Yield the program and the address of its page."""
+    command = [sys.executable, "-m", "desim", "play", *map(str, options), "--no-browser"]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+    process = subprocess.Popen(
+        command, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def children(process):
+    """Return the processes that a process has started, directly or not, and that still run."""
+    found, waiting = [], [process.pid]
+    while waiting:
+        each = waiting.pop()
+        for task in Path(f"/proc/{each}/task").glob("*/children"):
+            below = [int(pid) for pid in task.read_text().split()]
+            found += below
+            waiting += below
+    return found
+
+
+def are_gone(pids):
+    until = time.monotonic() + 60.0
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+
+
+@pytest.mark.slow
+@on_linux
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_no_process_is_left_after_an_interrupt(number, tmp_path):
+    with program(RELAY, cwd=tmp_path) as (process, address):
+        assert address.startswith("http://127.0.0.1:")
+        begun = children(process)
+        assert begun
+        process.send_signal(number)
+        assert process.wait(60) == 128 + number
+        assert are_gone(begun)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Yield the address of the page of a program that plays with a short run; between tests, no page is open."""
+    folder = tmp_path_factory.mktemp("play")
+    changes = [word for each in SMALL for word in ("--set", each)]
+    with program(RELAY, *changes, cwd=folder) as (_, found), urlopen(f"{found}alive"):
+        yield found
+
+
+@pytest.fixture
+def played(browser, address):
+    """Return the page in the browser, after its first run; nothing left this machine, and nothing was logged."""
+    browser.visit("about:blank")
+    browser.visit(address)
+    browser.until("window.play && play.runs === 1")
+    yield browser
+    assert browser.errors == []
+    assert {urlsplit(each).netloc for each in browser.requests if not each.startswith(("data:", "about:"))} <= {
+        urlsplit(address).netloc
+    }
+
+
+SLIDE = """(key, position) => {
+  const slider = document.querySelector(`[data-key="${key}"] [type=range]`);
+  slider.value = position;
+  slider.dispatchEvent(new Event("input"));
+  slider.dispatchEvent(new Event("change"));
+}"""
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_slider_that_is_released_shows_the_new_run_at_the_same_instant(played):
+    played.value("play.replay.seek(0.4)")
+    played.value("play.replay.play()")
+    played.value(f"({SLIDE})('network.latency.value', 750)")
+    played.until("play.runs === 2")
+    assert played.value("play.changes") == [*SMALL, "network.latency.value=1"]
+    assert played.value("play.replay.time") >= 0.4
+    assert played.value("play.replay.playing") is True
+    assert played.value("""document.querySelector('[data-key="network.latency.value"] .number').value""") == "1"
+    assert "seed 3 and so the same random numbers" in played.value("document.querySelector('.note').textContent")
+    assert played.value("document.querySelectorAll('.numbers small').length") > 2
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_pinned_run_stays_as_a_ghost(played):
+    assert played.value("play.replay.ghost") is None
+    played.value("play.change('network.latency.value', '0.7')")
+    played.until("play.runs === 2")
+    assert played.value("play.replay.ghost !== null")
+    played.value("[...document.querySelectorAll('header button')].find(each => each.textContent === 'Pin').click()")
+    played.until("play.runs === 3")
+    assert played.value("play.pinned") == [*SMALL, "network.latency.value=0.7"]
+    assert played.value("play.replay.ghost") is None
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_bad_value_is_told_beside_its_control_and_the_picture_stays(played):
+    before = played.value("document.querySelector('.numbers').textContent")
+    played.value("play.change('network.loss.p', '2')")
+    played.until("""document.querySelector('[data-key="network.loss.p"] .error').textContent.includes('equal to 1')""")
+    assert played.value("document.querySelector('.numbers').textContent") == before
+    assert played.value("play.replay.end > 0")
+    assert played.value(
+        """document.querySelector('[data-key="network.loss.p"] .number').getAttribute('aria-invalid')"""
+    )
+    played.value("play.change('network.loss.p', '0.1')")
+    played.until("play.runs === 2")
+    assert played.value("""document.querySelector('[data-key="network.loss.p"] .error').textContent""") == ""
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_kind_without_defaults_asks_for_what_it_needs(played):
+    played.value("play.change('network.medium', 'bitrate')")
+    key = """[data-key="network.medium.bitrate"]"""
+    played.until(f"document.querySelector('{key} .error')?.textContent")
+    played.value("play.change('network.medium.bitrate', '1e6')")
+    played.until("play.runs === 2")
+    assert "network.medium.bitrate=1e6" in played.value("play.changes")
+
+
+CLICK = "[...document.querySelectorAll('.play button')].find(each => each.textContent === {!r}).click()"
+
+
+@in_chromium
+@pytest.mark.slow
+def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played):
+    played.value("play.change('network.latency.value', '0.7')")
+    played.until("play.runs === 2")
+    played.value(CLICK.format("30 seeds"))
+    played.until("document.querySelector('.seeds progress').value === 30")
+    rows = played.value("[...document.querySelectorAll('.seeds tbody tr')].map(each => each.textContent)")
+    assert any(each.startswith("active time, s") and "\N{PLUS-MINUS SIGN}" in each for each in rows)
+    played.value(CLICK.format("30 seeds"))
+    played.until("document.querySelector('.seeds progress').value > 0")
+    played.value(CLICK.format("Cancel"))
+    done = played.value("document.querySelector('.seeds progress').value")
+    assert done < 30
+    assert "cancelled" in played.value("document.querySelector('.seeds h2').textContent")
+    time.sleep(0.5)
+    assert played.value("document.querySelector('.seeds progress').value") == done
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_address_keeps_the_state_for_reload_and_back(played):
+    played.value("play.change('network.latency.value', '0.5')")
+    played.until("play.runs === 2")
+    played.value("play.change('team.count', '5')")
+    played.until("play.runs === 3")
+    changed = played.value("play.changes")
+    played.value("play.replay.seek(0.3)")
+    played.until("location.hash.includes('t=0.3')")
+    played.value("location.reload()")
+    played.until("window.play && play.runs === 1 && play.replay")
+    assert played.value("play.changes") == changed
+    assert played.value("play.replay.time") == pytest.approx(0.3)
+    played.value("history.back()")
+    played.until("play.runs === 2")
+    assert played.value("play.changes") == [*SMALL, "network.latency.value=0.5"]
+
+
+@in_chromium
+@pytest.mark.slow
+def test_every_control_has_a_name_and_can_be_reached_by_the_keyboard(played):
+    tree = played.send("Accessibility.getFullAXTree")["nodes"]
+    roles = {"button", "slider", "textbox", "combobox", "checkbox", "searchbox", "spinbutton"}
+    unnamed = [
+        node
+        for node in tree
+        if node.get("role", {}).get("value") in roles and not node.get("name", {}).get("value") and not node["ignored"]
+    ]
+    assert unnamed == []
+    assert played.value("document.querySelectorAll('.play [tabindex=\"-1\"]').length") == 0
+    played.value("""document.querySelector('[data-key="seed"] input').focus()""")
+    played.press("ArrowUp")
+    played.until("play.runs === 2")
+    assert played.value("play.changes") == [*SMALL, "seed=4"]
+    assert played.value("document.activeElement.closest('[data-key]').dataset.key") == "seed"
+    assert "differ, so they are also due to chance" in played.value("document.querySelector('.note').textContent")
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1920, 1080), (420, 800)])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_nothing_is_wider_than_the_window(played, width, height, theme):
+    played.resize(width, height, theme)
+    played.until("play.replay")
+    assert played.value("document.documentElement.scrollWidth <= innerWidth")
+    wide = "[...document.querySelectorAll('.play button, .play input, .play select')].filter(each => each.offsetWidth)"
+    assert played.value(f"{wide}.filter(each => each.getBoundingClientRect().right > innerWidth + 1).length") == 0
+    assert played.value("play.replay && document.documentElement.dataset.theme") == theme
+
+
+@in_chromium
+@pytest.mark.slow
+@on_linux
+def test_the_program_ends_when_its_page_is_closed(browser, tmp_path):
+    with program(RELAY, "--set", "horizon=0.5", cwd=tmp_path) as (process, found):
+        browser.visit(found)
+        browser.until("window.play && play.runs === 1")
+        begun = children(process)
+        assert begun
+        browser.visit("about:blank")
+        assert process.wait(60) == 0
+        assert are_gone(begun)
+
+
+def test_a_page_that_is_reloaded_keeps_the_server(small, monkeypatch):
+    monkeypatch.setattr(play_server, "LINGER", 0.3)
+    with PlayServer(small, InProcess()) as made:
+        thread = Thread(target=made.serve_until_closed)
+        thread.start()
+        made.page_opened()
+        made.page_closed()
+        made.page_opened()
+        thread.join(0.6)
+        assert thread.is_alive()
+        made.page_closed()
+        thread.join(30)
+        assert not thread.is_alive()
