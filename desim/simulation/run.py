@@ -78,11 +78,15 @@ class Result:
             raise ValueError("begin, end and pursuers are options of the kind spacetime")
         return trajectory(self, size)
 
-    def replay(self) -> "Replay":
-        """Create the replay, a page to show in a notebook or to save with `write`; needs jinja2 (the extra `plot`)."""
+    def replay(self, ghost: "Result | None" = None) -> "Replay":
+        """Create the replay, a page to show in a notebook or to save with `write`; needs jinja2 (the extra `plot`).
+
+        Args:
+            ghost: another run, drawn faint in the same plane; for example, the same seed with another latency.
+        """
         from desim.view.replay import Replay
 
-        return Replay.of(self)
+        return Replay.of(self, ghost)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._ended}>"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from desim.analysis import palette
-from desim.analysis.activity import Change, Released, action, changes_with_previous
+from desim.analysis.activity import Change, Released, action, changes_with_previous, chases
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import (
     captures,
@@ -77,9 +77,9 @@ class Replay:
     """The name of the run."""
 
     @classmethod
-    def of(cls, result: Result) -> Self:
-        """Return the replay of a run; needs jinja2 (the extra `plot`)."""
-        return cls(replay(result), f"{result.scenario.name}, seed {result.seed}")
+    def of(cls, result: Result, ghost: Result | None = None) -> Self:
+        """Return the replay of a run, with another run as a ghost; needs jinja2 (the extra `plot`)."""
+        return cls(replay(result, ghost), run_name(result))
 
     def write(self, path: str | Path) -> Path:
         """Write the page to a file, and return its path.
@@ -99,11 +99,17 @@ class Replay:
         return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts allow-downloads" style="{look}"></iframe>'
 
 
-def replay(result: Result) -> str:
-    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `Replay`."""
+def replay(result: Result, ghost: Result | None = None) -> str:
+    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `Replay`.
+
+    Args:
+        result: the run.
+        ghost: another run to compare it with, perhaps with other players or another duration. Its players and their
+            trails are drawn faint in the same plane, and its number of active pursuers is dashed on the time axis.
+    """
     from jinja2 import Environment
 
-    result = trace_index(result)
+    result, ghost = trace_index(result), ghost and trace_index(ghost)
     template = files("desim.view").joinpath("replay.html").read_text(encoding="utf-8")
     page = Environment(autoescape=True, keep_trailing_newline=True).from_string(template)
     return page.render(
@@ -111,8 +117,8 @@ def replay(result: Result) -> str:
         about=_about(result),
         conditions=conditions(result.scenario),
         palette=palette,
-        warnings=list(missing_recordings(result)),
-        run=_document(result),
+        warnings=list(missing_recordings(result, ghost)),
+        run=_document(result, ghost),
     )
 
 
@@ -124,8 +130,8 @@ def with_recordings(scenario: Scenario) -> Scenario:
     )
 
 
-def missing_recordings(result: Result) -> Iterator[str]:
-    """Yield a warning for each part of the replay that cannot be shown."""
+def missing_recordings(result: Result, ghost: Result | None = None) -> Iterator[str]:
+    """Yield a warning for each part of the replay of a run, and of its ghost, that cannot be shown."""
     if not positions_known(result):
         yield (
             "Positions were not recorded: players and links are shown at the initial positions throughout. Set "
@@ -138,25 +144,38 @@ def missing_recordings(result: Result) -> Iterator[str]:
             f"Messages were not recorded: neither the {messages(result).sent:,} messages sent nor the beliefs are "
             "shown. Set record.messages = true."
         )
+    if ghost is not None and not positions_known(ghost):
+        yield "Positions of the other run were not recorded: its players are shown at the initial positions throughout."
+
+
+def run_name(result: Result) -> str:
+    """Return the name of a run: that of its scenario, and its seed."""
+    return f"{result.scenario.name}, seed {result.seed}"
 
 
 def _about(result: Result) -> str:
     """Return a one-line description of a run: players, protocol, seed and outcome."""
-    end, scenario = ended(result), result.scenario
-    players, which = f"{len(started(result).active)} pursuers", ""
-    outcome = {
-        "captured": f"captured by {end.capturer} after {seconds(end.t):.2f} s",
-        "horizon": f"not captured within {seconds(end.t):g} s",
-        "stopped": f"stopped after {seconds(end.t):.2f} s",
-    }
+    players = f"{len(started(result).active)} pursuers"
     if (count := len(started(result).evaders)) > 1:
-        players, which = f"{players}, {count} evaders", f"captured {len(captures(result))} of {count}"
-        outcome |= {
+        players = f"{players}, {count} evaders"
+    return f"{players}, {result.scenario.protocol_name}, seed {result.seed}: {_outcome(result)}"
+
+
+def _outcome(result: Result) -> str:
+    """Return the outcome of a run as text: the captures and the time of its end."""
+    end = ended(result)
+    if (count := len(started(result).evaders)) > 1:
+        how = {
             "captured": f", the last by {end.capturer} after {seconds(end.t):.2f} s",
             "horizon": f" within {seconds(end.t):g} s",
             "stopped": f", stopped after {seconds(end.t):.2f} s",
         }
-    return f"{players}, {scenario.protocol_name}, seed {result.seed}: {which}{outcome[end.reason]}"
+        return f"captured {len(captures(result))} of {count}{how[end.reason]}"
+    return {
+        "captured": f"captured by {end.capturer} after {seconds(end.t):.2f} s",
+        "horizon": f"not captured within {seconds(end.t):g} s",
+        "stopped": f"stopped after {seconds(end.t):.2f} s",
+    }[end.reason]
 
 
 def conditions(scenario: Scenario) -> str:
@@ -199,7 +218,7 @@ def _number(number: float) -> str:
 
 
 class _Ticks(NamedTuple):
-    """The tick, the unit of time in the page: the least power of ten, ns, with fewer than 2^31 ticks in the run."""
+    """The tick, the unit of time in the page: the least power of ten, ns, with fewer than 2^31 ticks in a run."""
 
     length: int
     """Duration of a tick, ns."""
@@ -207,9 +226,10 @@ class _Ticks(NamedTuple):
     """End of the run, ns."""
 
     @classmethod
-    def fit(cls, end: int) -> "_Ticks":
+    def fit(cls, end: int, other_end: int = 0) -> "_Ticks":
+        """Return the ticks of a run, such that another run has fewer than 2^31 of them, too; both ends in ns."""
         length = 1
-        while end // length >= 2**31:
+        while max(end, other_end) // length >= 2**31:
             length *= 10
         return cls(length, end)
 
@@ -243,10 +263,10 @@ def _column(values: ArrayLike, kind: str) -> str:
     return b64encode(column.tobytes()).decode()
 
 
-def _document(result: Result) -> ReplayData:
+def _document(result: Result, ghost: Result | None = None) -> ReplayData:
     """Return the data of the page."""
     start, end, scenario = started(result), ended(result), result.scenario
-    ticks = _Ticks.fit(end.t)
+    ticks = _Ticks.fit(end.t, ended(ghost).t if ghost else 0)
     has_messages = not lacks_messages(result)
     return {
         "tick": ticks.length / SECOND,
@@ -267,6 +287,7 @@ def _document(result: Result) -> ReplayData:
         "faults": _faults(result, ticks),
         "messages": _messages(result, ticks) if has_messages else None,
         "beliefs": _beliefs(knowledge(result), result, ticks) if has_messages else None,
+        "ghost": _ghost(ghost, _Ticks(ticks.length, ended(ghost).t)) if ghost else None,
     }
 
 
@@ -453,4 +474,22 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
         "reader": _column(known["reader"][order], "<u2"),
         "source": _column(known["source"][order], "<u2"),
         "value": _column(value[order], _kind(result)),
+    }
+
+
+def _ghost(result: Result, ticks: _Ticks) -> ReplayData:
+    """Return the part of another run that is shown: its positions, and its number of active pursuers over time."""
+    count = sum(map(bool, started(result).active))
+    times, counts = [0], [count]
+    for change, before in changes_with_previous(result):
+        count += chases(change) - bool(before)
+        times.append(change.t)
+        counts.append(count)
+    return {
+        "name": f"{run_name(result)}, {_outcome(result)}",
+        "end": ticks.last,
+        "pursuers": len(started(result).active),
+        "evaders": len(started(result).evaders),
+        "path": _path(result, ticks),
+        "active": {"t": ticks(times), "count": _column(counts, "<u4")},
     }

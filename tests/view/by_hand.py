@@ -92,3 +92,21 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     trace = Trace()
     trace.events += sorted(events, key=lambda event: event.t) + end
     return Result(Scenario(name="pair", evader=Evader(count=2)), 3, trace)
+
+
+def chase(pursuers: int, end: int) -> Result:
+    """Return a run that ends at `end` (ms), in which all pursuers are active and no message is sent.
+
+    Pursuer k runs from (20 + k, -3) along y at 6 m/s, the evader from (20, 15) along y at 5 m/s.
+    """
+    moved = 6.0 * end / 1000
+    start = tuple((20.0 + k, -3.0) for k in range(pursuers))
+    events = [
+        Started(0, ((20.0, 15.0),), start, (6.0,) * pursuers, (1,) * pursuers),
+        Sampled(end * MS, ((20.0, 15.0 + 5.0 * end / 1000),), tuple((x, y + moved) for x, y in start)),
+        MessageCounts(end * MS, 0, 0, 0, 0, {}, 0, 0, 0.0),
+        Ended(end * MS, "horizon", None),
+    ]
+    trace = Trace()
+    trace.events += events
+    return Result(Scenario(name="chase"), 3, trace)

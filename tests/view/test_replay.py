@@ -41,7 +41,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
 from tests.view.browser import in_chromium
-from tests.view.by_hand import MS, history, pair
+from tests.view.by_hand import MS, chase, history, pair
 from tests.view.elements import Elements
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -421,6 +421,58 @@ def test_ticks_round_to_the_nearest():
     assert ticks.tolist() == [0, 0, 1, 1, 2]
 
 
+# The ghost: another run in the same plane.
+
+
+def test_the_data_of_a_ghost_are_its_positions_and_its_number_of_active_pursuers():
+    """By hand: 3 are active, 2 after 300 ms; at 400 ms a capture releases 0, which decides at once; 1 after 700 ms."""
+    ghost = _document(history(), pair())["ghost"]
+    assert (ghost["pursuers"], ghost["evaders"], ghost["end"]) == (3, 2, SECOND)
+    assert ghost["path"] == _document(pair())["path"]
+    times = [t * MS for t in (0, 150, 300, 400, 400, 700)]
+    assert column(ghost["active"]["t"], "<u4").tolist() == times
+    assert column(ghost["active"]["count"], "<u4").tolist() == [3, 3, 2, 1, 2, 1]
+    assert ghost["name"] == "pair, seed 3, captured 2 of 2, the last by 0 after 1.00 s"
+
+
+SHORT_GHOST = Scenario(name="short", team=Team(count=5), evader=Evader(position=(60.0, 60.0)), horizon=0.5)
+
+
+def test_a_run_and_its_ghost_have_the_same_ticks_which_fit_the_longer_of_them():
+    """5 s are more than 2^31 ns, so a tick is 10 ns; of two short runs it is 1 ns."""
+    long = run(SHORT_GHOST.model_copy(update={"horizon": 5.0}))
+    for result, ghost in ((history(), long), (long, history())):
+        document = _document(result, ghost)
+        assert document["tick"] == 1e-8
+        assert document["end"] == ended(result).t // 10
+        assert document["ghost"]["end"] == ended(ghost).t // 10
+        assert column(document["ghost"]["path"]["t"], "<u4")[-1] == document["ghost"]["end"]
+    assert _document(history(), run(SHORT_GHOST))["tick"] == 1e-9
+
+
+def test_a_page_without_a_ghost_does_not_mention_any():
+    page = replay(history())
+    assert page == replay(history(), None) == history().replay().page
+    assert _document(history())["ghost"] is None
+    words = ("the other run, faint", "; other run: pair", 'id="other"')
+    assert not [each for each in words if each in page]
+    assert not [each for each in words if each not in history().replay(pair()).page]
+
+
+def test_the_name_of_a_ghost_is_text():
+    found = Elements(replay(history(), run(SHORT_GHOST.model_copy(update={"name": HOSTILE}))))
+    assert len(found.scripts) == 2
+    assert json.loads(found.scripts[0])["ghost"]["name"].startswith(HOSTILE)
+    assert "hurt" not in found.scripts[1]
+
+
+def test_a_ghost_without_positions_is_reported():
+    ghost = run(SHORT_GHOST.model_copy(update={"record": Recording(trajectory=0.0)}))
+    (said,) = missing_recordings(history(), ghost)
+    assert said.startswith("Positions of the other run were not recorded")
+    assert said in replay(history(), ghost)
+
+
 # The page.
 
 
@@ -619,8 +671,8 @@ def shown(browser, tmp_path):
     """Return what opens the page of a run, and judge in the end that nothing went wrong and nothing left the page."""
     path = tmp_path / "replay.html"
 
-    def show(result, **window):
-        path.write_text(replay(result), encoding="utf-8")
+    def show(result, ghost=None, **window):
+        path.write_text(replay(result, ghost), encoding="utf-8")
         browser.open(path, **window)
         return browser
 
@@ -968,6 +1020,120 @@ def test_messages_fly_between_where_they_were_sent_and_where_they_arrive(shown):
     assert opened.value(f"{places}(0.45)")["flying"] == [between((0, 10), (4, 0), 0.75)]
     assert opened.value(f"{places}(0.55)")["lost"] == [between((0, 10), (4, 0), 1.0)]
     assert opened.value(f"{places}(1.0)")["flying"][-1] == between((4, 0), (10, 0), 0.0)
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_players_of_a_ghost_are_where_they_were_and_stay_where_it_ended(shown, result_of):
+    """A ghost of other players, of 2 s, in a run of 10 s; the positions of its trace are linear between samples."""
+    ghost = result_of("cold")
+    opened = shown(result_of("faults"), ghost)
+    known = [started(ghost), *ghost.trace.of(Sampled)]
+    places = np.array([[*each.pursuers, *each.evaders] for each in known])
+    assert len(started(ghost).active) == 8
+    for t in (0.0, 0.5, 1.234, 2.0, 3.0, 9.0):
+        there = [[np.interp(t * SECOND, [each.t for each in known], places[:, k, c]) for c in (0, 1)] for k in range(9)]
+        found = opened.value(f"(replay.seek({t}), replay.ghost)")
+        assert found == [pytest.approx(each, abs=2e-3) for each in there]
+    assert opened.value("replay.players.length") == 11
+
+
+SHADOW = """((canvas) => {
+  const look = () => {
+    const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+    replay.draw();
+    copy.drawImage(canvas, 0, 0);
+    return copy.getImageData(0, 0, canvas.width, canvas.height).data;
+  };
+  const shown = look(), width = canvas.width, found = [];
+  other.click();
+  const hidden = look();
+  other.click();
+  replay.draw();
+  for (let k = 0; k < shown.length; k++)
+    if (shown[k] !== hidden[k]) found.push([(k >> 2) % width, Math.floor((k >> 2) / width)]);
+  return found;
+})"""
+"""The pixels of a canvas that change if the ghost is hidden."""
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_ghost_is_drawn_as_hollow_marks_and_thin_trails(shown, theme):
+    """By hand: a pursuer of the ghost has gone from (20, -3) to (20, 3), and its evader from (20, 15) to (20, 20).
+
+    A circle has a radius of 4.5 px, a diamond of 7 px; a trail, a straight line here, is a pixel wide, or two.
+    """
+    opened = shown(history(), chase(1, 1000), theme=theme)
+    opened.until("(replay.seek(1), replay.scale > 1)")
+    pixels = opened.value("[[20, 3], [20, 20], [20, -3], [20, 15]].map(([x, y]) => replay.pixel(x, y))")
+    assert opened.value("replay.ghost") == [[20.0, pytest.approx(y, abs=2e-3)] for y in (3, 20)]
+    circle, diamond, *start = np.array(pixels)
+    opened.value("trails.click()")
+    changed = np.array(opened.value(f"{SHADOW}(arena)")) + 0.5
+    from_circle, from_diamond = np.hypot(*(changed - circle).T), np.abs(changed - diamond).sum(axis=1)
+    on_circle, on_diamond = np.abs(from_circle - 4.5) < 1.5, np.abs(from_diamond - 7.0) < 2.0
+    assert (on_circle | on_diamond).all()
+    assert min(on_circle.sum(), on_diamond.sum()) > 20
+    opened.value("trails.click()")
+    trails = np.array(opened.value(f"{SHADOW}(arena)")) + 0.5
+    new = np.array([each for each in trails.tolist() if each not in changed.tolist()])
+    assert (np.abs(new[:, 0] - circle[0]) < 1.6).all()
+    spans = [range(*sorted((int(a[1]), int(b[1])))) for a, b in zip((circle, diamond), start, strict=True)]
+    rows = {int(y) for y in np.concatenate([new, changed])[:, 1]}
+    assert rows >= {y for span in spans for y in span}
+    assert all(min(map(min, spans)) - 9 <= y <= max(map(max, spans)) + 9 for y in rows)
+    opened.press("o")
+    assert opened.value("other.checked") is False
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_active_pursuers_of_a_ghost_are_dashed_in_the_scale_of_both(shown):
+    """By hand: 2 are active in the run from 400 ms to 700 ms, always in one ghost of 0.5 s; in the other, 5 are."""
+    texts = """(() => {
+      const said = [], write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = function (...given) {
+        said.push(`${given[0]}`);
+        write.apply(this, given);
+      };
+      other.click(); other.click(); replay.draw();
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return said;
+    })()"""
+    opened = shown(pair(), chase(2, 500))
+    opened.until("(replay.draw(), replay.scale > 1)")
+    assert "3" in opened.value(texts)
+    xs, ys = np.array(opened.value(f"{SHADOW}(axis)")).T
+    first, last = opened.value("[slider.offsetLeft + 8, axis.clientWidth - 8]")
+    middle = (first + last) / 2
+    assert first - 1 <= xs.min() <= first + 1
+    assert abs(xs.max() - middle) <= 1
+    level = np.bincount(ys).argmax()
+    dashes = np.diff(np.unique(xs[ys == level]))  # 4 px each, and 3 px between them
+    assert (dashes > 1).sum() == pytest.approx((middle - first) / 7, abs=3)
+    top = opened.value(f"""(() => {{  // of the strip at 0.643 s, between grid lines
+      const {{ data }} = axis.getContext("2d").getImageData({round(first + 0.643 * (last - first))}, 0, 1, 60);
+      return [...Array(60).keys()].find(y => data[4 * y + 3] > 100 && data[4 * (y + 2) + 3] > 100);
+    }})()""")
+    assert abs(top - level) <= 2  # of some 12 px for one pursuer
+    opened = shown(pair(), chase(5, 500))
+    opened.until("(replay.draw(), replay.scale > 1)")
+    assert "5" in opened.value(texts)
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_page_around_the_replay_controls_speed_and_theme(shown, result_of):
+    opened = shown(result_of("relay"))
+    assert opened.value("[replay.end, replay.chosen, replay.ghost]") == [1.0, -1, None]
+    assert opened.value("(replay.choose(4), replay.chosen)") == 4
+    assert opened.value("(replay.speed = 0.5, [replay.speed, +speed.value])") == [0.5, 0.5]
+    assert opened.value("(replay.speed = 30, replay.speed)") == 10
+    for theme in ("dark", "light"):
+        assert opened.value(f"(replay.setTheme('{theme}'), replay.theme)") == theme
+        assert opened.value("document.documentElement.dataset.theme") == theme
 
 
 @in_chromium
