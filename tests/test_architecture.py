@@ -28,6 +28,7 @@ LAYERS = [
 TOP = {"desim": set().union(*LAYERS) - {"scenarios"}, "desim.__main__": {"desim.cli"}}
 """What the modules beside the packages import."""
 METHODS = {
+    "desim.scenario.scenario": {"desim.view.widget"},
     "desim.simulation.run": {"desim.analysis.plots", "desim.view.spacetime", "desim.view.replay"},
 }
 """What methods of results show, as `result.plot()`: they import it when they are called, from above or in a circle."""

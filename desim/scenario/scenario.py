@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from math import inf
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,9 @@ from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
 from desim.scenario.named_metrics import MetricName
+
+if TYPE_CHECKING:
+    from desim.view.widget import PlayWidget
 from desim.scenario.sweep_table import Sweep
 
 
@@ -268,6 +271,18 @@ class Scenario(Value):
     """Faults of pursuers, clocks and the network."""
     record: Recording = Recording()
     sweep: Sweep = Sweep()
+
+    def play(self, timeout: float = 30.0) -> "PlayWidget":
+        """Return a widget for notebooks, with controls for all keys and a replay of the run that they give.
+
+        Each change runs the same seed again; the run that is pinned stays as a ghost. It needs the extra `notebook`.
+
+        Args:
+            timeout: the wall time after which a run is ended, s.
+        """
+        from desim.view.widget import PlayWidget
+
+        return PlayWidget(self, timeout)
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: the main keys, and all others that differ from their defaults."""

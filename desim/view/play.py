@@ -10,12 +10,14 @@ import traceback
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cloudpickle
 import tomli_w
 
+from desim.analysis import palette
 from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.config.json_numbers import to_json
@@ -45,6 +47,8 @@ FIRST = (
     "belief_error",
 )
 """The metrics that are shown first, in their order."""
+MAX_SEEDS = 1000
+"""The largest number of seeds of a comparison."""
 INNERMOST = 3
 """The number of innermost calls shown of an exception in a user's code."""
 KEPT = 8
@@ -164,6 +168,22 @@ class Playground:
             f"result = run(load({file!r}{given}{', allow_import=True' if allow else ''}))\n",
         }
 
+    def performed(self, workers: Workers, now: Changes, pinned: Changes | None) -> Answer:
+        """Return the `answer` that a worker finds."""
+        try:
+            return dict(workers.result(workers.submit(partial(self.answer, now, pinned))))
+        except Exception as error:  # the worker died, or the answer cannot be sent
+            if workers.died(error):
+                workers.renew()
+            return {"controls": self.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
+
+    def saved(self, changes: Changes) -> Answer:
+        """Save a run and return its `folder`, or an `error`; see `save`."""
+        try:
+            return {"folder": str(self.save(changes))}
+        except (ScenarioError, OSError, TimedOut) as error:
+            return {"error": str(error)}
+
     def save(self, changes: Changes) -> Path:
         """Run the scenario and write the run to a new folder out/NAME-1, -2, ..., which `desim run --from` repeats.
 
@@ -198,6 +218,29 @@ class Playground:
         except (Exception, TimedOut) as error:
             return _reason(error)
         return first, second
+
+
+def style() -> str:
+    """Return the style sheet of the page and of the widget."""
+    hues = (
+        f".play {{ --active: {palette.ACTIVE}; --better: {palette.GREEN}; --worse: {palette.VERMILION}; }}\n"
+        f':is([data-theme="dark"], [data-theme="dark"] .play) {{ --active: {palette.SKY}; --better: #2ecc9b;'
+        " --worse: #ff8534; }\n"
+    )
+    return hues + files("desim.view").joinpath("play.css").read_text(encoding="utf-8")
+
+
+def is_request(body: Any) -> bool:
+    """Return whether a value has the form of a request: changes `now` and `pinned`, and a `count` of seeds.
+
+    A request without `pinned` or `count` gets their defaults.
+    """
+    if not isinstance(body, dict):
+        return False
+    now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
+    changes = [now] if pinned is None else [now, pinned]
+    has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
+    return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
 def paired_runs(

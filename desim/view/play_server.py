@@ -17,12 +17,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, cast
 
-from desim.analysis import palette
 from desim.config.json_numbers import to_json
-from desim.scenario.overrides import ScenarioError
-from desim.simulation.watchdog import TimedOut
 from desim.study.workers import Workers
-from desim.view.play import Answer, Playground, paired_runs
+from desim.view.play import Answer, Playground, is_request, paired_runs, style
 
 LINGER = 5.0
 """The time for which the server waits for a page after the last one was closed, s: a reload closes it, too."""
@@ -30,8 +27,6 @@ BEAT = 1.0
 """The time between two signs of life to a page, s; a page that is gone is noticed then."""
 MAX_BODY = 1_000_000
 """The largest request, bytes."""
-MAX_SEEDS = 1000
-"""The largest number of seeds of a comparison."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
 """What the page may load: nothing but what is in it, and what this server answers."""
 
@@ -98,11 +93,12 @@ def page(playground: Playground) -> str:
     """Return the page of a playground; needs jinja2 (the extra `plot`)."""
     from jinja2 import Environment
 
-    parts = {each: files("desim.view").joinpath(f"play.{each}").read_text(encoding="utf-8") for each in ("js", "css")}
-    template = files("desim.view").joinpath("play.html").read_text(encoding="utf-8")
+    template, script = (
+        files("desim.view").joinpath(f"play.{each}").read_text(encoding="utf-8") for each in ("html", "js")
+    )
     environment = Environment(autoescape=True, keep_trailing_newline=True)
     return environment.from_string(template).render(
-        name=playground.name, start=list(playground.start), palette=palette, **parts
+        name=playground.name, start=list(playground.start), style=style(), script=script
     )
 
 
@@ -155,7 +151,7 @@ class _Handler(BaseHTTPRequestHandler):
                 found = json.loads(self.rfile.read(int(length)))
             except ValueError:
                 found = None
-            if _is_request(found):
+            if is_request(found):
                 return dict(found)
         self.send_error(HTTPStatus.BAD_REQUEST)
         return None
@@ -197,14 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _run(self) -> None:
         if (body := self._body()) is None:
             return
-        workers, playground = self._play.workers, self._play.playground
-        try:
-            answer = workers.result(workers.submit(partial(playground.answer, body["now"], body["pinned"])))
-        except Exception as error:  # the worker died, or the answer cannot be sent
-            if workers.died(error):
-                workers.renew()
-            answer = {"controls": playground.controls(body["now"]), "errors": {"": f"{type(error).__name__}: {error}"}}
-        self._send_json(answer)
+        self._send_json(self._play.playground.performed(self._play.workers, body["now"], body["pinned"]))
 
     def _seeds(self) -> None:
         if (body := self._body()) is None:
@@ -225,17 +214,4 @@ class _Handler(BaseHTTPRequestHandler):
     def _save(self) -> None:
         if (body := self._body()) is None:
             return
-        try:
-            self._send_json({"folder": str(self._play.playground.save(body["now"]))})
-        except (ScenarioError, OSError, TimedOut) as error:
-            self._send_json({"error": str(error)})
-
-
-def _is_request(body: Any) -> bool:
-    """Return whether a JSON value has the form of a request: changes `now` and `pinned`, and a `count` of seeds."""
-    if not isinstance(body, dict):
-        return False
-    now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
-    changes = [now] if pinned is None else [now, pinned]
-    has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
-    return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
+        self._send_json(self._play.playground.saved(body["now"]))

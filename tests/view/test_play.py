@@ -457,7 +457,7 @@ def test_nothing_is_wider_than_the_window(played, width, height, theme):
     assert played.value("document.documentElement.scrollWidth <= innerWidth")
     wide = "[...document.querySelectorAll('.play button, .play input, .play select')].filter(each => each.offsetWidth)"
     assert played.value(f"{wide}.filter(each => each.getBoundingClientRect().right > innerWidth + 1).length") == 0
-    assert played.value("play.replay && document.documentElement.dataset.theme") == theme
+    played.until(f"document.documentElement.dataset.theme === '{theme}'")
 
 
 @in_chromium

@@ -1,0 +1,113 @@
+"""`scenario.play()` in a notebook: the kernel's answers, and the page that asks."""
+
+import json
+import time
+
+import pytest
+
+from desim import Scenario, Team
+from desim.study.workers import InProcess
+from desim.view.play import Playground
+from desim.view.widget import PlayWidget
+from tests.view.browser import in_chromium
+
+SMALL = Scenario(name="small", team=Team(count=5, speeds=1.2), horizon=1.0)
+
+
+@pytest.fixture
+def widget(monkeypatch):
+    """Return a widget and the messages that it sends."""
+    made, sent = PlayWidget(SMALL, workers=InProcess()), []
+    monkeypatch.setattr(made, "send", sent.append)
+    return made, sent
+
+
+def asked(widget, number, what, **body):
+    widget._hear(widget, {"number": number, "what": what, "body": body}, [])
+
+
+def until(condition):
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_scenario_makes_its_widget():
+    made = SMALL.play()
+    assert isinstance(made, PlayWidget)
+    assert made.name == "small"
+
+
+def test_a_request_is_answered_with_its_number(widget):
+    made, sent = widget
+    asked(made, 7, "run", now=["team.count=4"], pinned=[])
+    until(lambda: sent)
+    (told,) = sent
+    assert (told["number"], told["isLast"]) == (7, True)
+    assert told["answer"] == Playground(made._playground.base, None).answer(["team.count=4"], [])
+    assert "page" in told["answer"]
+
+
+def test_a_comparison_is_told_pair_by_pair_and_can_be_cancelled(widget):
+    made, sent = widget
+    asked(made, 1, "seeds", now=["team.count=4"], pinned=[], count=3)
+    until(lambda: sent and sent[-1]["isLast"])
+    assert [each["answer"]["done"] for each in sent[:-1]] == [1, 2, 3]
+    sent.clear()
+    asked(made, 2, "seeds", now=["team.count=4"], pinned=[], count=1000)
+    until(lambda: len(sent) > 1)
+    asked(made, 2, "cancel")
+    until(lambda: sent[-1]["isLast"])
+    assert len(sent) < 1000
+
+
+def test_requests_of_another_form_have_no_answer_and_wrong_ones_an_error(widget):
+    made, sent = widget
+    asked(made, 1, "run", now="team.count=4")
+    asked(made, 2, "seeds", now=["team.count=0"], pinned=[], count=1)
+    until(lambda: sent and sent[-1]["isLast"])
+    assert [each["number"] for each in sent] == [2, 2]
+    assert "team.count" in sent[0]["answer"]["error"]
+
+
+PAGE = """<!doctype html><html><head><title>notebook</title><link rel="icon" href="data:,"><style>{style}</style></head>
+<body><div id="cell"></div><script type="module">
+{script}
+const sent = [], hears = [];
+const send = each => sent.push(each), on = (_, hear) => hears.push(hear);
+const remove = widget.render({{ model: {{ get: () => "small", send, on, off: () => {{}} }}, el: cell }});
+Object.assign(window, {{ sent, remove, tell: each => hears.forEach(hear => hear(each)) }});
+</script></body></html>
+"""
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_page_in_a_cell_asks_the_kernel_and_shows_its_answers(widget, browser, tmp_path):
+    made, sent = widget
+    script = made._esm.replace("export default", "const widget =")
+    (tmp_path / "cell.html").write_text(PAGE.format(script=script, style=made._css))
+    browser.open(tmp_path / "cell.html", 1280, 900)
+
+    def answer_all():
+        """Pass on the requests of the page to the kernel, and its answers to the page."""
+        browser.until("sent.length > 0")
+        for request in browser.value("sent.splice(0)"):
+            sent.clear()
+            made._hear(made, request, [])
+            until(lambda: sent and sent[-1]["isLast"])
+            for each in sent:
+                browser.value(f"tell({json.dumps(each)})")
+
+    answer_all()
+    browser.until("cell.play.runs === 1")
+    assert browser.value("cell.querySelectorAll('[data-key]').length") > 5
+    browser.value("cell.play.change('team.count', '4')")
+    answer_all()
+    browser.until("cell.play.runs === 2")
+    assert browser.value("cell.play.replay.players.length") == 5  # four pursuers and the evader
+    browser.value("remove()")
+    assert browser.value("cell.childElementCount") == 0
+    assert browser.errors == []
+    assert [each for each in browser.requests if not each.startswith(("file:", "data:", "about:"))] == []
