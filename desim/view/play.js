@@ -234,9 +234,9 @@ export function start(root, transport, options) {
   function drawNumbers(answer) {
     const figure = row => {
       const difference = row.difference === undefined ? [] : [" ", make("small", { className: judged(row), title: "Difference from the pinned run" }, row.difference)];
-      return make("div", {}, make("dt", {}, row.name), make("dd", {}, row.value, row.unit ? ` ${row.unit}` : "", ...difference));
+      return make("p", {}, make("span", {}, row.name), " ", make("strong", {}, row.value, row.unit ? ` ${row.unit}` : "", ...difference));
     };
-    numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(row => make("dl", {}, figure(row))),
+    numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure),
       make("button", { type: "button", onclick: () => showMetrics(answer.metrics), title: "All metrics of this run" }, "All"));
     const [own, other] = answer.seeds, is_same = pinned && joined(now).join("\n") === pinned.join("\n");
     note.textContent = [
