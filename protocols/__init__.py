@@ -1,4 +1,4 @@
-"""How pursuers negotiate: one protocol, learning rule, schedule or dissemination for each module.
+"""How pursuers negotiate: protocols, learning rules, schedules, temperatures and disseminations.
 
 Nothing here knows of a scenario or a run.
 """

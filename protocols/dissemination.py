@@ -1,7 +1,7 @@
 """Dissemination: how the announcements of a pursuer spread to its teammates.
 
-A dissemination is called with an agent, and returns the process that forwards the announcements of teammates. The
-agent's own announcements are sent by `broadcast`, a method of the dissemination.
+A dissemination has a method `broadcast`, which sends an announcement of the agent. Called with an agent, it returns a
+process that handles the announcements of teammates. In flooding, the process forwards them.
 
 Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
     1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
@@ -35,7 +35,7 @@ class Dissemination(Protocol):
         ...
 
     def __call__(self, me: Agent) -> Process:
-        """Forward the announcements of others."""
+        """Handle received announcements, for example forward them; do nothing if `publish` delivers them."""
         ...
 
 
@@ -55,11 +55,11 @@ class OneHop(Value):
 
 
 class Flooding(Value):
-    """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
+    """Each receiver of a new announcement rebroadcasts it, up to a number of hops; duplicates are dropped.
 
-    A copy of the same announcement is rebroadcast again if it has more hops left than the copy rebroadcast before.
-    Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, plus one
-    for each such copy.
+    A duplicate with more hops left than the copy that was rebroadcast is not dropped, but rebroadcast, too. Messages:
+    at most one transmission per pursuer and announcement, and one more for each such duplicate. Robust to loss where
+    there are several paths.
     """
 
     kind: Literal["flooding"] = "flooding"

@@ -79,7 +79,7 @@ class LocalMutex(Value):
         return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the table of the schedule without mutual exclusion."""
+        """Return the table, as in a scenario file, of a Poisson schedule with the same `rate`."""
         return {"kind": "poisson", "rate": self.rate}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:

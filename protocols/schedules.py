@@ -9,8 +9,8 @@ Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchr
     models the timers of real robots.
 Parameters: for each, the period or rate of revisions.
 Assumes: for SharedSeed and Rounds, equal clocks; for Poisson and Periodic, nothing.
-Messages: none.
-Robust to loss: yes, because a schedule uses no messages.
+Messages: none besides announcements.
+Robust to loss: yes, because the times of revisions do not depend on messages.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,9 +38,10 @@ class Schedule(Protocol):
 
 
 class SharedSeed(Value):
-    """One pursuer revises per slot: at time k delta, the k-th element of a random sequence that all pursuers share.
+    """One pursuer revises per slot: at time k delta, the k-th pursuer of a random sequence.
 
-    This is the order of Lee & Bakolas, Algorithm 2. It needs no messages, but equal clocks.
+    All pursuers draw the same sequence from a shared seed. This is the order of Lee & Bakolas, Algorithm 2. It needs no
+    messages, but equal clocks.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
@@ -53,7 +54,7 @@ class SharedSeed(Value):
         return self.slot
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the table of the schedule under which all pursuers revise in every slot."""
+        """Return the table, as in a scenario file, of a schedule in which all pursuers revise in every slot."""
         return {"kind": "synchronous", "schedule": self}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
@@ -88,8 +89,8 @@ class Poisson(Value):
 class Rounds(Value):
     """In every round each pursuer revises with probability `participation`; announcements follow all decisions.
 
-    The stationary distribution is not the Gibbs distribution, but in the relay game this schedule settles fastest,
-    because all pursuers revise at once.
+    The stationary distribution is not the Gibbs distribution. With `participation` = 1 this schedule settles fastest in
+    the relay game, because all pursuers revise at once.
     The theorem of Marden & Shamma 2012 on independent revisions does not apply. In the theorem the probability of
     revising tends to 0 with tau, as exp(-m / tau) for a constant m; here `participation`, q, is constant.
     """
@@ -170,6 +171,6 @@ def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Itera
 
 def owned_slots(owner: int, team_size: int, rng: np.random.Generator) -> Iterator[int]:
     """Yield the numbers of the slots of one pursuer, from 1 on; `rng` draws the owner of each slot uniformly."""
-    block = 4096  # draws at a time; part of the definition of the sequence
+    block = 4096  # number of draws at once; do not change it, because the sequence of a seed may depend on it
     for first in count(1, block):
         yield from (first + np.flatnonzero(rng.integers(team_size, size=block) == owner)).tolist()

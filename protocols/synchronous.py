@@ -3,8 +3,8 @@
 Paper: none for this combination: synchronous learning (Marden & Shamma 2012) in the slots of another schedule.
 Parameters: schedule (the other schedule).
 Assumes: equal clocks.
-Messages: none; in particular, the other schedule sends none of its messages.
-Robust to loss: yes, for nothing is sent.
+Messages: none besides announcements; the other schedule does not send its messages.
+Robust to loss: yes, because the times of revisions do not depend on messages.
 """
 
 from collections.abc import Callable

@@ -1,11 +1,11 @@
-"""Token schedules: the holder of the token revises, knowing all earlier decisions, and forwards the token.
+"""Token schedules: the holder of the token revises, and then forwards the token or, in a random walk, may keep it.
 
 Paper: TokenRing: Le Lann 1977; on graphs that are not complete the rule "least recently visited" of Malpani, Chen,
     Vaidya & Welch 2005, "Distributed Token Circulation in Mobile Ad Hoc Networks". TokenWalk: Metropolis et al. 1953.
 Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up).
 Assumes: a connected graph; otherwise each component has a token of its own.
-Messages: two per revision, the token and its receipt, besides announcements. The token carries the known records of all
-    pursuers, so it is long.
+Messages: besides announcements, two each time the token is forwarded: the token and its receipt. The token carries the
+    known records of all pursuers, so it is long.
 Robust to loss: yes; see `protocols.token_passing`. Without faults every decision is based on the present actions of all
     others, at any latency, as long as records do not time out (`belief_timeout`) between two revisions of a pursuer.
 """
@@ -41,7 +41,7 @@ class _WithToken(Value):
         return self.holding_time + hop_time(me)
 
     def without_serial_decisions(self) -> dict[str, Any]:
-        """Return the table of the schedule under which all pursuers revise whenever the token would be forwarded."""
+        """Return the table, as in a scenario file, of a schedule in which all pursuers revise every `mean_slot`."""
         return {"kind": "synchronous", "schedule": self}
 
 

@@ -6,9 +6,9 @@ Parameters: holding_time (time at each pursuer), attempts (transmissions of the 
     both belong to the schedule.
 Assumes: nothing; in the end each component of the graph has a single token. A token is not regenerated needlessly if a
     round takes less than 3 N (L + holding_time).
-Messages: two per hop, the token and its receipt. A node broadcasts a notice when it gives the token a new epoch, and
-    when the token has not visited some pursuer for long. Receivers forward a new notice to those of their neighbours
-    that the sender of the notice does not reach.
+Messages: two each time the token is forwarded: the token and its receipt. A node broadcasts a notice when it gives the
+    token a new epoch, and when the token has not visited some pursuer for long. Receivers forward a new notice to those
+    of their neighbours that the sender of the notice does not reach.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated; the time-out is shorter for lower ids. Crashes, partitions and delayed messages can
@@ -25,7 +25,7 @@ from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_ti
 Epoch = tuple[int, int, float]
 """Serial number, pursuer that started the epoch, and its local time then, s: unique even after a loss of memory."""
 Age = tuple[Epoch, int]
-"""Epoch and hop of a token or a message about it, greater for a newer one."""
+"""Epoch and hop of a token, or of a message about it. The greater age is the newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
 
 
@@ -44,7 +44,7 @@ class Token(NamedTuple):
 
 
 class TokenReceipt(NamedTuple):
-    """Answers a token, a probe or an outdated message; an epoch newer than that of the token rejects the token."""
+    """Answers a token, a probe or an outdated message; a receipt whose epoch is newer than the token rejects it."""
 
     epoch: Epoch
     hop: int
@@ -88,7 +88,7 @@ PORT = "token"
 """The port at which tokens, receipts and notices arrive."""
 
 Choice = Callable[[Agent, Token], int | None]
-"""Returns the next holder of a token, or None to keep it."""
+"""Given the holder and the token, returns the next holder; None: the token is kept."""
 
 
 def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attempts: int, choose: Choice) -> Process:
@@ -148,16 +148,16 @@ class TokenNode:
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
         )
-        self._next_probe = 0.0  # earliest time of the next probe, local clock, s
-        self._deadline = me.now + self.loss_timeout
+        self._next_probe = 0.0  # the next probe is not sent before this local time, s
+        self._deadline = me.now + self.loss_timeout  # local time, s, at which the token is considered lost
 
     @property
     def loss_timeout(self) -> float:
         """The time, s, without a sign of the token after which this pursuer regenerates it.
 
         It is the time of three rounds and of all attempts to reach a silent neighbour, plus two hops for each pursuer
-        of lower id. Because of these hops, the notice of a regenerated token reaches the pursuer of next higher id
-        before its own time-out.
+        of lower id. Because of these two hops, the notice of a regenerated token reaches the pursuer of next higher
+        id before that pursuer regenerates the token, too.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))

@@ -46,13 +46,13 @@ class Point:
     delay: float
     """Dimensionless latency L lambda."""
     excess: float
-    """g: mean excess active time divided by N^2 delta."""
+    """The value of g: the mean excess active time divided by N^2 delta."""
     standard_error: float
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The mean sum of active times of the pursuit at one latency and slot, and the prediction of the law; all in s."""
+    """The pursuit at one latency and slot: the mean sum of active times, and its prediction by the law; all in s."""
 
     latency: float
     slot: float

@@ -56,9 +56,9 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
     what = f"paper, {N} pursuers, L = {latency:g} s if not ideal, {runs} runs, 95 % intervals"
     return "\n\n".join(
         [
-            f"Time to capture, or t_f, s: {what}\n"
+            f"Time to capture, or the horizon without capture, s: {what}\n"
             + _grid(cells, lambda each: f"{each.survival:.2f} +- {each.half_width:.2f}"),
-            f"Its difference to {REFERENCE} in the same runs, s: {what}\n"
+            f"Time to capture minus that of {REFERENCE} with the same seeds, s: {what}\n"
             + _grid(
                 [each for each in cells if each.strategy != REFERENCE],
                 lambda each: f"{each.difference:+.2f} +- {each.difference_half_width:.2f}",
@@ -100,7 +100,7 @@ def _grid(cells: Sequence[Cell], text: Callable[[Cell], str]) -> str:
 
 
 def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
-    heads = ("captured", "95 % interval", "after, or t_f", "vs hold", "active", "vs hold")
+    heads = ("captured", "95 % interval", "time", "vs hold", "active", "vs hold")
     rows = [("R_s", "estimate", *heads, "never seen", "lost", "reports/s", "transmissions/s")]
     for each in sight:
         limited, compared = each.radius < inf, each.estimate != HELD
@@ -120,13 +120,16 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
                 f"{each.report_transmissions:.1f}",
             )
         )
-    lost = f"lost: seen, and later out of sight of all pursuers for more than {WATCHED.sensing.track_timeout:g} s"
+    lost = (
+        "time: to capture, or the horizon without capture; lost: seen, and later out of sight of all pursuers for more"
+        f" than {WATCHED.sensing.track_timeout:g} s"
+    )
     what = f"{WATCHERS} watchers, {CHASERS} chasers, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
     return f"Limited sensing: {what}\n{lost}\n{aligned(rows, right_from=2)}"
 
 
 def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
-    """Draw the difference in survival of each strategy from pure evasion, and below it the cost of limited sensing."""
+    """Draw how much longer each strategy survives than pure evasion, and below it the cost of limited sensing."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(plots.COLUMN, 4.6), font=7.0) as figure:
@@ -138,7 +141,10 @@ def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
 
 
 def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
-    """Draw paired differences in survival from pure evasion, a row per strategy; only those of SAP have intervals."""
+    """Draw a row per strategy: how much longer it survives than pure evasion with the same seeds.
+
+    Only the points of SAP have intervals.
+    """
     from desim.analysis import palette
 
     here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}

@@ -90,11 +90,11 @@ class Cell:
     latency: float
     """One-way latency, s."""
     survival: float
-    """Time to capture, or t_f where there was none, s."""
+    """Time to capture, or the horizon without capture, s."""
     half_width: float
     """Half width of the 95 % interval of the survival, s."""
     difference: float
-    """Paired difference to the survival of pure evasion, s."""
+    """Paired difference from the survival of pure evasion, s."""
     difference_half_width: float
     captured: float
     """Share of the runs with capture."""
@@ -116,15 +116,15 @@ class Sighted:
     """Lower end of the 95 % Wilson interval of this share."""
     captured_high: float
     survival: float
-    """Time to capture, or t_f where there was none, s."""
+    """Time to capture, or the horizon without capture, s."""
     half_width: float
     difference: float
-    """Paired difference to the survival with the estimate "hold", s."""
+    """Paired difference from the survival with the estimate "hold", s."""
     difference_half_width: float
     active_time: float
     active_half_width: float
     active_difference: float
-    """Paired difference to the active time with the estimate "hold", s."""
+    """Paired difference from the active time with the estimate "hold", s."""
     active_difference_half_width: float
     never_seen: float
     """Share of the runs in which no pursuer ever saw the evader."""

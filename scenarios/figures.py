@@ -48,7 +48,7 @@ class RunMetrics:
     active_time: float
     """Sum of active times over the pursuers, s."""
     end: float
-    """Time of capture, or t_f, s."""
+    """Time to capture, or the horizon without capture, s."""
     captured: bool
     alone_from: float | None
     """First time at which exactly one pursuer was active, s; None if never."""

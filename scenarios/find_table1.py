@@ -1,11 +1,11 @@
-"""Find the initial configurations of Table I, which the paper does not print; write table1_20.toml and table1_40.toml.
+"""Find initial configurations that fit Table I, since the paper prints none; write table1_20.toml and table1_40.toml.
 
 Configurations are drawn at random from the paper's boxes (pursuers in [0, 20]^2, evader in [8, 12]^2, rounded to mm). A
 candidate is a configuration for which the active time of the *centralised* Algorithm 3 is within 0.5 % of the published
-time for each of the three slots delta. Of the first candidates (`--most`), the one is chosen whose decentralised active
-times, with all pursuers initially active, have the least sum of squared log ratios to the published times. The choice
-takes several rounds, each with fewer candidates and more runs. Its seeds are not those of `scenarios.table1`. Nothing
-else is fitted: no parameter of the game, the protocol or the simulator.
+time for each of the three slots delta. The first candidates, at most `--most`, are compared by their decentralised
+active times, with all pursuers initially active. The one with the least sum of squared log ratios to the published
+times is chosen. The choice takes several rounds, each with fewer candidates and more runs. Its seeds are not those of
+`scenarios.table1`. Nothing else is fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -35,9 +35,10 @@ FIRST_SEED = 1_000_000
 
 
 def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
-    """Return the (M,) active times, s, of Algorithm 3, sampled every delta, for M configurations at once.
+    """Return the (M,) active times, s, of M configurations under the centralised Algorithm 3.
 
-    The time is inf if there is no capture by the horizon.
+    All configurations are simulated together, in steps of delta. The active time is the time to capture, because one
+    pursuer is active at a time. It is inf if there is no capture by the horizon.
 
     Args:
         pursuers: (M, N) positions x + iy, m.
@@ -116,7 +117,7 @@ def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
 
 @click.command(help=__doc__, cls=Program)
 @click.option("--draws", default=1_000_000, show_default=True, help=f"Configurations per N, in batches of {BATCH}.")
-@click.option("--most", default=100, show_default=True, help="Maximum number of candidates for each N.")
+@click.option("--most", default=100, show_default=True, help="Number of candidates compared for each N, at most.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the draws.")
 @click.option("--team", "teams", type=int, multiple=True, default=(20, 40), show_default=True, help="Team sizes N.")
 def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
@@ -148,7 +149,8 @@ def as_file(chosen: Scenario, command: str) -> str:
     """Return a configuration as the text of a scenario file, one point per line."""
     text = tomli_w.dumps(chosen.model_dump(exclude_defaults=True))
     head = (
-        f"# The configuration of Table I of Lee & Bakolas with {chosen.team.count} pursuers.\n# Found by: {command}\n"
+        f"# A configuration of {chosen.team.count} pursuers that fits Table I of Lee & Bakolas.\n"
+        f"# Found by: {command}\n"
     )
     return head + re.sub(r"\[\s+([\d.]+),\s+([\d.]+),\s+\]", r"[\1, \2]", text)
 

@@ -92,11 +92,11 @@ def _pursuit_tables(moved: Sequence[PursuitSummary], runs: int) -> str:
         caught.append((name, *(f"{each.captured:.0%} ({each.all_captured:.0%})" for each in line)))
         if name != REFERENCE:
             paired.append((name, *(f"{each.difference:+.2f} +- {each.difference_half_width:.2f}" for each in line)))
-    what = f"t_f = {HORIZON:g} s, {runs} runs, 95 % intervals"
+    what = f"horizon {HORIZON:g} s, {runs} runs, 95 % intervals"
     return (
-        f"Time until all are captured, or t_f, s: {what}\n{aligned(times)}\n\n"
-        f"Its difference to {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}\n\n"
-        f"Share of the evaders captured by t_f (share of the runs with all captured)\n{aligned(caught)}"
+        f"Time until all are captured, or the horizon, s: {what}\n{aligned(times)}\n\n"
+        f"Time until all are captured minus that of {REFERENCE} with the same seeds, s: {what}\n{aligned(paired)}\n\n"
+        f"Share of the evaders captured by the horizon (share of the runs with all captured)\n{aligned(caught)}"
     )
 
 

@@ -106,9 +106,9 @@ class Chase:
     """The result of one pursuit of several evaders."""
 
     captured: float
-    """Share of the evaders captured by t_f."""
+    """Share of the evaders captured by the horizon."""
     duration: float
-    """Time until all evaders were captured, or t_f if not all were, s."""
+    """Time until all evaders were captured, or the horizon if not all were, s."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +119,12 @@ class PursuitSummary:
     evaders: int
     protocol: str
     captured: float
-    """Mean share of the evaders captured by t_f."""
+    """Mean share of the evaders captured by the horizon."""
     captured_half_width: float
     all_captured: float
     """Share of the runs in which all evaders were captured."""
     duration: float
-    """Mean time until all evaders were captured, or t_f if not all were, s."""
+    """Mean time until all evaders were captured, or the horizon if not all were, s."""
     half_width: float
     """Half width of the 95 % interval of `duration`, s."""
     difference: float

@@ -54,7 +54,7 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
     return [
         f"Games of t = 0, in which a pursuer hears the pursuers within R: {games}\n{aligned(about)}",
         f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"Its difference to that of the game per component in the same runs, s: {what}\n{aligned(paired)}",
+        f"Sum of active times minus that of the game per component with the same seeds, s: {what}\n{aligned(paired)}",
     ]
 
 

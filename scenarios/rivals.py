@@ -65,7 +65,7 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
     )
     return [
         f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"Its difference to {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}",
+        f"Sum of active times minus that of {REFERENCE} with the same seeds, s: {what}\n{aligned(paired)}",
         f"At L = {SHOWN:g} s: {what}\n{meaning}\n{aligned(rest)}",
     ]
 

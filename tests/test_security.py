@@ -230,7 +230,7 @@ def test_with_the_option_a_class_with_another_call_signature_is_not_instantiated
     sys.path.append(str(mark.parent))
     __import__("evil")
     mark.unlink()
-    assert "should be called with (me)" in refused("check", file, "--allow-import")
+    assert "should accept a call with (me)" in refused("check", file, "--allow-import")
     assert not mark.exists()
 
 

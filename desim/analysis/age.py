@@ -45,7 +45,7 @@ def ages(result: Result) -> Ages:
     reception on.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     known = knowledge(result)
     pieces, size = known[~known["presumed"]], len(started(result).active)
@@ -74,7 +74,7 @@ def age_mean(result: Result) -> float:
     """Return the age of information, s, averaged over time and then over pairs; nan without a measurement.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     return over_pairs(ages(result).mean)
 
@@ -85,7 +85,7 @@ def age_peak(result: Result) -> float:
     The result is nan without a measurement.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     return over_pairs(ages(result).peak)
 
@@ -96,7 +96,7 @@ def age_at_decision(result: Result) -> float:
     The result is nan without a measurement.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     return over_pairs(ages(result).at_decision)
 
@@ -111,7 +111,7 @@ def belief_error(result: Result) -> float:
     the source does not chase, such as an evader captured since.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     wrong, size, end = 0, len(started(result).active), ended(result).t
     for actual, about in zip(_true_actions(result), _split(knowledge(result), "source", size), strict=True):
@@ -127,7 +127,7 @@ def believed_leaders(result: Result) -> float:
     is nan if no time passed. For the beliefs at the start see `belief_error`.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     alone, size, end = 0, len(started(result).active), ended(result).t
     for actual, pieces in zip(_true_actions(result), _split(knowledge(result), "reader", size), strict=True):

@@ -52,7 +52,7 @@ def knowledge(result: Result) -> Pieces:
     memory. A record without an action (an attribute `active` of its body) does not change the known action.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     require_messages(result)
     profile, end = np.array(started(result).active, np.int64), ended(result).t

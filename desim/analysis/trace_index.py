@@ -16,7 +16,7 @@ NO_POSITIONS = "positions were not recorded: set record.trajectory to a time gre
 
 @dataclass(frozen=True, repr=False)
 class TraceIndex(Result):
-    """A result whose trace is complete, with a cache of derived quantities."""
+    """The result of a finished run, with a cache of derived quantities."""
 
     derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -90,7 +90,7 @@ def messages_recorded(result: Result) -> bool:
 
 
 def lacks_messages(result: Result) -> bool:
-    """Return whether messages were sent and not recorded in the trace."""
+    """Return whether messages were sent that the trace lacks."""
     return bool(messages(result).sent) and not messages_recorded(result)
 
 
@@ -98,10 +98,10 @@ def require_messages(result: Result) -> None:
     """Check that the trace of a run has its messages.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     if lacks_messages(result):
-        raise ValueError("messages were sent and not recorded: set record.messages = true")
+        raise ValueError("the trace lacks the messages that were sent: set record.messages = true")
 
 
 @remembered

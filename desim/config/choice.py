@@ -64,7 +64,7 @@ class OneOf:
         models: the models that are accepted in addition to those of `group`.
         group: the group in `protocols.KINDS`, and the entry point group.
         needs: attributes that a callable object must have.
-        takes: names of the arguments that a callable object is called with.
+        takes: names of the arguments with which a callable object is called.
         traits: the class that declares and checks the optional attributes of a model or callable object.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
             {kind = "constant", value = 0.1}. A bare string always stands for a kind.
@@ -133,7 +133,7 @@ class OneOf:
         return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
-        """Return the model that a table describes; a value that is a model already is validated and returned.
+        """Return the model that a table describes, or validate and return a value that already is a model.
 
         Raises:
             ValueError: if the table or the model is invalid; errors of pydantic are subclasses.
@@ -178,7 +178,9 @@ class OneOf:
         try:
             signature(function).bind(*first, *self.takes)
         except TypeError as error:
-            raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
+            raise ValueError(
+                f"should accept a call with ({', '.join(self.takes)}); {value!r} does not: {error}"
+            ) from error
 
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
         """Return the function, or create the model, that a table of the kind "module:name" selects.
@@ -257,8 +259,9 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 def load_named(kind: str, folder: Path | None) -> Any:
     """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    If `protocols.KINDS` or an entry point of a group `desim.*` lists the object, that entry point loads it. For any
-    other object, `folder` is first appended to `sys.path`, which worker processes copy, so they find the module, too.
+    An object that `protocols.KINDS` or an entry point of a group `desim.*` lists is loaded as an entry point. Before
+    any other import, `folder` is appended to `sys.path`. Worker processes copy `sys.path`, so they, too, find the
+    module.
 
     An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first
     check that the file that names the object is trusted.

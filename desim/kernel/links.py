@@ -24,9 +24,9 @@ class Processing(Value):
 
 
 def _completed(given: Any, table: dict[str, Any]) -> Any:
-    """Fill in the keys that a given table lacks from the table of a preset.
+    """Return a given table, with the keys that it lacks filled in from a preset.
 
-    A value that is not a table, or is a table of another kind, is returned unchanged.
+    `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
     """
     alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
     return table | given if alike else given
@@ -51,8 +51,8 @@ class Links(Value):
         ]
         | None
     ) = None
-    """A named network with illustrative values, which replace the defaults of this table: wifi, lte, 5g, satellite,
-    acoustic, lora_sf7 to lora_sf12."""
+    """Name of a set of illustrative values that replace the defaults of this table: wifi, lte, 5g, satellite, acoustic,
+    lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
     """Communication graph, regardless of range."""
     range: Extent = inf

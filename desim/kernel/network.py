@@ -1,11 +1,12 @@
 """The network: nodes that publish records and send messages over imperfect links.
 
-A *record* is the state of a node: a newer record of a node supersedes an older one. The arrival of a record wakes no
-process. `publish` stores the record with its arrival time at each receiver, and `latest_records` ignores it until then.
-A *message* is an event: its arrival wakes the processes that wait at the inbox of the receiver. Records and messages
-use the same links. SimPy events are needed only to wait for a busy transmitter, to decide losses on arrival, and to
-wake processes. A read in the decision phase of an instant (`desim.kernel.clock.Phase`), or in a later phase, takes into
-account every arrival up to and including that instant.
+A *record* holds the state of a node. A newer record of a node supersedes an older one. The arrival of a record wakes no
+process. A record whose arrival is certain is stored at once, with its arrival time; `latest_records` ignores it until
+then. A *message* stands for an event. Its arrival wakes the processes that wait at the inbox of the receiver.
+
+`publish` sends a record, and `send` a message. Both use the same links. SimPy events are used only to wait for a
+busy transmitter, to decide losses on arrival, and to wake processes. A read in the decision phase of an instant
+(`desim.kernel.clock.Phase`), or in a later phase, takes into account every arrival up to and including that instant.
 """
 
 from functools import cached_property
@@ -129,7 +130,7 @@ class Network:
         changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if a node does not exist, the receiver is the sender or the size is negative.
+            ValueError: if a node does not exist, if the receiver is the sender, or if the size is negative.
         """
         if not 0 <= src < self._size:
             raise self._unknown(src)
@@ -140,7 +141,7 @@ class Network:
         self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
-        """Create the next record of a node, for a protocol that disseminates records without `publish`.
+        """Return a new record of a node, for a protocol that spreads records by other means than `publish`.
 
         Raises:
             ValueError: if the node does not exist.
@@ -206,7 +207,7 @@ class Network:
         return self.topology.audible(node)
 
     def component(self, node: int) -> set[int]:
-        """Return `node` and the nodes that it can receive from now over any number of hops; cost O(nodes + links)."""
+        """Return `node` and all nodes whose messages can reach it now in any number of hops; cost O(nodes + links)."""
         reached, ahead = {node}, [node]
         while ahead and len(reached) < self.topology.size:
             new = set(self.audible(ahead.pop())) - reached
@@ -216,7 +217,7 @@ class Network:
 
     @cached_property
     def mean_degree(self) -> float:
-        """The mean number of neighbours of a node, computed at the first access."""
+        """The mean number of neighbours of a node at the first access; later accesses return the same number."""
         return self.topology.mean_degree
 
     def airtime(self, body: Any) -> float:

@@ -81,7 +81,10 @@ class LogDistance(Value):
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002
-        """Return the distance, m, beyond which P(d) < NormalCDF(-8.3) = 5e-17, less than any draw of `pair_uniform`."""
+        """Return a distance, m, beyond which no message is received.
+
+        There P(d) < NormalCDF(-8.3) = 5e-17, which is less than any draw of `pair_uniform`.
+        """
         ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
         return ranges * range
 

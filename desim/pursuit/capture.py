@@ -1,7 +1,7 @@
 """Capture times: the time that a pursuer needs to capture an evader whose motion is assumed.
 
 The evader is assumed either to flee straight from pursuer i or to keep a constant velocity (Lee & Bakolas,
-"Time-of-Capture"). The capture time phi_i is inf if pursuer i can never capture the evader.
+section "Time-of-Capture"). The capture time phi_i is inf if pursuer i can never capture the evader.
 """
 
 from math import inf
@@ -17,8 +17,8 @@ def capture_time(
 ) -> Floats:
     """Return the (N,) capture times, s, of an evader that flees straight from each pursuer.
 
-    phi_i = (d_i - eps) / (v_i - v_e) at distance d_i, the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the
-    capture radius, and beyond it inf for a pursuer no faster than the evader.
+    At distance d_i, phi_i = (d_i - eps) / (v_i - v_e): the radial case of Lee & Bakolas, section "Time-of-Capture".
+    phi_i is 0 inside the capture radius. Beyond it, phi_i is inf for a pursuer no faster than the evader.
 
     Args:
         evader: (2,) position, m.
@@ -69,8 +69,9 @@ def intercept_time(
 ) -> Floats:
     """Return the (N,) or (K, N) least times, s, in which each pursuer can capture an evader of constant velocity.
 
-    The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
-    there is no such t. Numerically stable for any sign of |w| - v_i.
+    This is the smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps, or inf if there is no such t (Lee & Bakolas,
+    section "Time-of-Capture", for any constant velocity of the evader). The formula is numerically stable for any sign
+    of |w| - v_i.
 
     Args:
         evader: (2,) position, m.

@@ -51,7 +51,7 @@ class Fleeing(Value):
 
 
 class PureEvasion(Fleeing):
-    """Flee straight from the nearest pursuer (Lee & Bakolas, "Pure evasion")."""
+    """Flee straight from the nearest pursuer (Lee & Bakolas, section "Pure evasion")."""
 
     kind: Literal["pure_evasion"] = "pure_evasion"
 

@@ -36,10 +36,10 @@ class Sensing(Value):
     radius: Limit = inf
     """Sensing radius R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
-    """Estimated position of an unseen evader. hold: that of the last sighting; constant_velocity: extrapolated with the
-    velocity at the last sighting; worst_case: that of the last sighting, but with the capture time phi = (d + v_e a -
-    eps) / (v_i - v_e). Here d is the distance to the last sighting, and a is its age. If all clocks are equal, this
-    phi is an upper bound."""
+    """Estimated position of an unseen evader. hold: the position of the last sighting; constant_velocity: this position
+    extrapolated with the velocity at the last sighting; worst_case: the position of the last sighting, with the capture
+    time phi = (d + v_e a - eps) / (v_i - v_e), where d is the distance to this position and a the age of the sighting.
+    If all clocks are equal, this phi is an upper bound."""
     period: Period = 0.1
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
     until the sighting is `track_timeout` old or a newer one is reported to it."""
@@ -49,9 +49,9 @@ class Sensing(Value):
     """Time T_lost, s: an evader is lost if its newest sighting is older than this."""
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the
-    speed of the pursuer, from the last estimated position. The spiral begins when the evader is lost, wherever the
-    pursuer is. Its turns are 2 R_s apart, at least 2 eps, and it is rotated for each pursuer. A pursuer without any
-    sighting of an evader may not chase it."""
+    speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
+    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps. It is rotated by another angle for each
+    pursuer. A pursuer without any sighting of an evader may not chase it."""
 
     @property
     def limited(self) -> bool:
@@ -115,7 +115,7 @@ class TeamSensor:
             self._velocities[row, seeing] = state.velocity(evader)
 
     def blind(self, actions: "Actions") -> list[int]:
-        """Return the pursuers that chase an evader out of their sensing range now, given the (N,) actions."""
+        """Return the pursuers that chase an evader now outside their sensing radius, given the (N,) actions."""
         unseen = np.zeros(self._state.size, dtype=bool)
         for evader in self._state.at_large:
             unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)

@@ -90,7 +90,7 @@ class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
     count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
-    """Number of pursuers N; the number of `positions` if these are given."""
+    """Number of pursuers N; with `positions`, it must be their number or be absent."""
     positions: tuple[Point, ...] | None = None
     """Initial positions, one [x, y] per pursuer, m; if absent, uniform random draws from `box` per seed."""
     box: Box = (0.0, 20.0)
@@ -247,7 +247,7 @@ class Scenario(Value):
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of every random stream of the run."""
     horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
-    """Time t_f at which the pursuit ends if the evader has not been captured, s."""
+    """Time t_f at which the pursuit ends at the latest, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"
     """Pursuers that may not chase an evader under any protocol. none: all may chase; inf: those that can never capture
     the evader (phi = inf) may not; infeasible: nor may those that would be late (phi >= r, the time left). This

@@ -66,7 +66,7 @@ class Sweep(Value):
     @field_validator("grid")
     @classmethod
     def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
-        """Reject code that an untrusted file names in the grid; the values themselves are validated later."""
+        """Raise an error if the grid of an untrusted file names code; the values of the grid are validated later."""
         named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if is_unlisted_import(kind)]
         if named:
             text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
@@ -83,7 +83,7 @@ class Sweep(Value):
 
 
 def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
-    """Yield (key of the grid, kind) for each kind in the values of the key, nested tables included."""
+    """Yield each kind in the values of a grid, also in nested tables, as a pair (key of the grid, kind)."""
 
     def inside(value: Any) -> Iterator[Any]:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()

@@ -31,7 +31,7 @@ def checked_limit(limit: float) -> float:
         ValueError: if the limit is not positive, or is longer than a thread can wait.
     """
     if not 0.0 < limit <= TIMEOUT_MAX:
-        raise ValueError(f"should be a time > 0 s (got {limit:g})")
+        raise ValueError(f"should be a time > 0 s and at most {TIMEOUT_MAX:g} s (got {limit:g})")
     return limit
 
 
@@ -56,7 +56,10 @@ def within(limit: float) -> Iterator[None]:
 
     class Raised(TimedOut):
         def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
-            super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached at its start or end",))
+            super().__init__(
+                *text
+                or (f"took longer than {limit:g} s: the limit was reached while the timed block was entered or left",)
+            )
             on_its_way.add(self)
 
     def watch() -> None:
@@ -82,13 +85,13 @@ def within(limit: float) -> Iterator[None]:
         finally:
             end()
     except BaseException as error:
-        end()  # again, in case the exception was raised inside the first call; no other follows
+        end()  # again: the exception may have interrupted the first call; while it propagates, no other is raised
         if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
             raise
         is_described = isinstance(error, TimedOut) and not isinstance(error, Raised)
         raise TimedOut(f"took longer than {limit:g} s: {error if is_described else place_of(error)}") from error
     if is_late:
-        raise TimedOut(f"took longer than {limit:g} s: it ended before it could be interrupted")
+        raise TimedOut(f"took longer than {limit:g} s: it ended by itself, but too late")
 
 
 def place_of(error: BaseException) -> str:

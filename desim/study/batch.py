@@ -31,14 +31,15 @@ def run_many(
 
     Args:
         tasks: the scenario and the seed of each run.
-        jobs: the number of worker processes; 0 = one per core; 1 = all runs in this process, as with a single task.
+        jobs: the number of worker processes; 0 = the number of cores. With 1 job, or a single task, all runs are made
+            in this process.
         label: the text before the progress bar, which is drawn only on a terminal and in a notebook.
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
 
     Raises:
-        BaseException: the exception of the first run that is reported as failed; a RuntimeError with its traceback if
-            this exception cannot be pickled.
+        BaseException: if a run fails: the exception of the first failed run that is reported. If that exception cannot
+            be pickled, a RuntimeError with its traceback is raised instead.
         BrokenExecutor: if a run ended its worker process.
         ValueError: if `jobs` is negative.
     """

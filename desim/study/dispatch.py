@@ -70,9 +70,10 @@ def drive(
 ) -> Outcomes:
     """Yield the position and the outcome of each task as soon as the outcome is known.
 
-    Runs are dispatched in batches, in the order of the tasks. When a worker dies, each run of the unfinished batches is
-    repeated while no other run is under way. So is each run of a batch whose call failed, for example because its
-    result cannot be serialized. If a worker dies again during such a repetition, the repeated run has crashed.
+    Runs are dispatched in batches, in the order of the tasks. After a worker has died, each run of the unfinished
+    batches is repeated alone, while no other run is under way. The runs of a batch whose call failed, for example
+    because its result cannot be serialized, are repeated in the same way. If a worker dies while a run is repeated, the
+    outcome of this run is "crashed".
 
     Raises:
         BrokenExecutor: if a worker of the user's own executor died, after which the executor accepts no more calls.
@@ -96,7 +97,7 @@ def drive(
 def _in_batches(
     waiting: deque[int], submit: Submit, workers: Workers
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
-    """Yield outcomes until all are known or a worker dies; return the submitted runs without an outcome."""
+    """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
     broken, run_time = False, BATCH_TIME

@@ -192,8 +192,8 @@ def sweep(
         grid: dotted keys of the scenario and the values that each takes: numbers, texts, arrays, tables, protocols, and
             functions, even of a notebook; None = the grid of `scenario.sweep`.
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
-        executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
-            scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
+        executor: a number of worker processes (0: the number of cores; 1: all runs in this process), the address of a
+            Dask scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
         store: the file to which each run is added as it ends; successful runs in it are not repeated; None = no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric

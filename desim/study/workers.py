@@ -1,7 +1,7 @@
 """Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
-Worker processes ignore the signals of `desim.simulation.interrupts`, because the driver handles them: the process that
-dispatches the runs. Worker processes exit when the driver has died.
+Worker processes ignore the signals of `desim.simulation.interrupts`, because the driver, the process that dispatches
+the runs, handles them. Worker processes exit when the driver has died.
 """
 
 import logging
@@ -77,7 +77,10 @@ class Workers:
         Raises:
             BrokenExecutor: if the executor belongs to the user.
         """
-        raise BrokenExecutor(f"a worker died, so {self._name} accepts no more calls: give a number of workers")
+        raise BrokenExecutor(
+            f"a worker died, so {self._name} accepts no more calls: pass a number of workers instead of an executor,"
+            " and desim replaces workers that die"
+        )
 
     def stop(self) -> None:
         """End the running calls if the kind of workers allows it; do nothing by default."""
@@ -116,7 +119,7 @@ class Processes(Workers):
         super().__init__(_pool(count), count)
 
     def renew(self) -> None:
-        """Start new workers."""
+        """Replace the workers after one died; the next calls start the new ones."""
         self.executor = _pool(self.count)
 
     def submit(self, call: Call) -> Future[Any]:
@@ -186,7 +189,7 @@ class Cluster(Workers):
 def workers_for(executor: Executor | int | str) -> Workers:
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
-    The number 1 means that calls are made in this process, and 0 means one worker process per core.
+    The number 0 stands for the number of cores. With the number 1, calls are made in this process.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
@@ -208,8 +211,8 @@ def _pool(count: int) -> Executor:
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # separately, because it unblocks the signals when it returns
-    with _block_signals():  # the executor starts a process that tracks its semaphores
+            resource_tracker.ensure_running()  # in a block of its own: ensure_running() unblocks the signals
+    with _block_signals():  # loky starts a tracker of its own, another process
         return get_reusable_executor(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
         )

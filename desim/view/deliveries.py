@@ -43,7 +43,7 @@ def deliveries(result: Result) -> list[Delivery]:
     """Return all deliveries of a run, in order of the time of transmission.
 
     Raises:
-        ValueError: if messages were sent and not recorded.
+        ValueError: if the trace lacks messages that were sent.
     """
     require_messages(result)
     found: dict[tuple[int, int], Delivery] = {}

@@ -143,12 +143,13 @@ def _waterfalls(found: Explanation) -> Iterator["Markup"]:
 
 
 def findings(study: Study) -> Iterator[str]:
-    """Yield the findings as sentences: the greatest cost of an imperfection, and the greatest paired difference.
+    """Yield the findings as sentences: one about the costs of imperfections, and one about the paired differences.
 
-    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. The
-    greatest is the one with the greatest absolute mean; those that differ significantly from 0 come first. The test for
-    this has a level of 5 % for all costs or all differences together (Bonferroni). The interval shown is that of the
-    one cost or difference, as in the tables. If nothing can be compared, there is no sentence.
+    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. A
+    sentence names the greatest absolute mean of those that differ significantly from 0. If none differs, it says so and
+    names the greatest of all. The test has a level of 5 % for all costs or all differences together (Bonferroni). The
+    interval shown is that of the one cost or difference, as in the tables. If nothing can be compared, there is no
+    sentence.
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)
@@ -157,14 +158,17 @@ def findings(study: Study) -> Iterator[str]:
 
 
 def _greatest_cost(explanation: Explanation) -> Iterator[str]:
-    """Yield a sentence about the imperfection that changes the first metric of an explanation most."""
+    """Yield a sentence about the greatest cost in the first metric of an explanation; see `findings`."""
     cost = next(iter(explanation.costs.values()))
     parts = [(name, saving.mean) for name, saving in cost.parts.items() if saving.mean.count > 1]
     if not parts:
         return
     name, found = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
     if _excludes_0(found, len(parts)):
-        yield f"Of the imperfections, {name} matters most: it changes the {cost.label} by {_size(found, cost.unit)}."
+        yield (
+            f"Of the imperfections with an effect distinguishable from 0, {name} matters most: it changes the "
+            f"{cost.label} by {_size(found, cost.unit)}."
+        )
     else:
         yield (
             f"No imperfection has an effect on the {cost.label} that is distinguishable from 0; the greatest"
@@ -173,7 +177,7 @@ def _greatest_cost(explanation: Explanation) -> Iterator[str]:
 
 
 def _greatest_difference(study: Study) -> Iterator[str]:
-    """Yield a sentence about the key of the grid that changes the first measured metric of the tables most."""
+    """Yield a sentence about the greatest paired difference in the first measured metric; see `findings`."""
     result = study.result
     metric = next((each for each in (*SHOWN, *result.units) if each in study.measured), None)
     if not result.common or metric is None:
@@ -193,8 +197,10 @@ def _greatest_difference(study: Study) -> Iterator[str]:
     change = f"{value} instead of {first}{f' (with {rest})' if rest else ''}"
     size = _size(found, METRICS[metric].unit if metric in METRICS else result.units[metric])
     if _excludes_0(found, count):
-        among = f", the greatest of {count} paired differences" if count > 1 else ""
-        yield f"{key} matters most: {change} changes the {words(metric)} by {size}{among}."
+        among = (
+            f" Of {count} paired differences, this is the greatest that is distinguishable from 0." if count > 1 else ""
+        )
+        yield f"{key} matters most: {change} changes the {words(metric)} by {size}.{among}"
     else:
         yield (
             f"No paired difference in {words(metric)} is distinguishable from 0; the greatest of {count} is {size}, "

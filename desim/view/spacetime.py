@@ -64,8 +64,8 @@ def spacetime(
         size: the width and, optionally, the height of the figure; a column of a paper is about 8.5 cm wide.
 
     Raises:
-        ValueError: if messages were sent and not recorded, no pursuer is given, a pursuer does not exist or is given
-            twice, the size is invalid, the window is empty, or it has too many messages to be told apart.
+        ValueError: if the trace lacks messages that were sent, no pursuer is given, a pursuer does not exist or is
+            given twice, the size is invalid, the window is empty, or it has too many messages to be told apart.
     """
     width, height = size_of(size)
     shown = list(pursuers) if pursuers is not None else _busiest(result)

@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and without a simulator.
+"""Deliver the broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and no simulator.
 
 Each pass of the loop is one turn: it delivers the messages that have arrived since the previous turn, and then sends
 the broadcast of this turn. Nodes read only at turns. The loop therefore takes the broadcast at the top of the heap and

@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in desim: as published records, and as messages to inboxes."""
+"""Deliver the broadcasts of a workload in desim: as published records, and as messages to inboxes."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in other simulators, each in a temporary environment.
+"""Deliver the broadcasts of a workload in other simulators, each in a temporary environment.
 
 The programs for these simulators (peer_*) are standalone and read a workload as text from stdin. The first line has
 the number of turns, the time between two turns (s), the mean latency (s), the coefficient of variation of the latency

@@ -1,7 +1,8 @@
-"""The broadcasts of a workload in GrADyS-SIM NextGen, one packet per message. A standalone program; see `elsewhere`.
+"""Deliver the broadcasts of a workload in GrADyS-SIM NextGen, one packet per message.
 
-The simulator's own medium has a single delay, and checks for every node whether it is within range. `Medium` transmits
-to the neighbours only, with a separate delay for each. This is faster than the simulator's broadcast.
+This is a standalone program, which `scenarios.peers.elsewhere` runs. The simulator's own medium has a single delay, and
+checks for every node whether it is within range. `Medium` transmits to the neighbours only, with a separate delay for
+each. This is faster than the simulator's broadcast.
 """
 
 import json

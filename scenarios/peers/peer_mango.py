@@ -1,7 +1,8 @@
-"""The broadcasts of a workload in mango's simulation world, one message per receiver.
+"""Deliver the broadcasts of a workload in mango's simulation world, one message per receiver.
 
-The world takes a step per turn and delivers all messages that have arrived. This is faster than a step per arrival.
-A standalone program; see `elsewhere`.
+The nodes take turns; in its turn a node broadcasts once. After each turn the world takes one step, which delivers all
+messages that have arrived. This is faster than a step per arrival. This is a standalone program, which
+`scenarios.peers.elsewhere` runs.
 """
 
 import asyncio

@@ -1,4 +1,7 @@
-"""The broadcasts of a workload in Mesa's event list, one event per message. A standalone program; see `elsewhere`."""
+"""Deliver the broadcasts of a workload by Mesa's event list, one event per message.
+
+This is a standalone program, which `scenarios.peers.elsewhere` runs.
+"""
 
 import json
 import sys

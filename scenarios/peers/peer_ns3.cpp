@@ -1,7 +1,8 @@
-// The broadcasts of a workload in ns-3: SimpleNetDevices on a SimpleChannel. It stands alone; see `elsewhere`.
+// Deliver the broadcasts of a workload in ns-3, by SimpleNetDevices on a SimpleChannel.
 //
-// On a complete graph with one latency the channel is ns-3's own. Else it is one that does what its Send does, an event
-// per receiver, for the neighbours only and each after a latency of its own.
+// This is a standalone program, which elsewhere.py runs. On a complete graph with constant latency the channel is that
+// of ns-3. Otherwise it is `Links`, which also schedules one event per receiver, but only for the neighbours, and each
+// after a latency of its own.
 
 #include <cmath>
 #include <ctime>

@@ -1,7 +1,8 @@
-// The broadcasts of a workload in SimGrid: actors, mailboxes, a message each. It stands alone; see `elsewhere`.
+// Deliver the broadcasts of a workload in SimGrid, by actors and mailboxes, one message per receiver.
 //
-// SimGrid has no latency that is drawn for each message: its sender waits before it puts the message in the mailbox. So
-// it does here with latencies that are all the same, too, which is faster than a link that has one.
+// This is a standalone program, which elsewhere.py runs. SimGrid cannot draw a latency for each message. The sender
+// therefore waits for the latency before it puts a message into the mailbox. This is also done if the latency is
+// constant, because it is faster than a link with a latency.
 
 #include <cmath>
 #include <ctime>

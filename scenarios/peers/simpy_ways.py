@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in plain SimPy: as documented, one event per message, and one event per broadcast."""
+"""Deliver the broadcasts of a workload in plain SimPy: as documented, by one event per message or per broadcast."""
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial

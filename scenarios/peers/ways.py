@@ -1,4 +1,7 @@
-"""The ways, by name, to deliver the broadcasts of a workload in this process; `elsewhere` has other simulators."""
+"""The ways, by name, to deliver the broadcasts of a workload in this process.
+
+`scenarios.peers.elsewhere` delivers them in other simulators.
+"""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

@@ -65,5 +65,5 @@ def test_a_run_whose_messages_went_to_a_file_has_them_if_its_trace_was_read_from
 
 def test_missing_messages_are_an_error_that_explains_how_to_record_them():
     require_messages(ran(messages=True))
-    with pytest.raises(ValueError, match=r"^messages were sent and not recorded: set record\.messages = true"):
+    with pytest.raises(ValueError, match=r"^the trace lacks the messages that were sent: set record\.messages = true"):
         require_messages(ran())

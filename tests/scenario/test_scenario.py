@@ -29,7 +29,7 @@ SHARES = st.floats(0, 1)
 
 
 def test_the_default_is_the_scenario_of_the_paper():
-    """Lee & Bakolas, "Simulation": 20 pursuers in 20 m x 20 m, one twice as fast, an ideal network, t_f = 30 s."""
+    """Lee & Bakolas, section "Simulation": 20 pursuers in 20 m x 20 m, one twice as fast, ideal network, t_f = 30 s."""
     scenario = Scenario()
     assert scenario.team.count == 20
     assert scenario.team.all_speeds() == [1.0] * 19 + [2.0]

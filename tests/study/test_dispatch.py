@@ -226,7 +226,7 @@ def test_an_executor_that_breaks_ends_the_sweep_and_what_was_done_is_kept(tmp_pa
     scenario = load(sweeps.write(tmp_path / "in", losses=(0.2,), bad=(30,), how="exit", reps=40), allow_import=True)
     with (
         ProcessPoolExecutor(2) as executor,
-        pytest.raises(BrokenExecutor, match=r"ProcessPoolExecutor.* accepts no more calls: give a number of workers"),
+        pytest.raises(BrokenExecutor, match=r"ProcessPoolExecutor.* accepts no more calls: pass a number of workers"),
     ):
         desim.sweep(scenario, executor=executor, store=tmp_path / "store.sqlite")
     _, runs = sweeps.rows(tmp_path / "store.sqlite")

@@ -157,7 +157,8 @@ def test_the_key_of_the_greatest_difference_is_named(tmp_path):
     """8, 9, 10 s more: 9 +- 4.303 / sqrt(3) s; the interval for the greatest of 4 is twice as wide."""
     assert found_in(tmp_path, [[1, 2, 3], [1, 2, 3], [2, 3, 4], [9, 11, 13]]) == [
         "horizon matters most: 0.1 instead of 0.05 (with prune = none) changes the active time by +9.000 +- 2.484 s "
-        "(95 % interval, 3 pairs of runs with the same seed), the greatest of 4 paired differences."
+        "(95 % interval, 3 pairs of runs with the same seed). Of 4 paired differences, this is the greatest that is "
+        "distinguishable from 0."
     ]
 
 
