@@ -113,14 +113,20 @@ class InProcess(Workers):
 
 
 class Processes(Workers):
-    """Worker processes of this machine; idle ones stay alive for a while, and the next sweep reuses them."""
+    """Worker processes of this machine; idle ones stay alive for a while, and the next sweep reuses them.
 
-    def __init__(self, count: int):
-        super().__init__(_pool(count), count)
+    Args:
+        count: the number of processes.
+        kept: whether the processes are for this object only, and stay alive until `stop`.
+    """
+
+    def __init__(self, count: int, *, kept: bool = False):
+        self._kept = kept
+        super().__init__(_pool(count, kept=kept), count)
 
     def renew(self) -> None:
         """Replace the workers after one died; the next calls start the new ones."""
-        self.executor = _pool(self.count)
+        self.executor = _pool(self.count, kept=self._kept)
 
     def submit(self, call: Call) -> Future[Any]:
         """Submit a call to a worker; the first calls start the workers."""
@@ -205,15 +211,16 @@ def workers_for(executor: Executor | int | str) -> Workers:
     return InProcess() if count == 1 else Processes(count)
 
 
-def _pool(count: int) -> Executor:
-    """Return the existing pool of worker processes, or create one, whose processes start with the first calls."""
-    from loky import get_reusable_executor
+def _pool(count: int, *, kept: bool) -> Executor:
+    """Return a pool of worker processes, which start with the first calls: the common one, or a new one to be kept."""
+    from loky import ProcessPoolExecutor, get_reusable_executor
 
     if os.name == "posix":
         with _block_signals():
             resource_tracker.ensure_running()  # in a block of its own: ensure_running() unblocks the signals
     with _block_signals():  # loky starts a tracker of its own, another process
-        return get_reusable_executor(  # type: ignore[no-any-return]
+        make = ProcessPoolExecutor if kept else get_reusable_executor
+        return make(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
         )
 

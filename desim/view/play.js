@@ -16,13 +16,15 @@ let count = 0;  // for the ids of controls
 /**
  * Show a scenario to play with.
  *
- * transport: `run(body, signal)`, `seeds(body, show, signal)` and `save(body)`, promises of the answers.
- * options: `name` of the scenario; `changes`, KEY=VALUE, at the beginning; `hasAddress`, whether the address keeps the state.
+ * transport: `run(body, signal)`, `seeds(body, show, signal)`, `save(body)` and `cancel()`, promises of the answers.
+ * options: `name` of the scenario; `values`, of each key before any change; `changes`, KEY=VALUE, at the beginning;
+ * `hasAddress`, whether the address keeps the state.
  */
 export function start(root, transport, options) {
   let now = new Map(), pinned = null;  // changed keys with their values; the changes of the pinned run
-  let known = new Map(), controls = [];  // the values of all keys without changes; the controls of the last answer
-  let running = null, comparing = null, frame = null, waiting = null, runs = 0, query = "", wrongKeys = new Set();
+  let controls = [], rows = new Map(), layout = "";  // the controls of the last answer, their elements, and which there are
+  let running = null, comparing = null, frame = null, waiting = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
+  let instant = null;  // at which the next replay begins, if not at that of the present one, s
   const shown = { time: 0, playing: false };
 
   const split = text => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)];
@@ -35,7 +37,7 @@ export function start(root, transport, options) {
     const isNew = !given.has("set") && !given.has("pin") && !given.has("alone");
     now = new Map((isNew ? options.changes : given.getAll("set")).filter(Boolean).map(split));
     pinned = isNew ? [...options.changes] : given.has("pin") ? given.getAll("pin").filter(Boolean) : null;
-    shown.time = parseFloat(given.get("t")) || 0;
+    instant = parseFloat(given.get("t")) || 0;
   }
   function writeAddress(isNew) {
     if (!options.hasAddress) return;
@@ -44,7 +46,7 @@ export function start(root, transport, options) {
     if (pinned === null) parts.append("alone", "");
     else if (pinned.length) pinned.forEach(each => parts.append("pin", each));
     else parts.append("pin", "");
-    const time = replay()?.time ?? shown.time;
+    const time = instant ?? replay()?.time ?? shown.time;
     if (time) parts.append("t", +time.toFixed(4));
     const own = `#${parts}`;
     if (own !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", own);
@@ -53,7 +55,7 @@ export function start(root, transport, options) {
   // The frame of the page.
 
   const button = (text, about, act) => make("button", { type: "button", title: about, onclick: act }, text);
-  const status = make("span", { className: "status", role: "status" });
+  const status = make("span", { className: "status" }), spoken = make("span", { className: "spoken", role: "status" });
   const pin = button("Pin", "Compare with this run from now on", () => { pinned = joined(now); writeAddress(true); run(); });
   pin.className = "primary";
   const alone = button("Unpin", "Compare with no run", () => { pinned = null; writeAddress(true); run(); });
@@ -72,7 +74,7 @@ export function start(root, transport, options) {
   keys.setAttribute("aria-label", "Keys of the scenario");
   const dialog = make("dialog");
   const element = make("div", { className: options.hasAddress ? "play" : "play inline" },
-    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, pin, alone, many, copy, save, reset, theme),
+    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, spoken, pin, alone, many, copy, save, reset, theme),
     keys, make("div", { className: "view" }, numbers, note, wrong, seeds, stage), dialog);
   root.append(element);
 
@@ -87,83 +89,94 @@ export function start(root, transport, options) {
 
   // Controls.
 
-  const control = key => keys.querySelector(`[data-key="${CSS.escape(key)}"]`);
   function change(key, text) {
     const each = controls.find(one => one.key === key);
     if (each?.form === "kind")  // the keys of another kind no longer exist
       for (const below of [...now.keys()]) if (below.startsWith(`${key}.`)) now.delete(below);
     const own = each?.form === "kind" ? `${key}.kind` : key;
-    now.delete(own);
-    if (known.get(key) !== text) now.set(own, text);
+    const isOfOtherKind = [...now.keys()].some(one => one.endsWith(".kind") && key.startsWith(one.slice(0, -4)));
+    if (options.values[key] === text && !isOfOtherKind) now.delete(own);
+    else now.set(own, text);
     writeAddress(true);
     run();
   }
   const changed = key => now.has(key) || now.has(`${key}.kind`);
 
-  // The positions of a slider are 0 .. 1000.
-  const STEPS = 1000;
+  // The positions of a slider are 0 .. positions(slider). One step changes each value by at least its last digit.
+  const PER_DECADE = 200, STEPS = 1000;
+  const positions = ({ low, high, is_log: isLog }, isInteger) => isLog ? Math.round(PER_DECADE * Math.log10(high / low)) : isInteger ? high - low : STEPS;
   function fromPosition(slider, position, isInteger) {
-    const { low, high, is_log: isLog, at_low: atLow, at_high: atHigh } = slider;
+    const { low, high, is_log: isLog, at_low: atLow, at_high: atHigh } = slider, most = positions(slider, isInteger);
     if (position <= 0 && atLow !== null) return `${atLow}`;
-    if (position >= STEPS && atHigh !== null) return atHigh === "Infinity" ? "inf" : `${atHigh}`;
-    const share = position / STEPS, exact = isLog ? low * (high / low) ** share : low + (high - low) * share;
-    return isInteger ? `${Math.round(exact)}` : `${+exact.toPrecision(isLog ? 2 : 3)}`;
+    if (position >= most && atHigh !== null) return atHigh === "Infinity" ? "inf" : `${atHigh}`;
+    const share = position / most, exact = isLog ? low * (high / low) ** share : low + (high - low) * share;
+    return isInteger ? `${Math.round(exact)}` : `${+exact.toPrecision(3)}`;
   }
-  function toPosition(slider, text) {
+  function toPosition(slider, text, isInteger) {
     const { low, high, is_log: isLog, at_low: atLow } = slider, number = text === "inf" ? Infinity : +text;
     if (number === atLow) return 0;
-    return Math.round(STEPS * Math.min(Math.max(isLog ? Math.log(number / low) / Math.log(high / low) : (number - low) / (high - low), 0), 1));
+    const share = isLog ? Math.log(number / low) / Math.log(high / low) : (number - low) / (high - low);
+    return Math.round(positions(slider, isInteger) * Math.min(Math.max(share, 0), 1));
   }
   function draw(each, label) {
-    const id = `desim-${count++}`, field = { id, title: each.help, onchange: event => change(each.key, event.target.value.trim()) };
-    let input, slider = null;
-    if (each.form === "kind" || each.form === "choice") {
-      input = make("select", field, ...each.options.map(one => new Option(words(one), one)));
-      if (!each.options.includes(each.value)) input.prepend(new Option(each.value || "none", each.value));
-      input.value = each.value;
-    } else if (each.form === "flag") {
-      input = make("input", { ...field, type: "checkbox", checked: each.value === "true", onchange: event => change(each.key, `${event.target.checked}`) });
-    } else {
-      const isNumber = each.form !== "text";
-      input = make("input", { ...field, type: "text", value: each.value, spellcheck: false, autocomplete: "off" });
-      if (isNumber) { input.className = "number"; input.inputMode = "decimal"; }
+    const id = `desim-${count++}`, isInteger = each.form === "integer", unit = each.unit ? ` ${each.unit}` : "";
+    const commit = () => change(each.key, each.form === "flag" ? `${input.checked}` : input.value.trim());
+    const field = { id, title: each.help, onchange: commit };
+    let input, slider = null, list = null;
+    if (each.form === "kind" || each.form === "choice") input = make("select", field, ...each.options.map(one => new Option(words(one), one)));
+    else if (each.form === "flag") input = make("input", { ...field, type: "checkbox" });
+    else {
+      input = make("input", { ...field, type: "text", spellcheck: false, autocomplete: "off" });
+      if (each.form !== "text") { input.className = "number"; input.inputMode = "decimal"; }
       if (each.options.length) {
-        input.setAttribute("list", `${id}-list`);
-        input.after(make("datalist", { id: `${id}-list` }, ...each.options.map(one => new Option(one))));
+        list = make("datalist", { id: `${id}-list` }, ...each.options.map(one => new Option(one)));
+        input.setAttribute("list", list.id);
       }
-      if (each.form === "integer") input.onkeydown = event => {
+      if (isInteger) input.onkeydown = event => {
         const step = { ArrowUp: 1, ArrowDown: -1 }[event.key];
         if (!step || !/^-?\d+$/.test(input.value)) return;
         event.preventDefault();
         input.value = +input.value + step;
-        change(each.key, input.value);
+        commit();
       };
-      if (each.slider) {
-        slider = make("input", {
-          type: "range", min: 0, max: STEPS, value: toPosition(each.slider, each.value),
-          oninput: () => { input.value = fromPosition(each.slider, +slider.value, each.form === "integer"); slider.setAttribute("aria-valuetext", `${input.value} ${each.unit}`); },
-          onchange: () => change(each.key, input.value),
-        });
-        slider.setAttribute("aria-label", `${words(each.key.replaceAll(".", " "))}${each.unit ? `, ${each.unit}` : ""}: slider`);
-        slider.setAttribute("aria-valuetext", `${each.value} ${each.unit}`);
-      }
     }
-    const unit = each.unit && each.form !== "kind" ? make("small", {}, ` ${each.unit}`) : "";
-    const help = make("p", { className: "help", id: `${id}-help` }, `${each.key}: ${each.help}${bounds(each)}`);
-    const error = make("p", { className: "error", id: `${id}-error`, role: "alert" });
+    const name = `${words(each.key.replaceAll(".", " "))}${each.unit ? `, ${each.unit}` : ""}`;
+    input.setAttribute("aria-label", name);
     input.setAttribute("aria-describedby", `${id}-error ${id}-help`);
-    input.setAttribute("aria-label", `${words(each.key.replaceAll(".", " "))}${each.unit ? `, ${each.unit}` : ""}`);
-    const row = make("div", {}, make("label", { htmlFor: id, title: each.key }, label, unit), input);
-    const whole = make("div", { className: `key ${each.form}` }, row, ...(slider ? [slider] : []), error, help);
-    whole.dataset.key = each.key;
-    if (changed(each.key)) {
-      whole.classList.add("changed");
-      const undo = button("↺", `Undo the change of ${each.key}`, () => { for (const key of [...now.keys()]) if (key === each.key || key === `${each.key}.kind` || (each.form === "kind" && key.startsWith(`${each.key}.`))) now.delete(key); writeAddress(true); run(); });
-      undo.className = "back";
-      undo.setAttribute("aria-label", `Undo the change of ${each.key}`);
-      row.append(undo);
+    const tell = () => slider.setAttribute("aria-valuetext", `${input.value}${unit}`);
+    if (each.slider) {
+      const most = positions(each.slider, isInteger);
+      slider = make("input", { type: "range", min: 0, max: most, onchange: commit, oninput: () => { input.value = fromPosition(each.slider, +slider.value, isInteger); tell(); } });
+      slider.setAttribute("aria-label", `${name}: slider`);
     }
-    return whole;
+    const error = make("p", { className: "error", id: `${id}-error` });
+    const undo = button("↺", `Undo the change of ${each.key}`, () => {
+      for (const key of [...now.keys()]) if (key === each.key || (each.form === "kind" && key.startsWith(`${each.key}.`))) now.delete(key);
+      writeAddress(true);
+      input.focus();
+      run();
+    });
+    undo.className = "back";
+    undo.setAttribute("aria-label", `Undo the change of ${each.key}`);
+    const row = make("div", {}, make("label", { htmlFor: id, title: each.key }, label, each.form !== "kind" && unit ? make("small", {}, unit) : ""), input, ...(list ? [list] : []), undo);
+    const whole = make("div", { className: `key ${each.form}` }, row, ...(slider ? [slider] : []), error, make("p", { className: "help", id: `${id}-help` }, `${each.key}: ${each.help}${bounds(each)}`));
+    whole.dataset.key = each.key;
+    let last;  // the value that was shown last: what differs from it is being edited
+    function update(value) {
+      const isEdited = input === document.activeElement && each.form !== "flag" && input.value !== last && last !== undefined;
+      undo.hidden = !changed(each.key);
+      whole.classList.toggle("changed", changed(each.key));
+      if (isEdited || (slider && slider.matches(":active"))) return;
+      last = value;
+      if (each.form === "flag") input.checked = value === "true";
+      else {
+        if (input.options && ![...input.options].some(one => one.value === value)) input.prepend(new Option(value || "none", value));
+        input.value = value;
+      }
+      if (slider) { slider.value = toPosition(each.slider, value, isInteger); tell(); }
+    }
+    update(each.value);
+    return { whole, update, error, inputs: slider ? [input, slider] : [input] };
   }
   const bounds = each => {
     const ends = [each.low, each.high].map(one => one === null || Math.abs(one) >= 1e6 ? null : `${one}`);
@@ -173,35 +186,44 @@ export function start(root, transport, options) {
     const parts = each.key.split(".").filter(part => !/^\d+$/.test(part)), above = controls.find(one => one.form === "kind" && each.key.startsWith(`${one.key}.`) && one.key !== "protocol");
     return words(each.first === null ? each.key : above ? parts.at(-1) : parts.slice(-2).join(" "));
   }
+  const search = make("input", { type: "search", className: "search", oninput: () => { query = search.value; drawControls(); } });
+  const first = make("div"), found = make("div");
+  keys.append(first, make("h2", {}, "Other keys"), search, found);
+  /** Show a control for each key that comes first, is changed, is wrong or is searched; those that stay are updated. */
   function drawControls() {
-    const focused = keys.contains(document.activeElement) ? document.activeElement : null;
-    const place = focused?.closest("[data-key]")?.dataset.key, isSlider = focused?.type === "range", isSearch = focused?.type === "search";
-    const first = controls.filter(each => each.first !== null), rest = controls.filter(each => each.first === null);
-    const search = make("input", { type: "search", className: "search", placeholder: `Search ${rest.length} more keys`, value: query, oninput: () => { query = search.value; found.replaceChildren(...hits()); } });
-    search.setAttribute("aria-label", `Search ${rest.length} more keys`);
-    const hits = () => {
-      const wanted = query.toLowerCase().split(/\s+/).filter(Boolean);
-      const matches = each => wanted.every(word => `${each.key} ${words(each.key)} ${each.help}`.toLowerCase().includes(word));
-      const isOpen = each => changed(each.key) || wrongKeys.has(each.key) || [...now.keys()].some(key => key.endsWith(".kind") && each.key.startsWith(key.slice(0, -4)));
-      return rest.filter(each => isOpen(each) || (wanted.length && matches(each))).map(each => draw(each, each.key));
-    };
-    const found = make("div", {}, ...hits());
-    keys.replaceChildren(...first.map(each => draw(each, label(each))), make("h2", {}, "Other keys"), search, found);
-    if (isSearch) search.focus();
-    else if (place) control(place)?.querySelector(isSlider ? "[type=range]" : "select, input:not([type=range])")?.focus({ preventScroll: true });
+    const wanted = query.toLowerCase().split(/\s+/).filter(Boolean), rest = controls.filter(each => each.first === null);
+    const matches = each => wanted.length && wanted.every(word => `${each.key} ${words(each.key)} ${each.help}`.toLowerCase().includes(word));
+    const isOpen = each => changed(each.key) || wrongKeys.has(each.key) || [...now.keys()].some(key => key.endsWith(".kind") && each.key.startsWith(key.slice(0, -4)));
+    const drawn = controls.filter(each => each.first !== null || isOpen(each) || matches(each));
+    search.placeholder = `Search ${rest.length} more keys`;
+    search.setAttribute("aria-label", search.placeholder);
+    const form = ({ key, form, options: kinds, slider }) => JSON.stringify([key, form, kinds, slider]);
+    const own = drawn.map(form).join();
+    if (own !== layout) {
+      const before = rows, kept = each => before.get(each.key)?.form === form(each) ? before.get(each.key) : null;
+      layout = own;
+      rows = new Map(drawn.map(each => [each.key, kept(each) ?? { ...draw(each, label(each)), form: form(each) }]));
+      const place = keys.contains(document.activeElement) ? document.activeElement.closest("[data-key]")?.dataset.key : null;
+      const isAt = document.activeElement;
+      first.replaceChildren(...drawn.filter(each => each.first !== null).map(each => rows.get(each.key).whole));
+      found.replaceChildren(...drawn.filter(each => each.first === null).map(each => rows.get(each.key).whole));
+      if (place !== null && isAt !== document.activeElement) (keys.contains(isAt) ? isAt : rows.get(place)?.inputs[0])?.focus({ preventScroll: true });
+    }
+    for (const each of drawn) rows.get(each.key).update(each.value);
   }
   function showErrors(errors) {
-    keys.querySelectorAll("[data-key]").forEach(each => {
-      each.querySelector(".error").textContent = "";
-      each.querySelectorAll("[aria-invalid]").forEach(one => one.removeAttribute("aria-invalid"));
-    });
+    for (const { error, inputs } of rows.values()) {
+      error.textContent = "";
+      inputs.forEach(one => one.removeAttribute("aria-invalid"));
+    }
     const others = [];
     for (const [key, text] of Object.entries(errors)) {
-      const own = control(key) || control(key.replace(/\.kind$/, ""));
+      const own = rows.get(key) ?? rows.get(key.replace(/\.kind$/, ""));
       if (own) {
-        own.querySelector(".error").textContent = text;
-        own.querySelectorAll("select, input").forEach(one => one.setAttribute("aria-invalid", "true"));
-        own.scrollIntoView({ block: "nearest" });
+        own.error.textContent = text;
+        own.inputs.forEach(one => one.setAttribute("aria-invalid", "true"));
+        own.whole.scrollIntoView({ block: "nearest" });
+        spoken.textContent = `${key}: ${text}`;
       } else others.push(key ? `${key}: ${text}` : text);
     }
     wrong.textContent = others.join("\n");
@@ -225,50 +247,64 @@ export function start(root, transport, options) {
     if (own !== running) return;
     controls = answer.controls;
     wrongKeys = new Set(Object.keys(answer.errors ?? {}));
-    if (!now.size || !known.size) for (const each of controls) known.set(each.key, each.value);
+    texts = answer.texts ?? null;
+    copy.disabled = save.disabled = texts === null;
     drawControls();
     showErrors(answer.errors ?? {});
     if (answer.errors) { status.textContent = "not run"; return; }
     drawNumbers(answer);
     await showReplay(answer.page, own);
-    if (own === running) { runs++; status.textContent = `${((performance.now() - begun) / 1000).toFixed(2)} s`; }
+    if (own !== running) return;
+    runs++;
+    status.textContent = `${((performance.now() - begun) / 1000).toFixed(2)} s`;
+    spoken.textContent = answer.metrics.filter(row => row.first).slice(0, 2).map(inWords).join("; ");
   }
+  const inWords = row => `${row.name} ${row.value} ${row.unit}${row.difference ? `, ${row.difference} ${judged(row)}` : ""}`;
+  const isPinned = () => pinned !== null && joined(now).sort().join("\n") === [...pinned].sort().join("\n");
   function drawNumbers(answer) {
     const figure = row => {
-      const difference = row.difference === undefined ? [] : [" ", make("small", { className: judged(row), title: "Difference from the pinned run" }, row.difference)];
+      const difference = row.difference === undefined ? [] : [" ", make("small", { className: judged(row), title: `Difference from the pinned run: ${judged(row) || "neither better nor worse"}` }, row.difference)];
       return make("p", {}, make("span", {}, row.name), " ", make("strong", {}, row.value, row.unit ? ` ${row.unit}` : "", ...difference));
     };
     numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure));
-    const [own, other] = answer.seeds, is_same = pinned && joined(now).join("\n") === pinned.join("\n");
+    const [own, other] = answer.seeds;
+    many.disabled = other === null || isPinned();
     note.replaceChildren(button("All metrics", "All metrics of this run", () => showMetrics(answer.metrics)), " ", [
-      other === null ? "No run is pinned." : is_same ? "This run is the pinned one: change a key, and the next run is compared with it."
+      other === null ? "No run is pinned." : isPinned() ? "This run is the pinned one: change a key, and the next run is compared with it."
         : own === other ? `Differences are from the pinned run, drawn faint. Both have seed ${own} and so the same random numbers: they are effects of the changed keys.`
           : `Differences are from the pinned run, drawn faint. The seeds ${own} and ${other} differ, so they are also due to chance: compare over 30 seeds.`,
       ...answer.warnings.map(each => `Warning: ${each}.`),
     ].join(" "));
-    texts = answer.texts;
   }
   const judged = row => !row.more_is || !row.sign ? "" : (row.sign > 0) === (row.more_is === "better") ? "better" : "worse";
 
   // The replay: a new page is loaded behind the present one, which it replaces at the same instant.
 
   const replay = () => frame?.contentWindow?.replay;
+  const BOXES = ["links", "trails", "other", "sight"];
+  function remember() {
+    const last = replay();
+    if (!last) return;
+    Object.assign(shown, { time: last.time, playing: last.playing, speed: last.speed, chosen: last.chosen });
+    shown.boxes = BOXES.filter(id => frame.contentDocument.getElementById(id)?.checked === false);
+  }
   function showReplay(page, own) {
-    const before = replay();
-    if (before) Object.assign(shown, { time: before.time, playing: before.playing, speed: before.speed });
     waiting?.remove();
     const next = waiting = make("iframe", { title: "Replay of this run", className: "waiting", srcdoc: page });
     stage.append(next);
     return new Promise(done => {
       next.onload = () => {
         if (own !== running) { next.remove(); return done(); }
-        const made = next.contentWindow.replay, last = replay();
-        if (last) Object.assign(shown, { time: last.time, playing: last.playing, speed: last.speed });
+        const made = next.contentWindow.replay;
+        remember();
         next.contentDocument.querySelectorAll("h1, #theme").forEach(each => { each.style.display = "none"; });  // the page has its own
         made.setTheme(isDark() ? "dark" : "light");
         if (shown.speed) made.speed = shown.speed;
-        made.seek(shown.time);
-        if (shown.playing) made.play();
+        if (shown.chosen >= 0 && shown.chosen < made.truth.length) made.choose(shown.chosen);
+        for (const id of shown.boxes ?? []) next.contentDocument.getElementById(id)?.click();
+        made.seek(instant ?? shown.time);
+        if (shown.playing && instant === null) made.play();
+        instant = null;
         frame?.remove();
         frame = next;
         waiting = null;
@@ -280,7 +316,11 @@ export function start(root, transport, options) {
 
   // Over seeds.
 
-  function stopComparing() { comparing?.abort(); comparing = null; }
+  function stopComparing() {
+    if (comparing) transport.cancel().catch(() => {});
+    comparing?.abort();
+    comparing = null;
+  }
   function endComparison() {  // what is shown is of a scenario that has changed
     stopComparing();
     const title = seeds.querySelector("h2"), cancel = seeds.querySelector(".cancel");
@@ -289,7 +329,7 @@ export function start(root, transport, options) {
   }
   async function compare() {
     stopComparing();
-    const own = comparing = new AbortController(), body = { now: joined(now), pinned: pinned ?? joined(now), count: 30 };
+    const own = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30 };
     const title = make("h2", {}, "30 seeds"), bar = make("progress", { max: 30, value: 0 }), table = make("table");
     bar.setAttribute("aria-label", "Pairs of runs that are done");
     const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent += ", cancelled"; cancel.hidden = true; });
@@ -298,7 +338,7 @@ export function start(root, transport, options) {
     seeds.hidden = false;
     try {
       await transport.seeds(body, found => { if (own === comparing) showPairs(found, title, bar, table); }, own.signal);
-      if (own === comparing) cancel.hidden = true;
+      if (own === comparing) { cancel.hidden = true; comparing = null; spoken.textContent = title.textContent; }
     } catch (error) {
       if (own === comparing) { title.textContent = `No answer: ${error.message}`; cancel.hidden = true; }
     }
@@ -317,7 +357,6 @@ export function start(root, transport, options) {
 
   // Texts to copy, all metrics, and a folder.
 
-  let texts = {};
   function open(...inner) {
     dialog.replaceChildren(...inner, make("form", { method: "dialog" }, make("button", {}, "Close")));
     dialog.showModal();
@@ -327,7 +366,7 @@ export function start(root, transport, options) {
     open(...Object.entries(titles).flatMap(([name, title]) => {
       const copyText = button("Copy", `Copy: ${title}`, async () => { await navigator.clipboard.writeText(texts[name]); copyText.textContent = "Copied"; });
       copyText.setAttribute("aria-label", `Copy: ${title}`);
-      return [make("div", {}, make("strong", {}, title), " ", copyText), make("pre", { tabIndex: 0 }, texts[name] ?? "")];
+      return [make("div", {}, make("strong", {}, title), " ", copyText), make("pre", { tabIndex: 0 }, texts[name])];
     }));
   }
   function showMetrics(rows) {
@@ -339,15 +378,15 @@ export function start(root, transport, options) {
     save.disabled = true;
     try {
       const { folder, error } = await transport.save({ now: joined(now) });
-      open(make("p", {}, error ?? `Saved in ${folder}. Repeat it, watch it:`), ...(error ? [] : [make("pre", { tabIndex: 0 }, `desim run --from ${folder}/run.json\ndesim replay ${folder}`)]));
-    } catch (error) { wrong.textContent = `Not saved: ${error.message}`; } finally { save.disabled = false; }
+      open(make("p", {}, error ?? `Saved in ${folder}. Repeat it, watch it:`), ...(error ? [] : [make("pre", { tabIndex: 0 }, `desim run --from ${folder}/run.json${texts?.command.includes("--allow-import") ? " --allow-import" : ""}\ndesim replay ${folder}`)]));
+    } catch (error) { wrong.textContent = `Not saved: ${error.message}`; } finally { save.disabled = texts === null; }
   }
 
   followTheme();
   readAddress();
   if (options.hasAddress) {
-    window.addEventListener("popstate", () => { readAddress(); query = ""; run(); });
-    setInterval(() => { if (replay() && !replay().playing && replay().time !== shown.time) { shown.time = replay().time; writeAddress(false); } }, 500);
+    window.addEventListener("popstate", () => { readAddress(); run(); });
+    setInterval(() => { if (!running?.signal.aborted && instant === null && replay() && !replay().playing && replay().time !== shown.time) { shown.time = replay().time; writeAddress(false); } }, 500);
   }
   run();
 

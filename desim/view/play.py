@@ -11,6 +11,7 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ import tomli_w
 
 from desim.analysis import palette
 from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
-from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.statistics import mean, paired
 from desim.config.json_numbers import to_json
 from desim.results import provenance, run_folder
 from desim.scenario.checks import warnings
@@ -51,10 +52,10 @@ MAX_SEEDS = 1000
 """The largest number of seeds of a comparison."""
 INNERMOST = 3
 """The number of innermost calls shown of an exception in a user's code."""
-KEPT = 8
-"""The number of results that a process keeps: the pinned run is shown again with every change."""
+KEPT = 3
+"""The number of results that a process keeps: the pinned run is needed again with every change."""
 _recent: dict[bytes, Result] = {}
-"""The results kept, by the pickled playground and changes, the oldest first."""
+"""The results kept, by the pickled playground and changes, the one that was needed last at the end."""
 Answer = dict[str, Any]
 """A JSON object."""
 Changes = Sequence[str]
@@ -102,12 +103,14 @@ class Playground:
             TimedOut: if it takes longer than the time limit.
         """
         key = cloudpickle.dumps((self, tuple(changes)))
-        if key not in _recent:
+        found = _recent.pop(key, None)
+        if found is None:
             with within(self.timeout):
-                _recent[key] = run(self.scenario(changes))
-            if len(_recent) > KEPT:
-                del _recent[next(iter(_recent))]
-        return _recent[key]
+                found = run(self.scenario(changes))
+        _recent[key] = found
+        if len(_recent) > KEPT:
+            del _recent[next(iter(_recent))]
+        return found
 
     def answer(self, now: Changes, pinned: Changes | None) -> Answer:
         """Run the scenario and return all that is shown of it.
@@ -117,42 +120,51 @@ class Playground:
             pinned: the changes of the run with which it is compared; None if there is none.
 
         Returns:
-            `controls`, the controls of the keys; and either `errors`, a message for each key that is wrong (the key ""
-            for any other), or `page` (the replay), `metrics`, `warnings` and `texts` (the scenario as TOML, as a
-            command and in Python).
+            `controls`, the controls of the keys; either `page` (the replay), `metrics`, `seeds` and `warnings`, or
+            `errors`: a message for each key that is wrong, and under "" why a run failed; `texts`, if the scenario is
+            valid: the scenario as TOML, as a command and in Python.
         """
         try:
             scenario = self.scenario(now)
         except ScenarioError as error:
             return _json({"errors": _by_key(str(error), now), "controls": self.controls(now)})
-        shown = {"controls": [asdict(each) for each in controls(scenario)]}
+        shown = {"controls": [asdict(each) for each in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
+            is_other = pinned is not None and sorted(pinned) != sorted(now)
+            with within(self.timeout):
+                return _json(
+                    shown
+                    | {
+                        "page": replay(result, other if is_other else None),
+                        "metrics": list(_compared(summary(result), None if other is None else summary(other))),
+                        "seeds": [result.seed, None if other is None else other.seed],
+                        "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
+                    }
+                )
         except (Exception, TimedOut) as error:
             return _json(shown | {"errors": {"": _reason(error)}})
-        ghost = None if pinned is None or list(pinned) == list(now) else other
-        return _json(
-            shown
-            | {
-                "page": replay(result, ghost),
-                "metrics": list(_compared(summary(result), None if other is None else summary(other))),
-                "seeds": [result.seed, None if other is None else other.seed],
-                "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
-                "texts": self.texts(now),
-            }
-        )
 
     @property
     def name(self) -> str:
         """The name of the scenario."""
         return str(self.base.tables.get("name", "scenario"))
 
+    @property
+    def values(self) -> dict[str, str]:
+        """The value of each key before any change, as `Control.value`."""
+        return {each["key"]: each["value"] for each in self.controls(())}
+
     def controls(self, changes: Changes) -> list[Answer]:
-        """Return the controls of a scenario that is not valid; those of the base if the changes cannot be applied."""
+        """Return the controls of a scenario; those of the base if the changes cannot be applied."""
         try:
-            return [asdict(each) for each in controls(self.changed(changes).tables)]
-        except (ScenarioError, TypeError, ValueError, AttributeError):
-            return [asdict(each) for each in controls(self.base.tables)]
+            source = self.changed(changes)
+        except ScenarioError:
+            source = self.base
+        try:
+            return [asdict(each) for each in controls(validate(source))]
+        except ScenarioError:
+            return [asdict(each) for each in controls(source.tables)]
 
     def texts(self, changes: Changes) -> dict[str, str]:
         """Return the scenario with changes as the text of a file, as a command, and as a program."""
@@ -168,41 +180,24 @@ class Playground:
             f"result = run(load({file!r}{given}{', allow_import=True' if allow else ''}))\n",
         }
 
-    def performed(self, workers: Workers, now: Changes, pinned: Changes | None) -> Answer:
-        """Return the `answer` that a worker finds."""
-        try:
-            return dict(workers.result(workers.submit(partial(self.answer, now, pinned))))
-        except Exception as error:  # the worker died, or the answer cannot be sent
-            if workers.died(error):
-                workers.renew()
-            return {"controls": self.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
+    def save(self, changes: Changes, made: provenance.Document) -> Answer:
+        """Run the scenario, and write the run to a new folder out/NAME-1, -2, ..., which `desim run --from` repeats.
 
-    def saved(self, changes: Changes) -> Answer:
-        """Save a run and return its `folder`, or an `error`; see `save`."""
-        try:
-            return {"folder": str(self.save(changes))}
-        except (ScenarioError, OSError, TimedOut) as error:
-            return {"error": str(error)}
+        Args:
+            changes: the changes of the scenario.
+            made: the provenance of the run.
 
-    def save(self, changes: Changes) -> Path:
-        """Run the scenario and write the run to a new folder out/NAME-1, -2, ..., which `desim run --from` repeats.
-
-        Raises:
-            ScenarioError: if the scenario is not valid.
-            TimedOut: if the run takes longer than the time limit.
-            OSError: if the folder cannot be written.
+        Returns:
+            The `folder`, or an `error`.
         """
-        scenario = self.scenario(changes)
-        name = re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed"
-        made = provenance.document(provenance.RUN, scenario, seed=scenario.seed, folder=self.folder)
-        for k in range(1, 10**6):
-            try:
-                (folder := Path("out") / f"{name}-{k}").mkdir(parents=True)
-            except FileExistsError:
-                continue
-            run_folder.write(self.result(changes), folder, made)
-            return folder
-        raise OSError(f"out/{name}-1, -2, ... all exist")
+        try:
+            result = self.result(changes)
+            name = re.sub(r"[^\w-]+", "-", result.scenario.name).strip("-") or "unnamed"
+            folder = _new_folder(Path("out"), name)
+            run_folder.write(result, folder, made)
+        except (Exception, TimedOut) as error:
+            return {"error": str(error) if isinstance(error, ScenarioError | OSError) else _reason(error)}
+        return {"folder": str(folder)}
 
     @property
     def folder(self) -> Path | None:
@@ -212,18 +207,114 @@ class Playground:
     def pair(self, now: Changes, pinned: Changes, seed: int) -> tuple[Summary, Summary] | str:
         """Run the scenario with both changes and one seed; return the metrics of both runs, or why one failed."""
         try:
-            scenarios = self.scenario(now), self.scenario(pinned)
-            with within(2 * self.timeout):
-                first, second = (summary(run(each, seed)) for each in scenarios)
+            first, second = (self._measured(each, seed) for each in (now, pinned))
         except (Exception, TimedOut) as error:
             return _reason(error)
         return first, second
+
+    def _measured(self, changes: Changes, seed: int) -> Summary:
+        with within(self.timeout):
+            return summary(run(self.scenario(changes), seed))
+
+
+class Session:
+    """A playground and the workers that perform its runs, for one user with one page or several.
+
+    Args:
+        playground: the scenario to play with.
+        workers: they perform the runs.
+    """
+
+    def __init__(self, playground: Playground, workers: Workers):
+        self.playground, self.workers = playground, workers
+        self._last: Future[Any] | None = None
+        self._comparison = 0
+
+    def warm_up(self) -> None:
+        """Let the workers import what a run needs, without waiting for it."""
+        for _ in range(self.workers.count):
+            self._submit(partial(self.playground.answer, self.playground.start, None))
+
+    def run(self, now: Changes, pinned: Changes | None) -> Answer:
+        """Return the `Playground.answer` that a worker finds; an earlier request that has not begun is cancelled."""
+        if self._last is not None:
+            self._last.cancel()
+        self._last = self._submit(partial(self.playground.answer, now, pinned))
+        try:
+            return dict(self._result(self._last))
+        except Exception as error:  # the worker died, or the request was cancelled
+            return {"controls": self.playground.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
+
+    def save(self, changes: Changes) -> Answer:
+        """Return what `Playground.save` returns in a worker."""
+        ground = self.playground
+        try:
+            scenario = ground.scenario(changes)
+            made = provenance.document(provenance.RUN, scenario, seed=scenario.seed, folder=ground.folder)
+            return dict(self._result(self._submit(partial(ground.save, changes, made))))
+        except Exception as error:
+            return {"error": f"{type(error).__name__}: {error}"}
+
+    def cancel(self) -> None:
+        """End a comparison: runs that have not begun are left out."""
+        self._comparison += 1
+
+    def compare(self, now: Changes, pinned: Changes, count: int) -> Generator[Answer, None, None]:
+        """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
+
+        The seeds are those of the shown scenario and its successors. An earlier comparison is cancelled.
+
+        Raises:
+            ScenarioError: if a scenario is not valid.
+        """
+        first = self.playground.scenario(now).seed
+        self.playground.scenario(pinned)
+        self.cancel()
+        own = self._comparison
+        waiting = list(seeds_from(first, count))[::-1]
+        pending: set[Future[Any]] = set()
+        pairs: list[tuple[Summary, Summary]] = []
+        failures: list[str] = []
+        try:
+            while (waiting or pending) and own == self._comparison:
+                while waiting and len(pending) < self.workers.count:
+                    pending.add(self._submit(partial(self.playground.pair, now, pinned, waiting.pop())))
+                for future in self.workers.done(pending):
+                    pending.remove(future)
+                    try:
+                        found = self._result(future)
+                    except Exception as error:
+                        found = f"{type(error).__name__}: {error}"
+                    (failures if isinstance(found, str) else pairs).append(found)
+                    yield _differences(pairs, failures, count)
+        finally:
+            for future in pending:
+                future.cancel()
+
+    def _submit(self, call: "partial[Any]") -> "Future[Any]":
+        """Submit a call; workers that died since the last one are replaced."""
+        try:
+            return self.workers.submit(call)
+        except Exception as error:
+            if not self.workers.died(error):
+                raise
+            self.workers.renew()
+            return self.workers.submit(call)
+
+    def _result(self, future: "Future[Any]") -> Any:
+        """Return the result of a call; if its worker died, the workers are replaced."""
+        try:
+            return self.workers.result(future)
+        except Exception as error:
+            if self.workers.died(error):
+                self.workers.renew()
+            raise
 
 
 def style() -> str:
     """Return the style sheet of the page and of the widget."""
     hues = (
-        f".play {{ --active: {palette.ACTIVE}; --better: {palette.GREEN}; --worse: {palette.VERMILION}; }}\n"
+        f".play {{ --active: {palette.ACTIVE}; --better: #00694a; --worse: #a33f00; }}\n"
         f':is([data-theme="dark"], [data-theme="dark"] .play) {{ --active: {palette.SKY}; --better: #2ecc9b;'
         " --worse: #ff8534; }\n"
     )
@@ -243,60 +334,31 @@ def is_request(body: Any) -> bool:
     return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
-def paired_runs(
-    playground: Playground, now: Changes, pinned: Changes, count: int, workers: Workers
-) -> Generator[Answer, None, None]:
-    """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
-
-    The seeds are those of the shown scenario and its successors. If the generator is closed, runs that have not begun
-    are left out.
-
-    Raises:
-        ScenarioError: if a scenario is not valid.
-    """
-    first = playground.scenario(now).seed
-    playground.scenario(pinned)
-    waiting = list(seeds_from(first, count))[::-1]
-    pending: set[Future[Any]] = set()
-    pairs: list[tuple[Summary, Summary]] = []
-    failures: list[str] = []
-    try:
-        while waiting or pending:
-            while waiting and len(pending) < workers.count:
-                pending.add(workers.submit(partial(playground.pair, now, pinned, waiting.pop())))
-            for future in workers.done(pending):
-                pending.remove(future)
-                found = workers.result(future)
-                if isinstance(found, str):
-                    failures.append(found)
-                else:
-                    pairs.append(found)
-                yield _differences(pairs, failures, count)
-    finally:
-        for future in pending:
-            future.cancel()
-
-
-def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], count: int) -> Answer:
+def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int) -> Answer:
     """Return how far some runs are, and the mean difference of each metric with its 95 % interval."""
     rows = []
     for name in _ordered(pairs[0][0]) if pairs else []:
-        values, others = ([_number(each[k][name]) for each in pairs] for k in (0, 1))
-        found = paired(values, others)
-        if found.count:
+        complete = [
+            (float(now[name]), float(pinned[name]))
+            for now, pinned in pairs
+            if now.get(name) is not None and pinned.get(name) is not None
+        ]
+        if complete:
+            values, others = map(list, zip(*complete, strict=True))
+            found = paired(values, others)
             rows.append(
                 _row(name, pairs[0][0])
                 | {
-                    "now": _mean(values),
-                    "pinned": _mean(others),
-                    "difference": _with_interval(found, sign="+"),
+                    "now": _formatted(mean(values).mean),
+                    "pinned": _formatted(mean(others).mean),
+                    "difference": f"{_formatted(found.mean, '+')} \N{PLUS-MINUS SIGN} {_formatted(found.half_width)}",
                     "differs": abs(found.mean) > found.half_width,
                     "sign": found.mean,
                     "count": found.count,
                 }
             )
     done = len(pairs) + len(failures)
-    return _json({"done": done, "of": count, "failed": len(failures), "failure": failures[:1], "metrics": rows})
+    return _json({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
 def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
@@ -306,8 +368,11 @@ def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
         if value is None and other is None:
             continue
         row = _row(name, now) | {"value": _formatted(value)}
-        if value is not None and other is not None and (difference := _number(value) - _number(other)):
-            row |= {"difference": _formatted(difference, "+"), "sign": difference}
+        if value is not None and other is not None:
+            difference = float(value) - float(other)
+            text = _formatted(difference, "+")
+            if float(text.replace(",", "")):
+                row |= {"difference": text, "sign": difference}
         yield row
 
 
@@ -321,18 +386,6 @@ def _ordered(found: Summary) -> list[str]:
     """Return the names of the metrics that are numbers, those of `FIRST` first."""
     names = [name for name in found if name not in METRICS or METRICS[name].is_number]
     return [*FIRST, *(name for name in names if name not in FIRST)]
-
-
-def _number(value: Any) -> Any:
-    return value if value is None else float(value)
-
-
-def _mean(values: Sequence[float | None]) -> str:
-    return _formatted(mean([each for each in values if each is not None]).mean)
-
-
-def _with_interval(found: Estimate, sign: str = "") -> str:
-    return f"{_formatted(found.mean, sign)} \N{PLUS-MINUS SIGN} {_formatted(found.half_width)}"
 
 
 def _formatted(value: Any, sign: str = "") -> str:
@@ -368,3 +421,21 @@ def _reason(error: BaseException) -> str:
 def _json(answer: Answer) -> Answer:
     """Return an answer with infinity and NaN as strings."""
     return dict(to_json(answer))
+
+
+def _new_folder(parent: Path, name: str) -> Path:
+    """Create the folder NAME-1, or the first of NAME-2, NAME-3, ... that does not exist, and return it.
+
+    Raises:
+        OSError: if the parent is a symbolic link, or the folder cannot be created.
+    """
+    if parent.is_symlink():
+        raise OSError(f"{parent}: is a symbolic link, and the run would be written to its target")
+    for k in count(1):
+        folder = parent / f"{name}-{k}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError

@@ -10,16 +10,14 @@ import secrets
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, cast
 
 from desim.config.json_numbers import to_json
-from desim.study.workers import Workers
-from desim.view.play import Answer, Playground, is_request, paired_runs, style
+from desim.view.play import Answer, Playground, Session, is_request, style
 
 LINGER = 5.0
 """The time for which the server waits for a page after the last one was closed, s: a reload closes it, too."""
@@ -27,33 +25,34 @@ BEAT = 1.0
 """The time between two signs of life to a page, s; a page that is gone is noticed then."""
 MAX_BODY = 1_000_000
 """The largest request, bytes."""
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self'"
-"""What the page may load: nothing but what is in it, and what this server answers."""
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
+    " form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+)
+"""What the page may load: nothing but what is in it, and what this server answers.
+
+Scripts have no nonce, because the replay in its frame inherits the policy, and is the same page as that in a file.
+"""
+PATIENCE = 10.0
+"""The time-out for a browser that does not send the rest of its request, s."""
 
 
 class PlayServer(ThreadingHTTPServer):
-    """The server of a playground.
+    """The server of a session.
 
     Args:
-        playground: the scenario to play with.
-        workers: they perform the runs.
+        session: the scenario to play with, and the workers that perform its runs.
     """
 
     daemon_threads = True
 
-    def __init__(self, playground: Playground, workers: Workers):
+    def __init__(self, session: Session):
         super().__init__(("127.0.0.1", 0), _Handler)
-        self.playground, self.workers = playground, workers
+        self.session = session
         self.token = secrets.token_urlsafe(16)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
         self._pages, self._closed_at = 0, float("inf")
         self._lock = threading.Lock()
-
-    def warm_up(self) -> None:
-        """Let each worker import what a run needs, without waiting for it."""
-        start = self.playground.start
-        for _ in range(self.workers.count):
-            self.workers.submit(partial(self.playground.answer, start, None))
 
     @property
     def address(self) -> str:
@@ -98,7 +97,11 @@ def page(playground: Playground) -> str:
     )
     environment = Environment(autoescape=True, keep_trailing_newline=True)
     return environment.from_string(template).render(
-        name=playground.name, start=list(playground.start), style=style(), script=script
+        name=playground.name,
+        start=list(playground.start),
+        values=playground.values,
+        style=style(),
+        script=script,
     )
 
 
@@ -106,6 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers one request."""
 
     server_version, sys_version = "desim", ""
+    timeout = PATIENCE
 
     @property
     def _play(self) -> PlayServer:
@@ -116,8 +120,8 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer({"": self._page, "alive": self._alive})
 
     def do_POST(self) -> None:
-        """Answer with a run, with paired runs one by one, or save a run."""
-        self._answer({"run": self._run, "seeds": self._seeds, "save": self._save})
+        """Answer with a run, with paired runs one by one, or save a run, or cancel paired runs."""
+        self._answer({"run": self._run, "seeds": self._seeds, "save": self._save, "cancel": self._cancel})
 
     def log_message(self, *_: Any) -> None:
         """Print nothing."""
@@ -146,10 +150,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _body(self) -> Answer | None:
         """Return the JSON object of a request; None, after an answer, if it is no such object."""
         length = self.headers.get("Content-Length", "")
-        if length.isdecimal() and int(length) <= MAX_BODY:
+        if length.isdecimal() and len(length) < 10 and int(length) <= MAX_BODY:
             try:
                 found = json.loads(self.rfile.read(int(length)))
-            except ValueError:
+            except (ValueError, RecursionError):
                 found = None
             if is_request(found):
                 return dict(found)
@@ -162,7 +166,7 @@ class _Handler(BaseHTTPRequestHandler):
         if length is not None:
             self.send_header("Content-Length", str(length))
         self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", f"{POLICY}; frame-ancestors 'none'; base-uri 'none'")
+        self.send_header("Content-Security-Policy", POLICY)
         self.send_header("Cross-Origin-Resource-Policy", "same-origin")
         self.send_header("Referrer-Policy", "no-referrer")
         self.send_header("X-Content-Type-Options", "nosniff")
@@ -176,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send("application/json", json.dumps(to_json(answer), allow_nan=False).encode())
 
     def _page(self) -> None:
-        self._send("text/html", page(self._play.playground).encode())
+        self._send("text/html", page(self._play.session.playground).encode())
 
     def _alive(self) -> None:
         self._play.page_opened()
@@ -191,27 +195,34 @@ class _Handler(BaseHTTPRequestHandler):
             self._play.page_closed()
 
     def _run(self) -> None:
-        if (body := self._body()) is None:
-            return
-        self._send_json(self._play.playground.performed(self._play.workers, body["now"], body["pinned"]))
+        if (body := self._body()) is not None:
+            self._send_json(self._play.session.run(body["now"], body["pinned"]))
 
     def _seeds(self) -> None:
         if (body := self._body()) is None:
             return
         self._begin("application/x-ndjson")
-        found = paired_runs(self._play.playground, body["now"], body["pinned"], body["count"], self._play.workers)
+        found = self._play.session.compare(body["now"], body["pinned"], body["count"])
         try:
-            for each in found:
-                self.wfile.write(json.dumps(each, allow_nan=False).encode() + b"\n")
-        except Exception as error:
-            if isinstance(error, OSError) and not isinstance(error, ConnectionError):
-                raise
-            if not isinstance(error, ConnectionError):
-                self.wfile.write(json.dumps({"error": f"{type(error).__name__}: {error}"}).encode() + b"\n")
-        finally:
+            for line in _lines(found):
+                self.wfile.write(line)
+        except OSError:  # the page has been closed
             found.close()
 
     def _save(self) -> None:
-        if (body := self._body()) is None:
-            return
-        self._send_json(self._play.playground.saved(body["now"]))
+        if (body := self._body()) is not None:
+            self._send_json(self._play.session.save(body["now"]))
+
+    def _cancel(self) -> None:
+        if self._body() is not None:
+            self._play.session.cancel()
+            self._send_json({})
+
+
+def _lines(answers: Iterator[Answer]) -> Iterator[bytes]:
+    """Yield answers as lines of JSON; an exception is the last line, as an `error`."""
+    try:
+        for each in answers:
+            yield json.dumps(each, allow_nan=False).encode() + b"\n"
+    except Exception as error:
+        yield json.dumps({"error": f"{type(error).__name__}: {error}"}).encode() + b"\n"

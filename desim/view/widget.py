@@ -1,8 +1,6 @@
 """The widget of `scenario.play()` in a notebook: the page of `desim play`; needs anywidget (the extra `notebook`)."""
 
 import os
-from collections.abc import Callable
-from functools import partial
 from importlib.resources import files
 from threading import Thread
 from typing import Any
@@ -13,12 +11,11 @@ import traitlets
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.workers import Processes, Workers
-from desim.view.play import Answer, Playground, is_request, paired_runs, style
+from desim.view.play import Answer, Playground, Session, is_request, style
 
 GLUE = """
 export default {
   render({ model, el }) {
-    let last = 0;
     const asked = new Map();
     const hear = ({ number, answer, isLast }) => {
       const own = asked.get(number);
@@ -26,11 +23,10 @@ export default {
     };
     model.on("msg:custom", hear);
     const ask = (what, body, signal, show) => new Promise((done, fail) => {
-      const number = ++last;
+      const number = `${Math.random()}`;  // another view of the widget hears the same answers
       asked.set(number, { done, show });
       signal?.addEventListener("abort", () => {
         if (!asked.delete(number)) return;
-        model.send({ number, what: "cancel" });
         fail(new DOMException("aborted", "AbortError"));
       });
       model.send({ number, what, body });
@@ -39,14 +35,19 @@ export default {
       run: (body, signal) => ask("run", body, signal),
       seeds: (body, show, signal) => ask("seeds", body, signal, show),
       save: body => ask("save", body),
+      cancel: () => ask("cancel", { now: [] }),
     };
-    const play = start(el, transport, { name: model.get("name"), changes: [], hasAddress: false });
+    const options = { name: model.get("name"), changes: [], values: model.get("values"), hasAddress: false };
+    const play = start(el, transport, options);
     el.play = play;
     return () => { model.off("msg:custom", hear); play.remove(); };
   },
 };
 """
-"""The script that connects the page to the kernel: a request has a number, and so have its answers."""
+"""The script that connects the page to the kernel: a request has a number, and so have its answers.
+
+The frame of the replay is not sandboxed, because the page reads and sets its time. All text in it is escaped.
+"""
 
 
 class PlayWidget(anywidget.AnyWidget):
@@ -61,43 +62,31 @@ class PlayWidget(anywidget.AnyWidget):
     _esm = files("desim.view").joinpath("play.js").read_text(encoding="utf-8") + GLUE
     _css = style()
     name = traitlets.Unicode().tag(sync=True)
+    values = traitlets.Dict().tag(sync=True)
 
     def __init__(self, scenario: Scenario, timeout: float = 30.0, workers: Workers | None = None):
-        super().__init__(name=scenario.name)
-        self._playground = Playground(Source.of(scenario), None, timeout=timeout)
-        self._workers = workers or Processes(os.cpu_count() or 1)
-        self._cancelled: set[int] = set()
+        ground = Playground(Source.of(scenario), None, timeout=timeout)
+        super().__init__(name=scenario.name, values=ground.values)
+        self._session = Session(ground, workers or Processes(os.cpu_count() or 1, kept=True))
         self.on_msg(self._hear)
 
     def _hear(self, _widget: Any, request: Any, _buffers: Any) -> None:
         """Answer a request of the page in a thread of its own, so that other cells can run."""
-        number, what = request["number"], request["what"]
-        if what == "cancel":
-            self._cancelled.add(number)
-            return
-        if not is_request(body := request["body"]):
-            return
-        answers = {"run": self._run, "seeds": self._seeds, "save": self._save}[what]
-        Thread(target=answers, args=(body, partial(self._tell, number), number), daemon=True).start()
+        if is_request(request["body"]):
+            Thread(target=self._answer, args=(request["number"], request["what"], request["body"]), daemon=True).start()
 
-    def _tell(self, number: int, answer: Answer | None, *, is_last: bool = True) -> None:
-        self.send({"number": number, "answer": answer, "isLast": is_last})
-
-    def _run(self, body: Answer, tell: Callable[..., None], _: int) -> None:
-        tell(self._playground.performed(self._workers, body["now"], body["pinned"]))
-
-    def _seeds(self, body: Answer, tell: Callable[..., None], number: int) -> None:
-        found = paired_runs(self._playground, body["now"], body["pinned"], body["count"], self._workers)
-        try:
-            for each in found:
-                if number in self._cancelled:
-                    break
-                tell(each, is_last=False)
-        except Exception as error:
-            tell({"error": f"{type(error).__name__}: {error}"}, is_last=False)
-        finally:
-            found.close()
-        tell(None)
-
-    def _save(self, body: Answer, tell: Callable[..., None], _: int) -> None:
-        tell(self._playground.saved(body["now"]))
+    def _answer(self, number: str, what: str, body: Answer) -> None:
+        session, last = self._session, Answer()
+        if what == "run":
+            last = session.run(body["now"], body["pinned"])
+        elif what == "save":
+            last = session.save(body["now"])
+        elif what == "cancel":
+            session.cancel()
+        elif what == "seeds":
+            try:
+                for each in session.compare(body["now"], body["pinned"], body["count"]):
+                    self.send({"number": number, "answer": each, "isLast": False})
+            except Exception as error:
+                self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
+        self.send({"number": number, "answer": last, "isLast": True})

@@ -9,21 +9,25 @@ import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import Future
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Thread
+from typing import ClassVar
 from urllib.parse import urlsplit
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import pytest
 
 from desim import Scenario, Team, load, run, summary
+from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read
-from desim.study.workers import InProcess
+from desim.study.workers import InProcess, Processes
 from desim.view import play_server
-from desim.view.play import Playground, paired_runs
+from desim.view.play import Playground, Session, _differences
 from desim.view.play_server import PlayServer
 from scenarios.study import SCENARIOS
 from tests.command import accepted, refused
@@ -61,7 +65,7 @@ def test_an_answer_has_the_metrics_of_the_run_and_their_differences(answer):
     }
     assert shown["active time"]["sign"] == pytest.approx(now.active_time - pinned.active_time)
     assert answer["seeds"] == [3, 3]
-    assert answer["page"].startswith("<!doctype html>") or "<!doctype html>" in answer["page"]
+    assert "<!doctype html>" in answer["page"]
 
 
 def test_an_answer_is_json(answer):
@@ -78,26 +82,27 @@ def test_a_run_that_is_its_own_reference_has_no_ghost_and_no_differences(small):
     ("change", "key", "why"),
     [
         ("network.loss.p=2", "network.loss.p", "less than or equal to 1"),
-        ("network.medium.kind=bitrate", "network.medium.bitrate", ""),
+        ("network.medium.kind=bitrate", "network.medium.bitrate", "is missing"),
         ("network.medium.kind=bitrat", "network.medium.kind", "bitrate"),
         ("team.cout=3", "team.cout", "did you mean"),
         ("team.count=[", "team.count", "is not a TOML value"),
         ("team.count.x=3", "team.count.x", "is not a key of a table"),
-        ("protocol.kind=some.module:Rule", "protocol", "--allow-import"),
+        ("protocol.kind=some.module:Rule", "protocol.kind", "--allow-import"),
         ("nonsense", "nonsense", "KEY=VALUE"),
     ],
 )
 def test_a_wrong_value_is_reported_at_its_key_and_the_controls_stay(small, change, key, why):
     found = small.answer([*SMALL, change], SMALL)
-    assert key in found["errors"] or f"{key}.kind" in found["errors"], found["errors"]
-    assert why in " ".join(found["errors"].values())
+    assert why in found["errors"][key]
     assert "page" not in found
     assert any(each["key"] == "team.count" for each in found["controls"])
 
 
 def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
     found = Playground(read(RELAY), RELAY, timeout=0.05).answer(["team.count=60"], None)
-    assert found["errors"][""].startswith("The run took longer than 0.05 s: ")
+    assert found["errors"][""].startswith("The run took longer than 0.05 s: at ")
+    assert "pursuer 0: " in found["errors"][""]
+    assert "--set team.count=60" in found["texts"]["command"]
 
 
 def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
@@ -137,17 +142,31 @@ def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
 @pytest.mark.slow
 def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    first, second = small.save(SMALL), small.save(SMALL)
-    assert (str(first), str(second)) == ("out/relay-1", "out/relay-2")
-    accepted("run", "--from", first / "run.json", "-o", "again")
+    session = Session(small, InProcess())
+    assert [session.save(SMALL) for _ in range(2)] == [{"folder": "out/relay-1"}, {"folder": "out/relay-2"}]
+    accepted("run", "--from", "out/relay-1/run.json", "-o", "again")
     for name in ("trace.jsonl", "summary.json", "scenario.toml"):
-        assert (first / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+        assert (tmp_path / "out/relay-1" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_a_run_that_fails_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    session = Session(Playground(read(RELAY), RELAY, timeout=0.05), InProcess())
+    assert session.save(["team.count=60"])["error"].startswith("The run took longer than 0.05 s")
+    assert "team.count" in session.save(["team.count=0"])["error"]
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").symlink_to("elsewhere")
+    assert Session(Playground(read(RELAY), RELAY), InProcess()).save(SMALL) == {
+        "error": "out: is a symbolic link, and the run would be written to its target"
+    }
+    assert [path.name for path in tmp_path.iterdir() if path.name != "out"] == ["elsewhere"]
+    assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
 @pytest.mark.slow
 def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
     changes = [*SMALL, "network.latency.value=0.3"]
-    *earlier, last = paired_runs(small, changes, SMALL, 4, InProcess())
+    *earlier, last = Session(small, InProcess()).compare(changes, SMALL, 4)
     assert [each["done"] for each in (*earlier, last)] == [1, 2, 3, 4]
     values = [
         [summary(run(small.scenario(each), seed)).active_time for seed in range(3, 7)] for each in (changes, SMALL)
@@ -163,10 +182,65 @@ def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
 def test_a_comparison_that_is_closed_begins_no_more_runs(small, monkeypatch):
     begun = []
     monkeypatch.setattr(Playground, "pair", lambda self, now, pinned, seed: begun.append(seed) or "no result")
-    found = paired_runs(small, SMALL, SMALL, 30, InProcess())
-    assert next(found)["failed"] == 1
-    found.close()
-    assert begun == [3]
+    session = Session(small, InProcess())
+    for end in ("close", "cancel", "another"):
+        found = session.compare(SMALL, SMALL, 30)
+        assert next(found)["failed"] == 1
+        if end == "close":
+            found.close()
+        elif end == "cancel":
+            session.cancel()
+        else:
+            next(session.compare(SMALL, SMALL, 30))
+        assert list(found) == []
+    assert begun == [3] * 4
+
+
+def test_differences_are_of_the_pairs_in_which_both_have_a_value():
+    pairs = [
+        ({"active_time": a}, {"active_time": b}) for a, b in [(10.0, 8.0), (None, 100.0), (30.0, None), (20.0, 16.0)]
+    ]
+    summaries = [(Summary(now), Summary(pinned)) for now, pinned in pairs]
+    (row,) = _differences(summaries, [], 4)["metrics"]
+    assert (row["now"], row["pinned"], row["count"]) == ("15", "12", 2)
+    assert row["difference"].startswith("+3 ")
+
+
+def test_a_worker_that_died_is_replaced(small):
+    """It dies in one run and, at the same time, in a comparison."""
+    workers = Processes(1, kept=True)
+    session = Session(small, workers)
+    try:
+        assert "page" in session.run(SMALL, None)
+        dying = Session(Playground(small.base, small.file), workers)
+        workers.submit(partial(os._exit, 1))
+        time.sleep(0.5)
+        answers = [dying.run(SMALL, None) for _ in range(2)]
+        assert "page" in answers[-1]
+        workers.submit(partial(os._exit, 1))
+        time.sleep(0.5)
+        assert list(session.compare(SMALL, SMALL, 2))[-1]["done"] == 2
+    finally:
+        workers.stop()
+
+
+def test_an_earlier_request_that_has_not_begun_is_cancelled(small):
+    class Slow(InProcess):
+        def submit(self, call):
+            self.futures.append(Future())
+            return self.futures[-1]
+
+        futures: ClassVar = []
+
+    session = Session(small, Slow())
+    threads = [Thread(target=session.run, args=(SMALL, None), daemon=True) for _ in range(2)]
+    for k, each in enumerate(threads, start=1):
+        each.start()
+        while len(Slow.futures) < k:
+            time.sleep(0.01)
+    assert [each.cancelled() for each in Slow.futures] == [True, False]
+    Slow.futures[1].set_result({})
+    threads[0].join(30)
 
 
 # The server.
@@ -175,7 +249,7 @@ def test_a_comparison_that_is_closed_begins_no_more_runs(small, monkeypatch):
 @pytest.fixture
 def server(small):
     """Yield a server in this process, which performs runs in this process, too."""
-    with PlayServer(small, InProcess()) as made:
+    with PlayServer(Session(small, InProcess())) as made:
         thread = Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -224,7 +298,17 @@ def test_other_hosts_and_other_origins_are_refused(server):
 
 
 @pytest.mark.parametrize(
-    "body", [None, [], {}, {"now": "a"}, {"now": [1]}, {"now": [], "pinned": 3}, {"now": [], "count": 10**6}]
+    "body",
+    [
+        None,
+        [],
+        {},
+        {"now": "a"},
+        {"now": [1]},
+        {"now": [], "pinned": 3},
+        {"now": [], "count": 10**6},
+        {"now": ["x" * 10**6]},
+    ],
 )
 def test_a_request_of_another_form_is_refused(server, body):
     path = urlsplit(server.address).path
@@ -296,11 +380,16 @@ on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="need
 @on_linux
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_no_process_is_left_after_an_interrupt(number, tmp_path):
-    with program(RELAY, cwd=tmp_path) as (process, address):
-        assert address.startswith("http://127.0.0.1:")
+    """A page is open, and a comparison is under way."""
+    with program(RELAY, cwd=tmp_path) as (process, address), urlopen(f"{address}alive"):
         begun = children(process)
         assert begun
-        process.send_signal(number)
+        body = {"now": ["network.latency.value=0.3"], "pinned": [], "count": 200}
+        origin = address.removesuffix(urlsplit(address).path)
+        request = Request(f"{address}seeds", json.dumps(body).encode(), {"Origin": origin})
+        with urlopen(request) as answer:
+            assert json.loads(answer.readline())["done"] == 1
+            process.send_signal(number)
         assert process.wait(60) == 128 + number
         assert are_gone(begun)
 
@@ -338,12 +427,13 @@ SLIDE = """(key, position) => {
 @in_chromium
 @pytest.mark.slow
 def test_a_slider_that_is_released_shows_the_new_run_at_the_same_instant(played):
+    played.value("play.replay.speed = 0.005")
     played.value("play.replay.seek(0.4)")
     played.value("play.replay.play()")
-    played.value(f"({SLIDE})('network.latency.value', 750)")
+    played.value(f"({SLIDE})('network.latency.value', 600)")
     played.until("play.runs === 2")
     assert played.value("play.changes") == [*SMALL, "network.latency.value=1"]
-    assert played.value("play.replay.time") >= 0.4
+    assert 0.4 <= played.value("play.replay.time") < 1.0
     assert played.value("play.replay.playing") is True
     assert played.value("""document.querySelector('[data-key="network.latency.value"] .number').value""") == "1"
     assert "seed 3 and so the same random numbers" in played.value("document.querySelector('.note').textContent")
@@ -435,6 +525,96 @@ def test_the_address_keeps_the_state_for_reload_and_back(played):
 
 @in_chromium
 @pytest.mark.slow
+def test_a_key_set_back_to_its_first_value_has_it(played):
+    """The first value of the team is that of the command line, not that of the file."""
+    for count, changes in [("7", ["team.count=7", SMALL[1]]), ("6", list(SMALL)), ("20", [SMALL[1]])]:
+        played.value(f"play.change('team.count', '{count}')")
+        played.until(f"play.replay.players.length === {int(count) + 1}")
+        assert played.value("play.changes") == changes
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["network.latency.value", "network.range", "team.count", "network.loss.p"])
+def test_an_arrow_key_on_a_slider_changes_the_value(played, key):
+    """A key at the end of its slider moves back."""
+    number = f"""document.querySelector('[data-key="{key}"] .number').value"""
+    seen, arrow = [played.value(number)], "ArrowLeft" if key == "network.range" else "ArrowRight"
+    for k in range(3):
+        played.value(f"""document.querySelector('[data-key="{key}"] [type=range]').focus()""")
+        played.press(arrow)
+        played.until(f"play.runs === {k + 2}")
+        seen.append(played.value(number))
+    assert len(set(seen)) == 4, seen
+    assert played.value("document.activeElement.type") == "range"
+
+
+@in_chromium
+@pytest.mark.slow
+def test_what_is_being_typed_survives_the_answer_to_an_earlier_change(played):
+    box = """document.querySelector('[data-key="network.loss.p"] .number')"""
+    played.value("play.change('team.count', '5')")
+    played.value(f"{box}.focus()")
+    played.value(f"{box}.value = '0.07'")
+    played.until("play.runs === 2")
+    assert played.value(f"{box}.value") == "0.07"
+    assert played.value(f"document.activeElement === {box}")
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_suggestion_is_offered_and_a_change_can_be_undone(played):
+    played.value("document.querySelector('.search').value = 'belief timeout'")
+    played.value("document.querySelector('.search').dispatchEvent(new Event('input'))")
+    row = """document.querySelector('[data-key="announce.belief_timeout"]')"""
+    assert played.value(f"{row}.querySelector('input').list.options[0].value") == "auto"
+    assert played.value(f"{row}.querySelector('.back').hidden") is True
+    played.value("play.change('announce.belief_timeout', '0.5')")
+    played.until("play.runs === 2")
+    played.value(f"{row}.querySelector('.back').click()")
+    played.until("play.runs === 3")
+    assert played.value("play.changes") == list(SMALL)
+
+
+IS_OFF = CLICK.format("30 seeds").replace("click()", "disabled")
+"""Whether the button for comparisons is off."""
+
+
+@in_chromium
+@pytest.mark.slow
+def test_without_a_pinned_run_there_is_no_difference_and_no_comparison(played):
+    assert played.value(
+        "[...document.querySelectorAll('header button')].find(each => each.textContent === '30 seeds').disabled"
+    )
+    played.value("play.change('network.latency.value', '0.4')")
+    played.until("play.runs === 2")
+    assert not played.value(
+        "[...document.querySelectorAll('header button')].find(each => each.textContent === '30 seeds').disabled"
+    )
+    played.value(CLICK.format("Unpin"))
+    played.until("play.runs === 3")
+    assert played.value("play.pinned") is None
+    assert played.value("document.querySelectorAll('.numbers small').length") == 0
+    assert played.value(
+        "[...document.querySelectorAll('header button')].find(each => each.textContent === '30 seeds').disabled"
+    )
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_run_can_be_saved_and_copied_from_the_page(played):
+    played.value(CLICK.format("Save"))
+    played.until("document.querySelector('dialog').open")
+    assert "desim run --from out/relay-" in played.value("document.querySelector('dialog').textContent")
+    played.value("document.querySelector('dialog').close()")
+    played.value(CLICK.format("Copy as …"))
+    texts = played.value("[...document.querySelectorAll('dialog pre')].map(each => each.textContent)")
+    assert any(each.startswith("desim run ") for each in texts)
+    assert any("horizon = 1.0" in each for each in texts)
+
+
+@in_chromium
+@pytest.mark.slow
 def test_every_control_has_a_name_and_can_be_reached_by_the_keyboard(played):
     tree = played.send("Accessibility.getFullAXTree")["nodes"]
     roles = {"button", "slider", "textbox", "combobox", "checkbox", "searchbox", "spinbutton"}
@@ -483,7 +663,7 @@ def test_the_program_ends_when_its_page_is_closed(browser, tmp_path):
 @pytest.mark.slow
 def test_a_page_that_is_reloaded_keeps_the_server(small, monkeypatch):
     monkeypatch.setattr(play_server, "LINGER", 0.3)
-    with PlayServer(small, InProcess()) as made:
+    with PlayServer(Session(small, InProcess())) as made:
         thread = Thread(target=made.serve_until_closed)
         thread.start()
         made.page_opened()
