@@ -2,41 +2,69 @@
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making, page_at, storing, write
-from desim.cli.recorded import SOURCE, check_no_run, result_of
+from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
 from desim.config.file_names import STORE, STORE_PARTS
+
+if TYPE_CHECKING:
+    from desim.simulation.run import Result
 
 
 @click.command()
-@SOURCE
+@SOURCES
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="The page; default: DIR/replay.html for a DIR, ./NAME.html for a FILE named NAME.toml.",
+    help="The page; default: DIR/replay.html for a DIR, ./NAME.html for a FILE named NAME.toml, ./A-B.html for two"
+    " sources named A and B.",
 )
 @SEED
 @ALLOW_IMPORT
 @SET
-def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
-    """Make a page that plays a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first."""
+def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
+    """Make a page that plays a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first.
+
+    Of two, make a page that plays both side by side on one clock, and names what differs between their scenarios.
+    """
+    from desim.view import pair
+    from desim.view import replay as single
+
+    path = page_at(out, _usual_page(sources))
+    if path.resolve() in [each.resolve() for each in sources]:
+        fail(f"{path}: is a source, and the page would replace it; give another --out")
+    recorded_first = sorted(dict.fromkeys(sources), key=is_recorded, reverse=True)  # to be refused before others run
+    found = {each: result_of(each, seed, overrides) for each in recorded_first}
+    results = [found[each] for each in sources]
+    with making("replay"):
+        for source, result in zip(sources, results, strict=True):
+            for each in single.missing_recordings(result):
+                echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{each}", err=True)
+        page = (single.replay if len(sources) == 1 else pair.side_by_side)(*results).encode()
+    write(page, path)
+    runs = "; ".join(f"{single.run_name(each)}: {_size(each)}" for each in results)
+    echo(f"{path}: {_size(*results) if len(results) == 1 else runs}, {len(page) / 1000:,.0f} kB")
+
+
+def _usual_page(sources: tuple[Path, ...]) -> Path:
+    """Return the default path of the page that plays one or two runs."""
+    if len(sources) == 1 and sources[0].is_dir():
+        return sources[0] / "replay.html"
+    names = [each.resolve().name if each.is_dir() else each.stem for each in sources]
+    return Path(f"{'-'.join(names)}.html")
+
+
+def _size(result: "Result") -> str:
+    """Return the number of pursuers, the duration and the number of messages of a run as text."""
     from desim.analysis.trace_index import messages, started
     from desim.kernel.clock import seconds
-    from desim.view.replay import missing_recordings
-    from desim.view.replay import replay as page_of
 
-    path = page_at(out, source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
-    result = result_of(source, seed, overrides)
-    with making("replay"):
-        for each in missing_recordings(result):
-            echo(f"warning: {each}", err=True)
-        page = page_of(result).encode()
-    write(page, path)
-    size, counts = len(started(result).active), messages(result)
-    echo(f"{path}: {size} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages, {len(page) / 1000:,.0f} kB")
+    counts = messages(result)
+    return f"{len(started(result).active)} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages"
 
 
 @click.command()

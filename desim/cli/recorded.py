@@ -14,6 +14,26 @@ if TYPE_CHECKING:
     from desim.study.result import SweepResult
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
+MAX_REPLAYED = 2
+"""Maximum number of runs that a page plays."""
+
+
+def _one_or_two(_ctx: click.Context, _param: click.Parameter, given: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return the sources; end the program if there are too many."""
+    if len(given) > MAX_REPLAYED:
+        names = " ".join(shlex.quote(str(each)) for each in given)
+        fail(f"{names}: a page plays one run, or two side by side, got {len(given)}")
+    return given
+
+
+SOURCES = click.argument(
+    "sources",
+    metavar="DIR|FILE [DIR|FILE]",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path),
+    callback=_one_or_two,
+)
 
 
 def is_recorded(source: Path) -> bool:

@@ -10,6 +10,7 @@ const make = (tag, attributes = {}, ...inner) => {
   return element;
 };
 const words = key => key.replaceAll("_", " ").replaceAll('"', "");
+const BEFORE = "Before the last change: ";
 let count = 0;  // for the ids of controls
 
 /**
@@ -200,6 +201,7 @@ export function start(root, transport, options) {
       if (own) {
         own.querySelector(".error").textContent = text;
         own.querySelectorAll("select, input").forEach(one => one.setAttribute("aria-invalid", "true"));
+        own.scrollIntoView({ block: "nearest" });
       } else others.push(key ? `${key}: ${text}` : text);
     }
     wrong.textContent = others.join("\n");
@@ -209,7 +211,7 @@ export function start(root, transport, options) {
 
   async function run() {
     running?.abort();
-    stopComparing();
+    endComparison();
     const own = running = new AbortController(), begun = performance.now();
     const late = setTimeout(() => { status.textContent = "running …"; }, 250);
     alone.disabled = pinned === null;
@@ -236,15 +238,14 @@ export function start(root, transport, options) {
       const difference = row.difference === undefined ? [] : [" ", make("small", { className: judged(row), title: "Difference from the pinned run" }, row.difference)];
       return make("p", {}, make("span", {}, row.name), " ", make("strong", {}, row.value, row.unit ? ` ${row.unit}` : "", ...difference));
     };
-    numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure),
-      make("button", { type: "button", onclick: () => showMetrics(answer.metrics), title: "All metrics of this run" }, "All"));
+    numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure));
     const [own, other] = answer.seeds, is_same = pinned && joined(now).join("\n") === pinned.join("\n");
-    note.textContent = [
+    note.replaceChildren(button("All metrics", "All metrics of this run", () => showMetrics(answer.metrics)), " ", [
       other === null ? "No run is pinned." : is_same ? "This run is the pinned one: change a key, and the next run is compared with it."
         : own === other ? `Differences are from the pinned run, drawn faint. Both have seed ${own} and so the same random numbers: they are effects of the changed keys.`
           : `Differences are from the pinned run, drawn faint. The seeds ${own} and ${other} differ, so they are also due to chance: compare over 30 seeds.`,
       ...answer.warnings.map(each => `Warning: ${each}.`),
-    ].join(" ");
+    ].join(" "));
     texts = answer.texts;
   }
   const judged = row => !row.more_is || !row.sign ? "" : (row.sign > 0) === (row.more_is === "better") ? "better" : "worse";
@@ -280,12 +281,19 @@ export function start(root, transport, options) {
   // Over seeds.
 
   function stopComparing() { comparing?.abort(); comparing = null; }
+  function endComparison() {  // what is shown is of a scenario that has changed
+    stopComparing();
+    const title = seeds.querySelector("h2"), cancel = seeds.querySelector(".cancel");
+    if (title && !title.textContent.startsWith(BEFORE)) title.textContent = BEFORE + title.textContent;
+    if (cancel) cancel.hidden = true;
+  }
   async function compare() {
     stopComparing();
     const own = comparing = new AbortController(), body = { now: joined(now), pinned: pinned ?? joined(now), count: 30 };
     const title = make("h2", {}, "30 seeds"), bar = make("progress", { max: 30, value: 0 }), table = make("table");
     bar.setAttribute("aria-label", "Pairs of runs that are done");
     const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent += ", cancelled"; cancel.hidden = true; });
+    cancel.className = "cancel";
     seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("div", { className: "scroll" }, table));
     seeds.hidden = false;
     try {

@@ -134,6 +134,7 @@ def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
     assert tomllib.loads(found["texts"]["toml"])["team"] == {"count": 5, "speeds": 1.2}
 
 
+@pytest.mark.slow
 def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first, second = small.save(SMALL), small.save(SMALL)
@@ -143,6 +144,7 @@ def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
         assert (first / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
     changes = [*SMALL, "network.latency.value=0.3"]
     *earlier, last = paired_runs(small, changes, SMALL, 4, InProcess())
@@ -207,6 +209,7 @@ def test_the_page_is_served_at_its_secret_address_only(server):
         assert asked(server, "GET", wrong)[0] == 404, wrong
 
 
+@pytest.mark.slow
 def test_other_hosts_and_other_origins_are_refused(server):
     """DNS rebinding gives a foreign host; a page of another site gives its origin, and some requests give none."""
     path, body = urlsplit(server.address).path, {"now": [], "pinned": None}
@@ -229,6 +232,7 @@ def test_a_request_of_another_form_is_refused(server, body):
     assert asked(server, "POST", f"{path}seeds", body, Origin=own)[0] == 400
 
 
+@pytest.mark.slow
 def test_a_comparison_arrives_line_by_line(server):
     path = urlsplit(server.address).path
     body = {"now": [*SMALL, "network.latency.value=0.3"], "pinned": list(SMALL), "count": 2}
@@ -404,8 +408,10 @@ def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played):
     done = played.value("document.querySelector('.seeds progress').value")
     assert done < 30
     assert "cancelled" in played.value("document.querySelector('.seeds h2').textContent")
-    time.sleep(0.5)
+    played.value("play.change('network.latency.value', '0.5')")
+    played.until("play.runs === 3")
     assert played.value("document.querySelector('.seeds progress').value") == done
+    assert played.value("document.querySelector('.seeds h2').textContent").startswith("Before the last change: ")
 
 
 @in_chromium
@@ -474,6 +480,7 @@ def test_the_program_ends_when_its_page_is_closed(browser, tmp_path):
         assert are_gone(begun)
 
 
+@pytest.mark.slow
 def test_a_page_that_is_reloaded_keeps_the_server(small, monkeypatch):
     monkeypatch.setattr(play_server, "LINGER", 0.3)
     with PlayServer(small, InProcess()) as made:

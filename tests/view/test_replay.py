@@ -1057,6 +1057,16 @@ SHADOW = """((canvas) => {
 """The pixels of a canvas that change if the ghost is hidden."""
 
 
+def settle(opened):
+    """Wait until the canvases have their sizes, which follow those of the lanes of faults and evaders."""
+    opened.until("(replay.draw(), replay.scale > 1)")
+    opened.value("""new Promise(done => {
+      let left = 10;
+      const wait = () => left-- ? requestAnimationFrame(wait) : done();
+      wait();
+    })""")
+
+
 @in_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -1066,7 +1076,8 @@ def test_a_ghost_is_drawn_as_hollow_marks_and_thin_trails(shown, theme):
     A circle has a radius of 4.5 px, a diamond of 7 px; a trail, a straight line here, is a pixel wide, or two.
     """
     opened = shown(history(), chase(1, 1000), theme=theme)
-    opened.until("(replay.seek(1), replay.scale > 1)")
+    settle(opened)
+    opened.value("replay.seek(1)")
     pixels = opened.value("[[20, 3], [20, 20], [20, -3], [20, 15]].map(([x, y]) => replay.pixel(x, y))")
     assert opened.value("replay.ghost") == [[20.0, pytest.approx(y, abs=2e-3)] for y in (3, 20)]
     circle, diamond, *start = np.array(pixels)
@@ -1103,7 +1114,7 @@ def test_the_active_pursuers_of_a_ghost_are_dashed_in_the_scale_of_both(shown):
       return said;
     })()"""
     opened = shown(pair(), chase(2, 500))
-    opened.until("(replay.draw(), replay.scale > 1)")
+    settle(opened)
     assert "3" in opened.value(texts)
     xs, ys = np.array(opened.value(f"{SHADOW}(axis)")).T
     first, last = opened.value("[slider.offsetLeft + 8, axis.clientWidth - 8]")
@@ -1119,7 +1130,7 @@ def test_the_active_pursuers_of_a_ghost_are_dashed_in_the_scale_of_both(shown):
     }})()""")
     assert abs(top - level) <= 2  # of some 12 px for one pursuer
     opened = shown(pair(), chase(5, 500))
-    opened.until("(replay.draw(), replay.scale > 1)")
+    settle(opened)
     assert "5" in opened.value(texts)
 
 
