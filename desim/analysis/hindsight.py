@@ -234,7 +234,20 @@ def network_regret(result: Result, metric: Callable[[Result], float] = potential
 
     Args:
         result: the result of a run.
-        metric: the metric.
+        metric: the metric; it should have a value in both runs. For example, the capture time has none in a run without
+            a capture.
+
+    Raises:
+        ValueError: if the metric is None in one of the runs.
     """
+    given = _value_of(metric, result, "the run")
     ideal = result.scenario.model_copy(update={"network": Links(), "fault": ()})
-    return metric(result) - metric(run(ideal, result.seed))
+    return given - _value_of(metric, run(ideal, result.seed), "the run on an ideal network")
+
+
+def _value_of(metric: Callable[[Result], float | None], result: Result, which: str) -> float:
+    """Return the value of a metric; raise ValueError if it is None."""
+    value = metric(result)
+    if value is None:
+        raise ValueError(f"{getattr(metric, '__name__', metric)} has no value in {which} with seed {result.seed}")
+    return value

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from traceback import extract_tb, format_list
 from typing import TYPE_CHECKING, NoReturn
@@ -70,13 +71,16 @@ def run(
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
+    whole_command = click.get_current_context().with_resource(ExitStack())
     if timeout is not None and runs in {None, 1}:  # the limit includes reading the file and writing results
-        click.get_current_context().with_resource(within(timeout))
+        whole_command.enter_context(within(timeout))
     scenario, folder, recorded = _scenario_to_run(file, repeated, overrides, metrics)
     shown = shown_metrics(scenario, metrics)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
     count = runs or recorded
+    if count > 1:  # each run has its own limit
+        whole_command.close()
     into = None if out is None else _make_output(out, scenario, count, folder)
     start = time.perf_counter()
     try:

@@ -8,7 +8,7 @@ import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making, page_at, storing, write
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
-from desim.config.file_names import STORE, STORE_PARTS
+from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
@@ -51,7 +51,8 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
 
 
 def _usual_page(sources: tuple[Path, ...]) -> Path:
-    """Return the default path of the page that plays one or two runs."""
+    """Return the default path of the page that plays one or two runs; a DIR/trace.jsonl counts as its DIR."""
+    sources = tuple(each.parent if each.name == TRACE else each for each in sources)
     if len(sources) == 1 and sources[0].is_dir():
         return sources[0] / "replay.html"
     names = [each.resolve().name if each.is_dir() else each.stem for each in sources]

@@ -267,18 +267,18 @@ def load_named(kind: str, folder: Path | None) -> Any:
     check that the file that names the object is trusted.
 
     Raises:
-        ValueError: if an object that is not listed cannot be imported.
-        ImportError, AttributeError: if an entry point does not lead to an object.
+        ValueError: if the object cannot be imported.
     """
-    if (point := _named_by_entry_points().get(kind)) is not None:
-        return point.load()
     module, _, name = kind.partition(":")
-    if folder is not None and str(folder.absolute()) not in sys.path:
-        sys.path.append(str(folder.absolute()))
+    where = ""
+    point = _named_by_entry_points().get(kind)
+    if point is None and folder is not None:
+        where = f"; also searched in the folder of the file, {folder.absolute()}"
+        if str(folder.absolute()) not in sys.path:
+            sys.path.append(str(folder.absolute()))
     try:
-        return reduce(getattr, name.split("."), import_module(module))
+        return reduce(getattr, name.split("."), import_module(module)) if point is None else point.load()
     except (ImportError, AttributeError, ValueError) as error:
-        where = "" if folder is None else f"; also searched in the folder of the file, {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error

@@ -20,7 +20,7 @@ from desim.config.trust import resolve_path
 from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
-from desim.kernel.traits import LinkTraits
+from desim.kernel.traits import LinkTraits, model_of_run
 
 
 class Latency(Protocol):
@@ -222,26 +222,49 @@ class Propagation(Value):
         return self.fixed + context.distances / self.speed
 
 
+BASES = OneOf(
+    Lognormal,
+    Constant,
+    Uniform,
+    ShiftedExponential,
+    Gamma,
+    Empirical,
+    number=("constant", "value"),
+    traits=LinkTraits,
+)
+JITTERS = OneOf(
+    ShiftedExponential,
+    Constant,
+    Uniform,
+    Gamma,
+    Lognormal,
+    Empirical,
+    number=("constant", "value"),
+    traits=LinkTraits,
+)
+
+
 class PerPair(Value):
     """Each pair of nodes has its own base latency, drawn once per seed; each message adds a jitter."""
 
     kind: Literal["per_pair"] = "per_pair"
-    base: Annotated[Any, OneOf(Lognormal, Constant, Uniform, ShiftedExponential, Gamma, Empirical)] = Lognormal()
+    base: Annotated[Any, BASES] = Lognormal()
     """Distribution of the base latencies of the pairs."""
-    jitter: Annotated[Latency, OneOf(ShiftedExponential, Constant, Uniform, Gamma, Lognormal, Empirical)] = Constant()
+    jitter: Annotated[Latency, JITTERS] = Constant()
     """Additional latency, drawn for each message."""
     symmetric: Flag = True
     """Whether both directions between two nodes have the same base latency."""
 
     @model_validator(mode="after")
     def _has_quantiles(self) -> Self:
-        if LinkTraits.of(self.base).quantile is None:
-            raise ValueError(f"base should have a method quantile(u), {self.base!r} has none")
+        _check_quantiles(self.base)
         return self
 
     def start_run(self, size: int) -> Latency:
         """Return a model for one run of `size` nodes; it caches the base latencies."""
-        return _Pairs(self, size)
+        base, jitter = model_of_run(self.base, size), model_of_run(self.jitter, size)
+        _check_quantiles(base)
+        return _Pairs(self.model_copy(update={"base": base, "jitter": jitter}), size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
@@ -250,6 +273,11 @@ class PerPair(Value):
     def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies, s, of the links."""
         return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
+
+
+def _check_quantiles(base: Any) -> None:
+    if LinkTraits.of(base).quantile is None:
+        raise ValueError(f"base should have a method quantile(u), {base!r} has none")
 
 
 class _Pairs:

@@ -20,7 +20,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.positions import PositionFunction
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import stream
-from desim.kernel.traits import LinkTraits
+from desim.kernel.traits import LinkTraits, model_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,7 +61,7 @@ class LinkSampler:
         self._seed, self._positions = seed, positions
         self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         """Processing delay of a message at sender and receiver together, ns."""
-        self._latency, self._loss = _model_of_run(links.latency, size), _model_of_run(links.loss, size)
+        self._latency, self._loss = model_of_run(links.latency, size), model_of_run(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
         self._latency_rng, self._loss_rng, self._override_latency_rng, self._override_loss_rng = streams
@@ -188,12 +188,6 @@ def _buffered(
     return _Buffer(draw, rng, convert) if draw is not None else None
 
 
-def _model_of_run(model: Any, size: int) -> Any:
-    """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
-    start_run = LinkTraits.of(model).start_run
-    return start_run(size) if start_run is not None else model
-
-
 def _never_loses(model: object) -> bool:
     return isinstance(model, Bernoulli) and model.p == 0.0
 
@@ -210,7 +204,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             value = attributes.get(name)
             if value is not None:
                 for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                    found[name].setdefault(way[0], {})[way[1]] = _model_of_run(as_model(name, value), len(graph))
+                    found[name].setdefault(way[0], {})[way[1]] = model_of_run(as_model(name, value), len(graph))
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
@@ -218,7 +212,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             for name, overrides in found.items():
                 model = dict(link)[name]
                 if model is not None:
-                    overrides.setdefault(src, {})[dst] = _model_of_run(model, len(graph))
+                    overrides.setdefault(src, {})[dst] = model_of_run(model, len(graph))
     return found
 
 

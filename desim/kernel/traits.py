@@ -21,6 +21,12 @@ class LinkTraits(Traits):
     """`quantile(u)` returns the u-quantiles of the latency, s; the base latency of `per_pair` needs it."""
 
 
+def model_of_run(model: Any, size: int) -> Any:
+    """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
+    start_run = LinkTraits.of(model).start_run
+    return start_run(size) if start_run is not None else model
+
+
 class ReceptionTraits(Traits):
     """The optional attributes of a reception model, in addition to `__call__`."""
 

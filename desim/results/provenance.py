@@ -106,11 +106,11 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
     part = without_symlink(folder / f"{name}.part")
-    part.write_text(text + "\n", encoding="utf-8")
     try:
+        part.write_text(text + "\n", encoding="utf-8")
         part.replace(folder / name)
     except OSError as error:
-        part.unlink()
+        part.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(folder / name)) from error
 
 

@@ -1,8 +1,8 @@
 """Assumptions of protocols about a scenario, and checks whether a scenario satisfies them.
 
-A protocol, its schedule or its utility lists the names of its assumptions in `assumes`. Each assumption is a function
-of the scenario that returns the reason why it does not hold, or None. A violated assumption gives a warning, not an
-error, because simulations also study protocols where their assumptions do not hold.
+A protocol, its schedule, its utility or a dissemination lists the names of its assumptions in `assumes`. Each
+assumption is a function of the scenario that returns the reason why it does not hold, or None. A violated assumption
+gives a warning, not an error, because simulations also study protocols where their assumptions do not hold.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -176,15 +176,20 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
 
 
 def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
-    """Yield (key, reason) for each violated assumption of the protocol, its schedule and its utility."""
+    """Yield (key, reason) for each violated assumption of the protocol, its parts or the dissemination."""
     protocol = scenario.protocol_traits
-    parts = {"": protocol, "schedule": Assuming.of(protocol.schedule), "utility": Assuming.of(protocol.utility)}
+    parts = {
+        "protocol": protocol,
+        "protocol.schedule": Assuming.of(protocol.schedule),
+        "protocol.utility": Assuming.of(protocol.utility),
+        "announce.dissemination": DisseminationTraits.of(scenario.announce.dissemination),
+    }
     for key, part in parts.items():
-        kind = part.kind or key or "the protocol"
+        kind = part.kind or ("the protocol" if part is protocol else key.rpartition(".")[2])
         for name in part.assumes:
             why = ASSUMPTIONS[name](scenario)
             if why is not None:
-                yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
+                yield key, f"{kind} assumes {name}, but {why}"
 
 
 def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:

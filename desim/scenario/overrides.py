@@ -57,6 +57,15 @@ class Source:
 
         If the source has no lines, it is the name of the source.
         """
+        origin, line = self._set_at(place)
+        return f"{origin}:{line}" if line else origin
+
+    def line(self, place: KeyPath) -> int:
+        """Return the line where a key was set; 0 if it was set by an override, or the source has no lines."""
+        return self._set_at(place)[1]
+
+    def _set_at(self, place: KeyPath) -> tuple[str, int]:
+        """Return the file where a key was set, or the description of the last override, and the line, or 0."""
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         known = lines.keys() | self.origins.keys()
@@ -67,11 +76,11 @@ class Source:
         if not set_by and place not in lines:  # an override may have made the table
             set_by = [text for key, text in self.origins.items() if key[: len(place)] == place]
         if set_by:
-            return set_by[-1]
+            return set_by[-1], 0
         if self.lines is None:
-            return self.name
+            return self.name, 0
         known_place = next((each for each in within if each in lines), ())
-        return f"{self.files.get(known_place, self.name)}:{lines.get(known_place, 1)}"
+        return self.files.get(known_place, self.name), lines.get(known_place, 1)
 
     def copy(self) -> Self:
         """Return a copy that can be changed independently."""

@@ -181,20 +181,14 @@ def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPa
         return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] != "import_refused" else ""
-    more = [BASE] if owner is Scenario and _line_in(source.where(place)) else []
+    more = [BASE] if owner is Scenario and source.line(place) else []
     yield _problem(source, place, f"{_reason(error, place, owner, info, more)}{note}{_input_text(error)}")
 
 
 def _problem(source: Source, place: KeyPath, what: str) -> Problem:
     where = source.where(place)
     name = ".".join(map(str, place)) or "the file"
-    return (_line_in(where), where), f"{where}: {name}: {what}"
-
-
-def _line_in(where: str) -> int:
-    """Return the line number at the end of a place `file:line`; 0 for an override, which has no line."""
-    line = re.search(r":(\d+)$", where)
-    return int(line[1]) if line else 0
+    return (source.line(place), where), f"{where}: {name}: {what}"
 
 
 def _locate(

@@ -35,14 +35,14 @@ def exit_code(error: KeyboardInterrupt) -> int:
 def raising() -> Iterator[None]:
     """Make SIGTERM and SIGHUP raise Terminated while the block runs.
 
-    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed. SIGINT usually has the
-    handler of Python, which raises KeyboardInterrupt. Only the main thread can set handlers, so a block in another
-    thread changes nothing.
+    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed. SIGINT is never changed:
+    it has the handler of Python, which raises KeyboardInterrupt, unless the program has chosen another. Only the main
+    thread can set handlers, so a block in another thread changes nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    unhandled = [each for each in SIGNALS if signal.getsignal(each) is signal.SIG_DFL]
+    unhandled = [each for each in SIGNALS if each != signal.SIGINT and signal.getsignal(each) is signal.SIG_DFL]
     for each in unhandled:
         signal.signal(each, _terminate)
     try:

@@ -31,7 +31,7 @@ def checked_limit(limit: float) -> float:
         ValueError: if the limit is not positive, or is longer than a thread can wait.
     """
     if not 0.0 < limit <= TIMEOUT_MAX:
-        raise ValueError(f"should be a time > 0 s and at most {TIMEOUT_MAX:g} s (got {limit:g})")
+        raise ValueError(f"a time limit should be > 0 s and at most {TIMEOUT_MAX:g} s (got {limit:g})")
     return limit
 
 

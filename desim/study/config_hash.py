@@ -89,6 +89,9 @@ class Identity(NamedTuple):
 def identify(scenario: Scenario) -> Identity:
     """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
 
+    The hashes of data files are sorted by the names of the files without their folders, which may differ between
+    machines. Two files that swap their contents change the hash, unless both have the same name.
+
     Raises:
         ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
             object.
@@ -101,7 +104,7 @@ def identify(scenario: Scenario) -> Identity:
             raise ScenarioError(f"{key}: {error}") from error
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(f"{key}: has no stable hash: {error}; {ADVICE}") from error
-    files = [each for _, each in sorted(pickler.files.items())]  # the folders may differ between machines
+    files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.files.items())]
     whole = [tables(scenario), pickler.digest(), pickler.code, files]
     sources = {f"the code of {name}": each for name, each in pickler.code.items()}
     sources |= {f"the content of {path}": each for path, each in pickler.files.items()}

@@ -48,8 +48,8 @@ def explain(
     imperfection in a sweep. `runs` is the number of runs of each variant; the other arguments are those of `sweep`.
 
     Raises:
-        ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, or a metric has a
-            wrong name, does not exist or is not numeric.
+        ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
+            or a metric has a wrong name, does not exist or is not numeric.
         ScenarioError: if an object of the scenario has no stable hash.
         StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
@@ -96,7 +96,9 @@ class Variants:
         )
 
     def check_shown(self, shown: Sequence[str]) -> None:
-        """Raise ValueError if one of the metrics to be shown does not exist or is not numeric."""
+        """Raise ValueError if there is no metric to be shown, or one does not exist or is not numeric."""
+        if not shown:
+            raise ValueError("at least one metric should be shown, got none")
         for metric in shown:
             check_numeric(metric, dict(self.plan.metrics))
 
@@ -105,7 +107,7 @@ class Variants:
 
         Raises:
             RunError: if no seed completes in all variants.
-            ValueError: if a metric does not exist or is not numeric.
+            ValueError: if no metric is shown, or a metric does not exist or is not numeric.
         """
         self.check_shown(shown)
         plan = self.plan

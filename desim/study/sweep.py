@@ -19,6 +19,7 @@ from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
+from desim.simulation.watchdog import checked_limit
 from desim.study.config_hash import tables
 from desim.study.configurations import Configuration, SweepGrid, configurations, without_metrics
 from desim.study.dispatch import drive, simulation
@@ -213,6 +214,8 @@ def sweep(
         BrokenExecutor: if a worker of the user's own executor dies.
         RunError: if a run fails and `fail_fast` is set.
     """
+    if timeout is not None:
+        checked_limit(timeout)
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
     if until is not None:
         check_target(*until, plan.metrics)
@@ -240,9 +243,12 @@ def carry_out(
     and the result reports the failure. `on_start` is called before the first run, unless there is none to perform.
 
     Raises:
-        ValueError: if `until` is invalid, or given together with one of several shards.
+        ValueError: if `until` is invalid, or given together with one of several shards, or `timeout` is out of its
+            range.
         RunError: if a run fails and `fail_fast` is set.
     """
+    if timeout is not None:
+        checked_limit(timeout)
     if until is not None:
         check_target(*until, plan.metrics)
         if shard != (1, 1):

@@ -15,7 +15,7 @@ from desim.analysis.hindsight import (
     settling_window,
     time_to_relay,
 )
-from desim.analysis.metrics import active_time, summary
+from desim.analysis.metrics import active_time, capture_time, summary
 from desim.analysis.timeline import timeline
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
@@ -368,6 +368,19 @@ def test_the_regret_of_a_network_is_the_excess_of_a_metric_over_the_ideal_networ
 def test_an_ideal_network_leaves_nothing_to_regret():
     for seed in (0, 1):
         assert network_regret(negotiated("pursuit", seed, network=Links())) == 0.0
+
+
+def test_a_metric_without_a_value_is_refused_with_its_name_and_the_seed():
+    """A pursuit of 0.01 s has no capture, and so no time of it."""
+    result = negotiated("pursuit", 3, horizon=0.01)
+    with pytest.raises(ValueError, match=r"^capture_time has no value in the run with seed 3$"):
+        network_regret(result, capture_time)
+
+    def only_given(each):
+        return 1.0 if each is result else None
+
+    with pytest.raises(ValueError, match=r"^only_given has no value in the run on an ideal network with seed 3$"):
+        network_regret(result, only_given)
 
 
 @pytest.mark.slow

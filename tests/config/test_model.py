@@ -230,6 +230,19 @@ def test_what_the_table_of_the_repository_names_needs_no_installation(monkeypatc
         choice._named_by_entry_points.cache_clear()
 
 
+@pytest.mark.parametrize("listed", ["protocols.gone:Circle", f"{__name__}:Gone"])
+def test_a_listed_object_that_cannot_be_imported_is_refused_as_any_other(monkeypatch, tmp_path, listed):
+    """Its module or its name is gone, as after an upgrade; the folder of the file is not searched for it."""
+    monkeypatch.setattr(protocols, "KINDS", {"desim.shapes": {"round": listed}})
+    choice._named_by_entry_points.cache_clear()
+    try:
+        with pytest.raises(ValidationError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
+            TypeAdapter(Annotated[Any, OneOf(Circle)]).validate_python({"kind": listed}, context={"folder": tmp_path})
+        assert "also searched" not in str(caught.value)
+    finally:
+        choice._named_by_entry_points.cache_clear()
+
+
 def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
     class Point:
         """An entry point that another distribution installs."""

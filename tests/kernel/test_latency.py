@@ -361,3 +361,48 @@ def test_a_user_model_may_be_a_base():
     own = type("Own", (SimpleNamespace,), {"__call__": lambda self, context, rng: 0.0, "quantile": lambda self, u: u})()
     latencies = PerPair(base=own)(LinkContext(0, np.arange(1, 5)), None)
     assert ((latencies > 0.0) & (latencies < 1.0)).all()
+
+
+class Counting:
+    """A user's model with state: its n-th call in a run gives a latency of n s."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def start_run(self, size):
+        return Counting()
+
+    def __call__(self, context, rng):
+        self.calls += 1
+        return float(self.calls)
+
+    def quantile(self, u):
+        self.calls += 1
+        return np.full_like(u, 100.0 * self.calls)
+
+
+def test_the_state_of_a_base_and_of_a_jitter_is_that_of_one_run():
+    """The base of a sender is computed once; the jitter is 1 s, then 2 s. The second run begins anew."""
+    model, context = PerPair(base=Counting(), jitter=Counting()), LinkContext(0, np.array([1]))
+    for _ in range(2):
+        latency = model.start_run(2)
+        assert [latency(context, None).tolist() for _ in range(2)] == [[101.0], [102.0]]
+    assert (model.base.calls, model.jitter.calls) == (0, 0)
+
+
+def test_the_base_of_a_run_needs_quantiles_too():
+    own = Counting()
+    own.start_run = lambda size: lambda context, rng: 0.0
+    with pytest.raises(ValueError, match=r"base should have a method quantile\(u\)"):
+        PerPair(base=own).start_run(2)
+
+
+@pytest.mark.parametrize("part", ["base", "jitter"])
+def test_a_base_and_a_jitter_are_declared_as_the_latency_of_a_network_is(part):
+    """A bare number is a constant, and an attribute one letter off has no effect."""
+    assert getattr(PerPair(**{part: 0.2}), part) == Constant(value=0.2)
+    own = type("Own", (Counting,), {"start_runs": Counting.start_run, "start_run": None})()
+    PerPair(**{part: own})
+    misspelt = type("Misspelt", (SimpleNamespace,), {"__call__": len, "quantile": len, "start_runs": len})()
+    with pytest.raises(ValidationError, match="'start_runs', did you mean 'start_run'"):
+        PerPair(**{part: misspelt})

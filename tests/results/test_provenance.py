@@ -1,5 +1,6 @@
 """run.json: its contents, refusals, and repeating a run from it byte for byte."""
 
+import errno
 import json
 import os
 import subprocess
@@ -101,6 +102,24 @@ def test_a_record_is_strict_json_in_a_created_folder_and_reads_back_unchanged(tm
 def test_values_that_json_cannot_represent_are_not_written(tmp_path):
     with pytest.raises(ValueError, match="Out of range"):
         write(tmp_path, document("run", seed=0) | {"more": inf})
+
+
+@pytest.mark.parametrize("name", ["write_text", "replace"])
+def test_a_document_that_cannot_be_written_leaves_no_part_of_it(tmp_path, monkeypatch, name):
+    """On a full disk the file is opened, and its text fails. The earlier document stays."""
+    write(tmp_path, document("run", seed=0))
+    before = (tmp_path / "run.json").read_bytes()
+
+    def full(part, *_, **__):
+        part.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, name, full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        write(tmp_path, document("run", seed=1))
+    assert caught.value.filename == str(tmp_path / "run.json")
+    assert [each.name for each in tmp_path.iterdir()] == ["run.json"]
+    assert (tmp_path / "run.json").read_bytes() == before
 
 
 def test_it_loads_nothing_that_takes_time_to_import():

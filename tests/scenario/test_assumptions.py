@@ -1,6 +1,6 @@
 """Assumptions: where each holds and where it does not, and the messages for violated ones."""
 
-from typing import get_args
+from typing import ClassVar, Literal, get_args
 
 import networkx as nx
 import pytest
@@ -343,3 +343,16 @@ def test_a_function_may_assume_something_too():
     mine.assumes = ("no_crashes",)
     scenario = four(fault=[Crash(start=0.0, node=0)], protocol=mine)
     assert list(violations(scenario)) == [("protocol", "the protocol assumes no_crashes, but pursuers break down")]
+
+
+def test_a_dissemination_may_assume_something_too():
+    """Its key is its own, and it is called by its kind."""
+
+    class Tree(Flooding):
+        kind: Literal["tree"] = "tree"
+        assumes: ClassVar[tuple[str, ...]] = ("no_crashes",)
+
+    announce = Announcements(dissemination=Tree())
+    assert not list(violations(four(announce=announce)))
+    found = list(violations(four(announce=announce, fault=[Crash(start=0.0, node=0)])))
+    assert found == [("announce.dissemination", "tree assumes no_crashes, but pursuers break down")]

@@ -262,6 +262,17 @@ def test_an_error_is_reported_with_the_override_in_effect_and_not_an_earlier_one
     assert str(error.value).startswith("--set evader.speed=-1.0: evader.speed: ")
 
 
+def test_a_number_at_the_end_of_an_override_is_no_line(written):
+    """The faults of overrides come before those of lines, and no override can set a base."""
+    path = written("horizon = -1\n")
+    with pytest.raises(ScenarioError) as error:
+        load(path, ["colour=b:5"])
+    first, second = str(error.value).split("\n")
+    assert first.startswith("--set colour=b:5: colour: unknown key")
+    assert " base," not in first
+    assert second.startswith(f"{path}:1: horizon: ")
+
+
 def test_a_value_that_no_override_changed_is_still_reported_with_its_line(written):
     path = written("\n[evader]\nspeed = -1.0\n")
     with pytest.raises(ScenarioError) as error:

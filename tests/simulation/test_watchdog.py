@@ -2,7 +2,7 @@
 
 import re
 import time
-from contextlib import nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
 from threading import Event
 from types import FunctionType
@@ -14,11 +14,13 @@ from pydantic import BaseModel, field_serializer
 from pydantic_core import PydanticSerializationError
 
 from desim.cli import main
-from desim.results import run_folder
+from desim.results import provenance, run_folder
 from desim.scenario.scenario import Motion, Scenario, Team
+from desim.simulation import run as run_module
 from desim.simulation import watchdog
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut, place_of, within
+from desim.study import dispatch
 from desim.study.sweep import sweep
 
 
@@ -46,7 +48,7 @@ def scenario(protocol):
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), 1e300])
 def test_a_limit_is_a_time(limit):
-    with pytest.raises(ValueError, match="should be a time > 0 s"), within(limit):
+    with pytest.raises(ValueError, match="a time limit should be > 0 s"), within(limit):
         pass
 
 
@@ -241,6 +243,30 @@ def test_the_time_limit_of_one_run_covers_the_whole_command(tmp_path, monkeypatc
     made = CliRunner().invoke(main, ["run", str(file), "--timeout", "9", "-j", "1", *options])
     assert made.exit_code == 0, made.output
     assert found == limits
+
+
+@pytest.mark.parametrize(("runs", "during"), [(1, [True]), (2, [False, False])])
+def test_the_time_limit_of_a_recorded_batch_ends_before_its_first_run(tmp_path, monkeypatch, runs, during):
+    """How many runs there are is known only when the file is read, within the limit; one run is within it, too."""
+    active, found = [], []
+
+    @contextmanager
+    def limit(_):
+        active.append(True)
+        yield
+        active.pop()
+
+    def performed(timeout, simulate=run):
+        return lambda *task: found.append(bool(active)) or simulate(*task)
+
+    monkeypatch.setattr(watchdog, "within", limit)
+    monkeypatch.setattr(dispatch, "simulation", performed)
+    monkeypatch.setattr(run_module, "run", performed(None))
+    scenario = Scenario(horizon=0.01, team=Team(count=2))
+    provenance.write(tmp_path, provenance.document(provenance.RUN, scenario, seed=0, runs=runs, folder=tmp_path))
+    made = CliRunner().invoke(main, ["run", "--from", str(tmp_path / "run.json"), "--timeout", "9", "-j", "1"])
+    assert made.exit_code == 0, made.output
+    assert found == during
 
 
 @pytest.mark.parametrize("text", ["0", "nan", "soon"])

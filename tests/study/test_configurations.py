@@ -467,6 +467,23 @@ def test_files_that_a_model_declares_count_by_their_content_wherever_it_is_held(
     assert len({key(), key("a/a"), key("a/a", "a/b"), key("b/a", "b/b"), key("c/a", "c/b")}) == 5
 
 
+def test_the_folders_of_the_files_that_a_model_declares_do_not_count(tmp_path, monkeypatch):
+    """As on two machines: the folders of the first are in the order of the names in them, those of the second are not.
+
+    Also of two files of the same name. The control: files that swap their contents are others.
+    """
+
+    def key(**texts):
+        monkeypatch.setattr(Declaring, "files", tuple(tmp_path / name.replace("_", "/") for name in texts))
+        for path, text in zip(Declaring.files, texts.values(), strict=True):
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
+        return config_hash(Scenario(protocol=Declaring(1.0)))
+
+    assert key(a_low="1", b_up="2") == key(d_low="1", c_up="2") != key(e_low="2", f_up="1")
+    assert key(a_same="1", b_same="2") == key(d_same="1", c_same="2")
+
+
 def test_a_model_whose_files_cannot_be_read_is_refused_with_its_key(monkeypatch):
     monkeypatch.setattr(Declaring, "files", ("none.txt",))
     with pytest.raises(ScenarioError, match=r"^protocol: depends_on: none\.txt cannot be read: No such file"):

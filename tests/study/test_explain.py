@@ -582,6 +582,13 @@ def test_a_metric_that_does_not_exist_leaves_no_store(tmp_path, shown):
     assert not any(tmp_path.iterdir())
 
 
+def test_no_metrics_are_refused_before_the_first_run(tmp_path):
+    """The risk of a false interaction is divided by their number."""
+    with pytest.raises(ValueError, match="at least one metric should be shown, got none"):
+        explain(LATE, 2, store=tmp_path / "s.sqlite", shown=())
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_store_of_a_sweep_is_none_of_an_explanation(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(LATE, {"network.latency.value": [0.0, 0.4]}, 1, store=store)

@@ -155,6 +155,18 @@ def test_a_handled_interrupt_is_not_repeated_and_an_ignored_one_has_no_effect():
     assert cleaned == ["up"]
 
 
+def test_ctrl_c_is_left_as_it_is():
+    """Python gives SIGINT its handler, so that a program without one has chosen to be ended at once."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL), signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with raising():
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+            assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])
+
+
 @pytest.mark.slow
 def test_a_sweep_on_a_cluster_is_interrupted_in_the_same_way_and_can_be_continued(tmp_path, unbroken, cluster):
     (file, whole), out, mark = unbroken, tmp_path / "out", str(tmp_path)

@@ -603,6 +603,21 @@ def test_a_scenario_file_is_run_with_all_that_can_be_looked_at(tmp_path):
     assert document["messages"]["begin"]
 
 
+def test_the_page_of_a_trace_is_beside_it(tmp_path, monkeypatch):
+    """As a picture of it is, wherever the command is called; the page of two is named after their folders."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)  # a picture takes its time
+    result = run(COLD.model_copy(update={"horizon": 0.1}))
+    for name in ("one", "other"):
+        write(result, tmp_path / name)
+    done = invoke(Path("one", "trace.jsonl"))
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith(f"{Path('one', 'replay.html')}: ")
+    done = invoke(Path("one", "trace.jsonl"), "other")
+    assert done.stdout.startswith("one-other.html: ")
+    assert sorted(each.name for each in tmp_path.rglob("*.html")) == ["one-other.html", "replay.html"]
+
+
 def test_data_that_cannot_be_shown_are_reported_on_stderr(tmp_path):
     write(run(COLD.model_copy(update={"horizon": 0.1, "record": Recording()})), tmp_path)
     done = invoke(tmp_path)
