@@ -153,7 +153,7 @@ def test_modules_beside_a_file_are_sent_to_workers_and_installed_ones_are_not(tm
 @pytest.mark.parametrize(("given", "kind", "count"), [(1, InProcess, 1), (3, Processes, 3), (0, Processes, 5)])
 def test_a_number_is_of_processes_and_0_of_one_per_core(monkeypatch, given, kind, count):
     monkeypatch.setattr(os, "cpu_count", lambda: 5)
-    monkeypatch.setattr(places, "_pool", lambda count: None)
+    monkeypatch.setattr(places, "_pool", lambda count, *, kept: None)
     found = workers_for(given)
     assert type(found) is kind
     assert found.count == count
