@@ -6,7 +6,8 @@ Paper: BinaryLogLinear: Marden & Shamma 2012, "Revisiting Log-Linear Learning". 
     not implemented: a pursuer may try every other action that `prune` allows.
 Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: as Spatial Adaptive Play (`protocols.sap`); the stationary distribution is then the same Gibbs distribution.
-    With two actions the binary rule *is* SAP, and the selective one is SAP that skips each turn with probability 1/2.
+    With two actions the binary rule *is* SAP. With one evader, the selective one is SAP that skips each turn with
+    probability 1/2.
 Messages: as Spatial Adaptive Play. A turn compares two actions, however many there are.
 Robust to loss: yes, with heartbeats.
 """

@@ -5,8 +5,8 @@ runs of a study suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are from 40,000 sequential studies each (s.e. at
-most 0.22). Their target half width is 1.96 sigma / sqrt(20), which 20 values reach if sigma is known. A study ends as
-soon as a look finds a half width of at most the target. Its looks begin at 3 or at 30 values.
+most 0.22). Their target is the half width of 20 values with a known sigma, 1.96 sigma / sqrt(20). A study ends as soon
+as a look finds a half width of at most the target. Its looks begin at 3 or at 30 values.
 
     distribution                             2 values   5 values   30 values   looks from 3   looks from 30
     normal                                       94.9       95.0        95.0           91.6            95.2
@@ -87,7 +87,7 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
     positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
-    then holds for the seeds with both values; also report how many values `values` and `others` each have. Without
+    then holds for the seeds with both values; so say beside it how many runs of each side have a value. Without
     any pair the count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
 
     If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
@@ -117,7 +117,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
     """
     if not 0 <= successes <= trials or not trials:
-        raise ValueError(f"there should be at least one trial, and 0 to trials successes, got {successes} of {trials}")
+        raise ValueError(f"there should be trials, and no more successes than trials, got {successes} of {trials}")
     share, z2 = successes / trials, NORMAL_975**2 / trials
     middle, half = share + z2 / 2.0, sqrt(z2 * (share * (1.0 - share) + z2 / 4.0))
     low = (middle - half) / (1.0 + z2) if successes else 0.0
@@ -142,18 +142,20 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 
 
 def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs that the next look needs, given the values of the first n runs; n if these suffice.
+    """Return the number of runs that the next look needs, given the values of the first n runs; n if it is the last.
 
     A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
     1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The next look is at
-    the number of runs predicted from the values, n (half width / target)^2, but at least at 1.1 n and at most at 2 n.
+    the number of runs predicted from the values, n (half width / target)^2, but at least at 1.1 n and at most at 2 n,
+    `first_look` or `at_most`.
     The upper limit bounds the effect of a bad estimate of the variance: at most half of the runs are superfluous. The
     lower limit keeps the looks few, because each may end the study too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least
-    `first_look` values that are not missing; until then the predicted number is that which gives so many values. If all
-    values are equal numbers, the t interval has width 0, and the look ends the study.
+    `first_look` values that are not missing. With fewer values, the next look is at the number of runs that is expected
+    to give `first_look` values, at the present share of missing ones. If all values are equal numbers, the t interval
+    has width 0, and the look ends the study.
 
     The runs should be independent and in the order of their seeds; in the order in which they end, short runs would
     come first. The coverage is nominal only in the limit of a small target.

@@ -74,13 +74,13 @@ class LinkSampler:
         self._lossless = _never_loses(links.loss)
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
         self.lossless = self._lossless and all(map(_never_loses, override_models))
-        """Whether the link models never lose a message."""
+        """Whether the link models are known never to lose a message."""
         # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
         self._constant = None
         if isinstance(links.latency, Constant) and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
-        """Whether `in_order` is needed: latencies vary, and some link is FIFO or has its own order."""
+        """Whether `in_order` is needed: latencies may vary, and some link is FIFO or has an order of its own."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Draw for each receiver whether the message is lost; None means that no receiver loses it.

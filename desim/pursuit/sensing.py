@@ -115,7 +115,7 @@ class TeamSensor:
             self._velocities[row, seeing] = state.velocity(evader)
 
     def blind(self, actions: "Actions") -> list[int]:
-        """Return the pursuers that chase an evader now outside their sensing radius, given the (N,) actions."""
+        """Return the pursuers whose evader is outside their sensing radius now, given the (N,) actions."""
         unseen = np.zeros(self._state.size, dtype=bool)
         for evader in self._state.at_large:
             unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
@@ -226,7 +226,9 @@ class SensedView(View):
 
 
 def spiral(length: float, apart: float) -> complex:
-    """Return the point (m) at an arc length (m) on an Archimedean spiral from the origin with turns `apart` (m) apart.
+    """Return the point (m) of an Archimedean spiral at an arc length (m) from its start, the origin.
+
+    The distance between two turns is `apart` (m).
 
     The angle follows from the radius r = apart * angle / (2 pi) and the approximate arc length r * angle / 2. The
     approximation is accurate after many turns.

@@ -61,7 +61,7 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
 
 def _named_files(path: Path) -> list[Path]:
-    """Return the existing files whose paths, relative to the folder of a scenario file, are values in this file."""
+    """Return the files that a scenario file names: each string in it that is the path of a file in its folder."""
     beside = (path.parent / each for each in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
     return sorted({each for each in beside if each.is_file()})
 

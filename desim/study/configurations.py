@@ -109,14 +109,14 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
         why = (
             f"'{configuration}' is the same configuration as '{other}'"
             if same is not configuration
-            else f"'{configuration}' names several configurations: values should be models or have distinct names"
-            " (__name__)"
+            else f"several configurations have the name '{configuration}': functions in a grid should have distinct"
+            " names (__name__)"
         )
         raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error whose text is prefixed with the place that sets or sweeps its key.
+    """Return an error with the place (file and line) that sets or sweeps a key before its text.
 
     The text of the given error begins with this dotted key.
     """
@@ -176,8 +176,9 @@ def without_metrics(scenario: Scenario) -> Scenario:
 def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return the line of a validation error followed by the settings that cause it, unless the line names them.
 
-    `among` holds the settings of all configurations with this error. A setting is a cause if the error does not occur
-    with every value of its key. If there is no such setting, all settings of the first configuration are given.
+    `among` holds the settings of all configurations with this error. A setting is a cause if another value of
+    its key does not give this error. If there is no cause, all settings of the first configuration follow, except after
+    an error of `sweep.grid` itself.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:
