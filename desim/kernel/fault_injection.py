@@ -46,15 +46,21 @@ def inject(
             trace.append(FaultStarted(env.now, fault))
         end = _start(fault, network, crashed, recovered)
         if fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
-            Instant(env, nanoseconds(fault.end), Phase.FAULT).callbacks.append(partial(finish, fault, end))
+            schedule(fault.end, partial(finish, fault, end))
+        network.fault_state.changed()
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
         if trace is not None:
             trace.append(FaultEnded(env.now, fault))
         end()
+        network.fault_state.changed()
+
+    def schedule(time: float, change: Callable[[simpy.Event], None]) -> None:
+        Instant(env, nanoseconds(time), Phase.FAULT).callbacks.append(change)
+        network.fault_state.plan(nanoseconds(time))
 
     for fault in faults:
-        Instant(env, nanoseconds(fault.start), Phase.FAULT).callbacks.append(partial(begin, fault))
+        schedule(fault.start, partial(begin, fault))
 
 
 def _start(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:

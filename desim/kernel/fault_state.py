@@ -1,7 +1,10 @@
 """The active faults of a network: nodes whose radio is down, partitions into groups of nodes, jammed discs."""
 
+from bisect import insort
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from itertools import compress
+from math import inf
 
 import numpy as np
 
@@ -23,23 +26,53 @@ class FaultState:
     def __init__(self, positions: PositionFunction | None = None):
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
+        self._planned: list[int] | None = None
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
+
+    def plan(self, *times: int) -> None:
+        """Announce the times (ns) of changes. From the first call on, the state changes at announced times only."""
+        self._planned = self._planned or []
+        for time in times:
+            insort(self._planned, time)
+
+    def changed(self) -> None:
+        """Note that the next announced change has happened."""
+        assert self._planned is not None
+        del self._planned[0]
+
+    @property
+    def constant_until(self) -> float:
+        """The time, ns, until which certainly nothing changes which nodes the faults keep from receiving.
+
+        It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
+        """
+        if self._planned is None or self._jams:
+            return 0
+        return self._planned[0] if self._planned else inf
+
+    @property
+    def down_nodes(self) -> Mapping[int, int]:
+        """The nodes whose radio is down, each with the number of its crashes."""
+        return self._down
 
     def down(self, node: int) -> bool:
         """Return whether the radio of a node is down."""
         return self._down[node] > 0
 
-    def cut(self, src: int, dst: int) -> bool:
-        """Return whether an active partition separates two nodes."""
-        return any(groups.get(src, -1) != groups.get(dst, -1) for groups in self._cuts)
+    def cut_off(self, src: int, nodes: list[int]) -> list[int]:
+        """Return those of some nodes that an active partition separates from a node."""
+        if not self._cuts:
+            return []
+        return [node for node in nodes if any(groups.get(src, -1) != groups.get(node, -1) for groups in self._cuts)]
 
-    def jammed(self, node: int) -> bool:
-        """Return whether a node is within a jamming disc."""
-        if not self._jams or self._positions is None:
-            return False
-        ((x, y),) = self._positions.of(np.array([node]))
-        return any((x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams)
+    def jammed(self, nodes: list[int]) -> list[int]:
+        """Return those of some nodes that are within a jamming disc."""
+        if not self._jams or self._positions is None or not nodes:
+            return []
+        x, y = self._positions.of(np.array(nodes)).T
+        within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
+        return list(compress(nodes, np.any(within, axis=0).tolist()))
 
     def crash(self, node: int) -> None:
         """Take the radio of a node down; overlapping crashes of a node are counted."""
@@ -54,6 +87,8 @@ class FaultState:
         if not self.down(node):
             raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
+        if not self._down[node]:
+            del self._down[node]
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""

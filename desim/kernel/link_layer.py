@@ -1,9 +1,10 @@
 """The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
 A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled.
-Faults, a range check on arrival and half duplex can still cause losses on arrival. With any of these, a SimPy event at
-each arrival time decides between delivery and loss. Without them, records and messages are stored at once, with their
-arrival times.
+Records and messages whose arrival is certain are stored at once, with their arrival times. Faults, a range check on
+arrival and half duplex can still cause losses on arrival; then a SimPy event at each arrival time decides between
+delivery and loss. Planned faults need no event for what arrives before the next of them begins or ends, at a node that
+is up.
 """
 
 from collections import Counter
@@ -78,7 +79,7 @@ class LinkLayer:
         self._env, self._topology, self._sampler = env, topology, sampler
         self._records, self._inboxes, self._fault_state, self._trace = records, inboxes, fault_state, trace
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
-        self._settles_on_arrival = self._checks_arrival or fault_state is not None or links.medium.half_duplex
+        self._settles_on_arrival = self._checks_arrival or links.medium.half_duplex
         self._transmitter: Transmitter[Transmission] | None = None
         if not isinstance(links.medium, Unlimited):
             self._transmitter = Transmitter(
@@ -135,7 +136,9 @@ class LinkLayer:
             receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
         else:
             receivers = [dst]
-            reachable = topology.are_linked(src, dst) and not self._is_out_of_range(src, dst, number)
+            reachable = topology.are_linked(src, dst) and (
+                not self._checks_departure or topology.reaches(src, receivers, number)[0]
+            )
         if size is None:
             size = size_of(content.body)
         elif size < 0:
@@ -146,10 +149,6 @@ class LinkLayer:
             self._leave(transmission, 0)
         else:
             self._transmitter.enqueue(transmission)
-
-    def _is_out_of_range(self, src: int, dst: int, number: int) -> bool:
-        """Return whether a range check at transmission fails for a receiver."""
-        return self._checks_departure and not self._topology.reaches(src, dst, number)
 
     def _wait(self, transmission: Transmission) -> None:
         if self._trace is not None:
@@ -183,10 +182,36 @@ class LinkLayer:
             self._lose(transmission, [node], cause)
         if self._settles_on_arrival:
             self._schedule_arrivals(transmission, reached, arrival, airtime)
-        elif isinstance(transmission.content, Record):
+            return
+        if self._fault_state is not None:
+            reached, arrival = self._settled(transmission, reached, arrival, airtime)
+        if isinstance(transmission.content, Record):
             self._records.schedule(transmission.content, reached, arrival)
         else:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, arrival, transmission.number)
+
+    def _settled(
+        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
+    ) -> tuple[list[int], Arrival]:
+        """Return the receivers that certainly get a transmission, and its arrival times there (ns).
+
+        The faults do not change before the next planned change, so what arrives earlier at a radio that is up arrives.
+        All other arrivals are scheduled.
+        """
+        faults = self._fault_state
+        assert faults is not None
+        until, down = faults.constant_until, faults.down_nodes
+        last = arrival if isinstance(arrival, int) else max(arrival, default=0)
+        if last < until and not down:
+            return reached, arrival
+        if isinstance(arrival, int) and last < until:
+            self._schedule_arrivals(transmission, [node for node in reached if node in down], arrival, airtime)
+            return [node for node in reached if node not in down], arrival
+        sure, later = list[tuple[int, int]](), list[tuple[int, int]]()
+        for node, when in zip(reached, per_receiver(arrival, len(reached)), strict=True):
+            (sure if when < until and node not in down else later).append((node, when))
+        self._schedule_arrivals(transmission, [node for node, _ in later], [when for _, when in later], airtime)
+        return [node for node, _ in sure], [when for _, when in sure]
 
     def _losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
@@ -194,12 +219,13 @@ class LinkLayer:
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
-        if self._fault_state is not None:
-            causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
-        if transmission.created < self._env.now:  # it waited, and its receivers may have moved out of range
-            causes |= {
-                node: "out_of_range" for node in receivers if self._is_out_of_range(src, node, transmission.number)
-            }
+        if self._fault_state is not None and (cut_off := self._fault_state.cut_off(src, receivers)):
+            causes |= dict.fromkeys(cut_off, "partition")
+        if (
+            transmission.created < self._env.now and self._checks_departure
+        ):  # it waited, and its receivers may have moved
+            reaches = self._topology.reaches(src, receivers, transmission.number)
+            causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
         return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
 
     def _schedule_arrivals(
@@ -221,36 +247,37 @@ class LinkLayer:
     def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
         """Deliver or lose a transmission at each node now; `interval` is the (start, end) of its airtime, ns."""
         self._arriving -= len(nodes)
-        for node in nodes:
-            cause = self._obstacle(transmission, node, interval)
-            if cause is not None:
-                self._lose(transmission, [node], cause)
-            elif isinstance(transmission.content, Record):
-                self._records.insert(node, transmission.content)
-            else:
-                deliver(
-                    transmission.content,
-                    self._inboxes.at(transmission.port),
-                    [node],
-                    self._env.now,
-                    transmission.number,
-                )
+        causes, reached = self._obstacles(transmission, nodes, interval), nodes
+        if causes:
+            reached = [node for node in nodes if node not in causes]
+            for node in filter(causes.__contains__, nodes):
+                self._lose(transmission, [node], causes[node])
+        if isinstance(transmission.content, Record):
+            self._records.insert(reached, transmission.content)
+        else:
+            inboxes = self._inboxes.at(transmission.port)
+            deliver(transmission.content, inboxes, reached, self._env.now, transmission.number)
 
-    def _obstacle(self, transmission: Transmission, node: int, interval: tuple[int, int]) -> Cause | None:
-        """Return the cause of the loss of a message that arrives now, or None if it is delivered."""
-        faults, (begin, end) = self._fault_state, interval
-        if faults is not None:
-            if faults.down(node) or any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
-                return "crash"
-            if faults.cut(transmission.src, node):
-                return "partition"
-            if faults.jammed(node):
-                return "jamming"
-        if self._checks_arrival and not self._topology.reaches(transmission.src, node, transmission.number):
-            return "out_of_range"
-        received = self._env.now - self._sampler.processing
-        transmitting = self._transmitter is not None and self._transmitter.transmitted(node, received, end - begin)
-        return "half_duplex" if transmitting else None
+    def _obstacles(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int]) -> dict[int, Cause]:
+        """Return the cause of the loss of a message that arrives now, by receiver; those that get it are left out.
+
+        If there are several causes, the first counts: crash, partition, jamming, out_of_range, half_duplex.
+        """
+        (begin, end), causes = interval, dict[int, Cause]()
+        if self._transmitter is not None:
+            received = self._env.now - self._sampler.processing
+            transmitting = self._transmitter.transmitting(nodes, received, end - begin)
+            causes |= dict.fromkeys(transmitting, "half_duplex")
+        if self._checks_arrival:
+            reaches = self._topology.reaches(transmission.src, nodes, transmission.number)
+            causes |= {node: "out_of_range" for node, reached in zip(nodes, reaches, strict=True) if not reached}
+        if (faults := self._fault_state) is not None:
+            causes |= dict.fromkeys(faults.jammed(nodes), "jamming")
+            causes |= dict.fromkeys(faults.cut_off(transmission.src, nodes), "partition")
+            if any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
+                return dict.fromkeys(nodes, "crash")
+            causes |= {node: "crash" for node in nodes if node in faults.down_nodes}
+        return causes
 
     def _lose(self, transmission: Transmission, nodes: list[int], cause: Cause) -> None:
         self._lost[cause] += len(nodes)

@@ -161,7 +161,7 @@ class Network:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
-            self._records.insert(node, record)
+            self._records.insert([node], record)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources).
@@ -239,8 +239,11 @@ class Network:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
         Raises:
-            ValueError: if the network was created without a `FaultState`.
+            ValueError: if the network was created without a `FaultState`, or its faults are planned and none begins or
+                ends now: what no planned fault can change has been delivered already.
         """
+        if self.fault_state.constant_until > self._env.now:
+            raise ValueError(f"node {node} cannot crash now: faults were injected, and none of them begins or ends now")
         self.fault_state.crash(node)
         self._link_layer.crash(node)
 

@@ -38,7 +38,7 @@ Arrival = int | list[int]
 Predicate = Callable[[Any], object]
 """A function that selects bodies of records: its result is true for a match."""
 MAX_UNREAD = 2048
-"""Length of a flat list of unread records (two items per record) above which `_merge_unread` merges it."""
+"""Length of a flat list of unread records (two items per record) above which `_note_unread` merges it."""
 
 
 class SharedTable:
@@ -109,8 +109,8 @@ class Records:
         self._tables: list[Table] = [{} for _ in range(size)]
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
-        self._out_of_order: set[int] = set()  # readers with records from `insert`, which come in any order
-        self._without_initial: set[int] = set()  # readers that have lost the initial beliefs
+        self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
+        self._apart: set[int] = set()  # readers that have lost their records: they ignore the shared table
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes an initial record now, unless the shared table already has a record of the same source."""
@@ -124,32 +124,31 @@ class Records:
             receivers: the nodes it reaches.
             arrival: the arrival times, ns.
         """
+        waiting = self._waiting
         if len(receivers) == self._size - 1 and isinstance(arrival, int):
             self._shared.schedule((arrival, record))
+            for node in self._apart - {record.src}:
+                waiting[node] += arrival, record
             return
-        waiting = self._waiting
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
             pending.append(record)
-        self._scheduled += 1
-        if self._scheduled == self._merge_interval:
-            self._scheduled = 0
-            self._merge_unread()
+        self._note_unread()
 
-    def insert(self, node: int, record: Record) -> None:
-        """Insert a record into the table of a node now, unless the node has this or a newer record of its source."""
-        self._apply_arrived(node)
-        self._out_of_order.add(node)
-        received, own = (self._env.now, record), self._tables[node]
-        if _is_newer(received, own) and (node in self._without_initial or _is_newer(received, self._shared.table)):
-            _store(received, own, self._matching[node], self._predicate)
+    def insert(self, nodes: list[int], record: Record) -> None:
+        """Store a record at nodes now; a node that has this or a newer record of its source ignores it."""
+        now, waiting = self._env.now, self._waiting
+        for node in nodes:
+            waiting[node] += now, record
+        self._out_of_order.update(nodes)
+        self._note_unread()
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
         self._apply_arrived(node)
         own, shared = self._tables[node], self._shared
-        if not shared.table or node in self._without_initial:
+        if not shared.table or node in self._apart:
             return own.copy()
         known = shared.table.copy()
         known.pop(node, None)
@@ -161,7 +160,7 @@ class Records:
         """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
         own, matching, shared = self._tables[node], self._matching[node], self._shared
-        if not shared.table or node in self._without_initial:
+        if not shared.table or node in self._apart:
             return matching.copy()
         known = shared.matching.copy()
         known.pop(node, None)
@@ -171,17 +170,17 @@ class Records:
         return known
 
     def forget(self, node: int) -> None:
-        """Delete all received records and initial beliefs of a node.
+        """Delete all records that a node has received, initial beliefs included.
 
-        Raises:
-            ValueError: if a record was scheduled to reach all nodes at one instant: it is stored once for all nodes.
+        From now on, the node has its own copies of the records that reach all nodes at one instant.
         """
-        if not self._shared.only_initial:
-            raise ValueError("a record that reached all nodes at one instant cannot be deleted for one node")
-        self._merge(node)
+        self._apply_arrived(node)
+        if node not in self._apart:
+            self._apart.add(node)
+            self._out_of_order.add(node)  # the copies are in the order of arrival
+            self._waiting[node] += [item for timed in self._shared.waiting if timed[1].src != node for item in timed]
         self._tables[node].clear()
         self._matching[node].clear()
-        self._without_initial.add(node)
 
     def in_flight(self) -> int:
         """Return the number of records in flight, counted once per receiver."""
@@ -191,7 +190,8 @@ class Records:
             for pending in chain(self._waiting, self._still_in_flight.values())
             for arrival, _ in _pairs(pending)
         )
-        return own + (self._size - 1) * sum(arrival > now for arrival, _ in self._shared.waiting)
+        shared = [record for arrival, record in self._shared.waiting if arrival > now]
+        return own + sum(self._size - 1 - len(self._apart - {record.src}) for record in shared)
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""
@@ -211,8 +211,9 @@ class Records:
         predicate = self._predicate
         still_in_flight = self._still_in_flight.pop(node, [])
         if node in self._out_of_order:
-            still_in_flight, fresh = still_in_flight + fresh, []
-        if still_in_flight:
+            still_in_flight, fresh = self._move_in_any_order(node, _pairs(still_in_flight + fresh)), []
+            self._out_of_order.remove(node)  # what is transmitted from now on is newer than all that is known
+        elif still_in_flight:
             still_in_flight = self._move_newer(node, _pairs(still_in_flight))
         for arrival, record in _pairs(fresh):
             if arrival > now:
@@ -242,11 +243,27 @@ class Records:
                 _store((arrival, record), table, matching, predicate)
         return still_in_flight
 
-    def _merge_unread(self) -> None:
-        """Merge long lists of unread records into the tables, to bound the memory of nodes that do not read."""
-        for node, waiting in enumerate(self._waiting):
-            if len(waiting) > MAX_UNREAD:
-                self._merge(node)
+    def _move_in_any_order(self, node: int, pending: Iterable[TimedRecord]) -> list[Any]:
+        """Do as `_move_newer` with records that also come by other ways, so that a record may arrive twice."""
+        still_in_flight: list[Any] = []
+        now, table, matching = self._env.now, self._tables[node], self._matching[node]
+        shared = {} if node in self._apart else self._shared.table
+        for arrival, record in pending:
+            known = [each[record.src] for each in (table, shared) if record.src in each]
+            if arrival > now:
+                still_in_flight += arrival, record
+            elif all((other.seq, -when) < (record.seq, -arrival) for when, other in known):
+                _store((arrival, record), table, matching, self._predicate)
+        return still_in_flight
+
+    def _note_unread(self) -> None:
+        """Now and then, merge long lists of unread records, to bound the memory of nodes that do not read."""
+        self._scheduled += 1
+        if self._scheduled == self._merge_interval:
+            self._scheduled = 0
+            for node, waiting in enumerate(self._waiting):
+                if len(waiting) > MAX_UNREAD:
+                    self._merge(node)
 
 
 def _store(received: TimedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:

@@ -101,13 +101,14 @@ class Topology:
         near: list[int] = self._near(node, self._candidates(node), message).tolist()
         return near
 
-    def reaches(self, src: int, dst: int, message: int = 0) -> bool:
-        """Return whether a message from `src` reaches `dst` now, regardless of the graph."""
-        if self._positions is None:
-            return True
-        pair = np.array([src, dst])
-        apart = distances(self._positions.of(pair), 0)
-        return bool(self._received(src, pair[1:], apart[1:], message)[0])
+    def reaches(self, src: int, dst: list[int], message: int = 0) -> list[bool]:
+        """Return whether a message from `src` reaches each of the nodes `dst` now, regardless of the graph."""
+        if self._positions is None or not dst:
+            return [True] * len(dst)
+        nodes = np.array([src, *dst])
+        apart = distances(self._positions.of(nodes), 0)
+        received: list[bool] = self._received(src, nodes[1:], apart[1:], message).tolist()
+        return received
 
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.

@@ -97,12 +97,15 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def transmitted(self, node: int, received: int, airtime: int) -> bool:
-        """Return whether a node transmitted while it received a message, from `received - airtime` to `received` (ns).
+    def transmitting(self, nodes: list[int], received: int, airtime: int) -> list[int]:
+        """Return those of some nodes that transmitted during a reception, from `received - airtime` to `received` (ns).
 
         `received` is the end of the reception; the method is called `lag` after that.
         """
-        return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
+        if not self._longest:
+            return []
+        start, own = received - airtime, self._intervals
+        return [node for node in nodes if any(begin < received and end > start for begin, end in own[node])]
 
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))

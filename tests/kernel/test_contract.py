@@ -335,13 +335,19 @@ def histories(draw):
     return graph, links, acts, seed
 
 
-def observe(make, graph, links, acts, seed, **options):
+def observe(make, graph, links, acts, seed, faults=None, **options):
     """Return all that is read in a history, when a listener is woken, what is counted and what is traced."""
     clock, trace = Clock(), Trace()
     places = np.random.default_rng(seed).random((len(graph), 2))
-    network = make(
-        clock, graph, links, seed=seed, positions=lambda: places * np.cos(clock.now / 1e7), trace=trace, **options
-    )
+
+    def positions():
+        return places * np.cos(clock.now / 1e7)
+
+    if faults is not None:
+        options["fault_state"] = FaultState(positions)
+    network = make(clock, graph, links, seed=seed, positions=positions, trace=trace, **options)
+    if faults is not None:
+        inject(faults, clock, network, trace)
     network.set_initial_belief(0, "presumed")
     seen = []
 
@@ -396,3 +402,55 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
         history = (nx.complete_graph(2), Links(), acts, 0)
         assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
         assert observe(Network, *history) != observe(network_over(Late), *history, fault_state=FaultState())
+
+
+# What the planned faults cannot change is settled at transmission, and the rest by events.
+
+
+class ByEvents(LinkLayer):
+    """All is settled on arrival."""
+
+    def _settled(self, transmission, reached, arrival, airtime):
+        self._schedule_arrivals(transmission, reached, arrival, airtime)
+        return [], []
+
+
+@st.composite
+def plans(draw, size):
+    """Draw faults that begin and end at the times at which messages are sent and arrive, or between them."""
+    found = []
+    for _ in range(draw(st.integers(0, 4))):
+        start = draw(st.integers(0, 80)) / 2000
+        span = {"start": start, "end": start + draw(st.integers(1, 40)) / 2000}
+        kind = draw(st.sampled_from(["crash", "crash", "partition", "jamming"]))
+        if kind == "crash":
+            found.append(Crash(node=draw(st.integers(0, size - 1)), memory=draw(st.booleans()), **span))
+        elif kind == "partition":
+            found.append(Partition(groups=((0,),), **span))
+        else:
+            found.append(Jamming(centre=(0.3, 0.3), radius=0.3, **span))
+    return found
+
+
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None)
+@given(st.data(), histories())
+def test_planned_faults_are_observationally_equal_to_one_event_per_arrival(data, history):
+    faults = data.draw(plans(len(history[0])))
+    assert observe(Network, *history, faults=faults) == observe(network_over(ByEvents), *history, faults=faults)
+
+
+@pytest.mark.own_trace
+def test_the_comparison_detects_a_crash_that_is_overlooked():
+    """The control: what leaves before a crash arrives after it, at a node that is then down."""
+
+    class Careless(LinkLayer):
+        def _settled(self, transmission, reached, arrival, airtime):
+            return reached, arrival
+
+    for speak in ("publish", "send", "send to all"):
+        history = (nx.complete_graph(2), Links(latency=Constant(value=0.02)), [(0, 0, 1, speak)], 0)
+        crash_in_flight = [Crash(node=1, start=0.01)]
+        settled = [observe(make, *history, faults=crash_in_flight) for make in (Network, network_over(ByEvents))]
+        assert settled[0] == settled[1]
+        assert observe(network_over(Careless), *history, faults=crash_in_flight) != settled[0]

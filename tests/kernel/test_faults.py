@@ -341,8 +341,8 @@ def test_a_random_plan_is_possible_among_few(size):
     network = Network(clock, nx.complete_graph(size), fault_state=FaultState(lambda: np.zeros((size, 2))))
     inject(draw_faults([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
-    assert not any(network.fault_state.down(node) or network.fault_state.jammed(node) for node in range(size))
-    assert not network.fault_state.cut(0, size - 1)
+    assert not any(network.fault_state.down(node) or network.fault_state.jammed([node]) for node in range(size))
+    assert network.fault_state.cut_off(0, [size - 1]) == []
 
 
 @pytest.mark.parametrize(
@@ -420,3 +420,16 @@ def test_no_clock_is_slower_than_the_bound_of_a_drift():
     skew = ClockSkew(node=0, drift=MIN_DRIFT)
     assert clock_errors([skew, skew], 2, 0) == [(0.0, MIN_DRIFT), (0.0, 0.0)]
     assert min(drift for _, drift in clock_errors([ClockSkew(drift=2.0)], 50, 0)) == MIN_DRIFT
+
+
+def test_a_crash_that_is_not_planned_is_refused_among_planned_ones():
+    """Messages that arrive before the next planned fault have been delivered already."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
+    network.crash(0)
+    network.recover(0)
+    inject([Crash(node=1, start=1.0)], clock, network)
+    with pytest.raises(ValueError, match="node 0 cannot crash now"):
+        network.crash(0)
+    clock.run()
+    assert network.fault_state.down(1)

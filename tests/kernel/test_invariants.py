@@ -276,16 +276,17 @@ class SendsWhenDown(LinkLayer):
     """A node that is down may transmit."""
 
     def transmit(self, src, *rest, **options):
-        fault_state, self._fault_state = self._fault_state, None
+        down = self._fault_state._down.pop(src, 0)
         super().transmit(src, *rest, **options)
-        self._fault_state = fault_state
+        if down:
+            self._fault_state._down[src] = down
 
 
 class Unbreakable(LinkLayer):
     """Nothing keeps a message from arriving."""
 
-    def _obstacle(self, transmission, node, airtime):
-        return None
+    def _obstacles(self, transmission, nodes, interval):
+        return {}
 
 
 class Leaky(LinkLayer):

@@ -62,8 +62,9 @@ def test_a_jamming_disc_asks_only_for_the_position_of_the_receiver():
     some = OfSome()
     fault_state = FaultState(some)
     fault_state.jam(((3.0, 3.0), 1.0))
-    assert [fault_state.jammed(node) for node in range(4)] == [False, True, False, False]
-    assert some.asked == [1] * 4
+    assert [fault_state.jammed([node]) for node in range(4)] == [[], [1], [], []]
+    assert fault_state.jammed([3, 1]) == [1]
+    assert some.asked == [1, 1, 1, 1, 2]
 
 
 @pytest.mark.parametrize("graph", [nx.star_graph(3), nx.DiGraph(nx.star_graph(3))])
@@ -73,5 +74,5 @@ def test_a_sparse_graph_asks_only_for_the_positions_of_linked_nodes(graph):
     assert topology.hearers(0) == [1, 3]
     assert topology.hearers(3) == [0]
     assert topology.audible(1) == [0]
-    assert topology.reaches(1, 3)
-    assert some.asked == [4, 2, 2, 2]
+    assert topology.reaches(1, [3, 0]) == [True, True]
+    assert some.asked == [4, 2, 2, 3]

@@ -98,7 +98,7 @@ def test_per_link_faded_links_are_symmetric_and_the_same_at_every_call(model):
     for _ in range(2):
         assert set(links.graph().edges) == set(first.edges)
         assert all(links.hearers(node) == sorted(first.adj[node]) for node in range(60))
-        assert all(links.reaches(3, node) == first.has_edge(3, node) for node in range(60) if node != 3)
+        assert all(links.reaches(3, [node]) == [first.has_edge(3, node)] for node in range(60) if node != 3)
     assert set(topology(at, model, seed=5).graph().edges) == set(first.edges)
 
 
@@ -170,7 +170,7 @@ def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
 def test_a_single_message_is_drawn_like_a_broadcast():
     """At the range every second of 4000 messages arrives, +- sqrt(1000) = 32; the control is 60 % of them."""
     links = topology(np.array([[0.0, 0.0], [10.0, 0.0]]), LogDistance(), 1, per_link=False)
-    count = sum(links.reaches(0, 1, message) for message in range(4000))
+    count = sum(links.reaches(0, [1], message)[0] for message in range(4000))
     assert abs(count - 2000) < 5 * 32
     assert abs(count - 2400) > 5 * 32
 
@@ -181,7 +181,7 @@ def test_the_reception_of_a_message_does_not_depend_on_when_it_is_evaluated():
     links = topology(at, LogDistance(), 1, per_link=False)
     heard = [links.hearers(0, message) for message in range(40)]
     for message, nodes in enumerate(heard):
-        assert nodes == [node for node in range(1, 13) if links.reaches(0, node, message)]
+        assert nodes == [node for node in range(1, 13) if links.reaches(0, [node], message)[0]]
     assert len(set(map(tuple, heard))) > 30
 
 
@@ -229,4 +229,4 @@ def test_the_random_disk_graph_percolates_near_a_mean_degree_of_4_51():
 def test_an_infinite_range_evaluates_no_reception_model():
     links = Topology(nx.path_graph(3), inf, None, LogDistance())
     assert [links.hearers(node) for node in range(3)] == [[1], [0, 2], [1]]
-    assert links.reaches(0, 2)
+    assert links.reaches(0, [2])[0]

@@ -53,7 +53,7 @@ def test_a_broadcast_reaches_the_neighbours_and_a_single_message_each_of_them():
     at = np.array([[0.0, 0.0], [3.0, 0.0], [7.0, 0.0]])
     topology = Topology(nx.complete_graph(3), 4.0, lambda: at)
     assert [topology.hearers(node) for node in range(3)] == [[1], [0, 2], [1]]
-    assert [[topology.reaches(src, dst) for dst in range(3) if dst != src] for src in range(3)] == [
+    assert [topology.reaches(src, [dst for dst in range(3) if dst != src]) for src in range(3)] == [
         [True, False],
         [True, True],
         [False, True],
@@ -148,7 +148,7 @@ def answers(topology, message):
         [topology.hearers(node, message) for node in nodes],
         [topology.neighbours(node).tolist() for node in nodes],
         [topology.audible(node) for node in nodes],
-        [topology.reaches(0, node, message) for node in nodes],
+        topology.reaches(0, list(nodes), message),
         topology.mean_degree,
         sorted(topology.graph().edges),
     )
