@@ -3,8 +3,11 @@
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
+from sphinx.addnodes import pending_xref, pending_xref_condition
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
@@ -50,7 +53,13 @@ bibtex_default_style = "plain"
 copybutton_prompt_text = "$ "
 
 apidoc_modules = [
-    {"path": f"../{package}", "destination": f"reference/api/{package}", "separate_modules": True, "module_first": True}
+    {
+        "path": f"../{package}",
+        "destination": f"reference/api/{package}",
+        "exclude_patterns": ["../desim/cli"],  # the commands have a page of their own
+        "separate_modules": True,
+        "module_first": True,
+    }
     for package in ("desim", "protocols")
 ]
 autodoc_member_order = "bysource"
@@ -84,7 +93,25 @@ def _docstring(_app: Sphinx, what: str, _name: str, _thing: object, _options: ob
     lines[:] = (pages.listed(text) if what == "module" else text).split("\n")
 
 
+class _Elsewhere(SphinxPostTransform):
+    """Show the names in annotations that are of other projects without a search, which compares each with every object.
+
+    An object is found only by a name with the same last part.
+    """
+
+    default_priority = 5  # before references are resolved
+
+    def run(self, **_: Any) -> None:
+        known = {name.rpartition(".")[2] for name in self.env.get_domain("py").objects}
+        for node in list(self.document.findall(pending_xref)):
+            if node.get("refdomain") != "py" or node["reftarget"].removesuffix("()").rpartition(".")[2] in known:
+                continue
+            if not isinstance(node[0], pending_xref_condition):
+                node.replace_self(node[0])
+
+
 def setup(app: Sphinx) -> None:
     """Write the generated pages before Sphinx reads any."""
     pages.write(DOCS)
+    app.add_post_transform(_Elsewhere)
     app.connect("autodoc-process-docstring", _docstring, priority=400)

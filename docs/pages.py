@@ -133,7 +133,7 @@ def gallery(folder: Path) -> None:
         title, text, commands = _comment(file)
         (folder / "thumbnails").mkdir(parents=True, exist_ok=True)
         _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay(result))
-        save(trajectory(result), folder / "thumbnails" / file.stem)
+        save(trajectory(result), folder / "thumbnails" / f"{file.stem}.png")
         _write(folder / f"{file.stem}.md", _scenario_page(file, title, text, commands))
         cards.append(f":::{{grid-item-card}} {file.stem}\n:img-top: thumbnails/{file.stem}.png\n:link: {file.stem}\n"
                      f":link-type: doc\n\n{title}\n:::")  # fmt: skip

@@ -94,7 +94,7 @@ def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
 @pytest.mark.slow
 def test_at_once_the_law_over_three_targets_is_not_that_of_gibbs():
     """All decide every five milliseconds: 0.3 of total variation and tens of errors away."""
-    law, error = by_batches(batches(game_of_three(SpatialAdaptivePlay, Rounds(period=0.005)), 2, ORDER))
+    law, error = by_batches(batches(game_of_three(SpatialAdaptivePlay, Rounds(period=0.005)), 1, ORDER))
     exact = gibbs(PHI, HORIZON, TAU)
     assert distance(law, exact) > 0.2
     assert (np.abs(law - exact) > 20 * error + 1e-2).any()

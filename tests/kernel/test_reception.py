@@ -198,11 +198,11 @@ def largest_share(size, degree, seed):
     """Return the share of the nodes in the largest component of a disk graph of a mean degree (without boundary).
 
     The nodes are uniform in a square of area 1, so that the mean degree is n pi R^2; for speed, the topology chooses
-    among the pairs that are up to twice as far apart as the range.
+    among the pairs that are up to 1.2 times as far apart as the range.
     """
     at, reach = np.random.default_rng(seed).random((size, 2)), sqrt(degree / (pi * size))
     candidates = nx.empty_graph(size)
-    candidates.add_edges_from(cKDTree(at).query_pairs(2 * reach))
+    candidates.add_edges_from(cKDTree(at).query_pairs(1.2 * reach))
     links = Topology(candidates, reach, lambda: at).graph()
     return len(max(nx.weakly_connected_components(links), key=len)) / size
 

@@ -19,6 +19,7 @@ from desim.results.run_folder import can_plot, events, read, simulate, simulate_
 from desim.scenario.scenario import Recording, Scenario, Team
 from desim.scenario.toml import dump, load
 from desim.simulation.run import run
+from tests.conftest import undraw
 
 DATA = {"trace.jsonl", "summary.json", "scenario.toml", "run.json"}
 PICTURES = {"trajectory.svg", "trajectory.png"}
@@ -362,7 +363,7 @@ def mutant(seed):
     return change
 
 
-SHOWN = (["replay"], ["plot", "--kind", "perfetto"], ["plot", "--kind", "spacetime"])
+SHOWN = (["replay"], ["plot", "--kind", "perfetto"], ["plot", "--kind", "spacetime", "-o", "x.svg"])
 
 
 def shown_or_refused(recorded, folder, seeds):
@@ -382,6 +383,10 @@ def shown_or_refused(recorded, folder, seeds):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
-def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path):
-    short = record(tmp_path / name, name, "horizon=1.0", *(["team.count=6"] if name in {"radio", "flooding"} else []))
+def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path, monkeypatch):
+    few = ["team.count=6"] if name in {"radio", "flooding"} else []
+    with pytest.MonkeyPatch.context() as patch:
+        undraw(patch)
+        short = record(tmp_path / name, name, f"horizon={1.0 if name == 'faults' else 0.5}", *few)
+    monkeypatch.chdir(tmp_path)
     shown_or_refused(short, tmp_path, range(1000, 1010))

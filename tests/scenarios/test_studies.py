@@ -193,7 +193,7 @@ def few(monkeypatch):
 
 @pytest.mark.slow
 def test_all_rivals_are_compared_in_the_same_runs(few, study, shortened):
-    cut = shortened(2.0)
+    cut = shortened(1.0)
     document, text, picture = study(rivals.main, "--runs", "2")
     cells = {(cell["protocol"], cell["latency"]): cell for cell in document["cells"]}
     assert {protocol for protocol, _ in cells} == {*PROTOCOLS.choices(), rivals_runs.SILENT}

@@ -38,7 +38,7 @@ def wait_for(condition, within=60.0):
     end = time.monotonic() + within
     while not condition():
         assert time.monotonic() < end, "it never came"
-        time.sleep(0.005)
+        time.sleep(0.02)  # a look at all processes is work
 
 
 @pytest.mark.slow
