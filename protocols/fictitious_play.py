@@ -74,7 +74,7 @@ class JointStrategyFictitiousPlay(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia."""
     rho: Probability = 0.03
-    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
+    """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight."""
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the action of highest average utility, or the present one."""

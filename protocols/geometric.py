@@ -4,9 +4,9 @@ The owner is the pursuer with the least value of a measure that all know, such a
 pursuers do not negotiate.
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
-    Automatica 48 (cited from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the
-    active pursuer has the least capture time, for unequal speeds, or the least time to intercept an evader of constant
-    velocity.
+    Automatica 48 (cited from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin
+    (also for unequal speeds): the active pursuer has the least capture time, or the least time to intercept an evader
+    of constant velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
 Time: all pursuers compute the owner of each evader at the instants k * slot of their clocks. Ties go to the lowest id.
@@ -17,7 +17,7 @@ Time: all pursuers compute the owner of each evader at the instants k * slot of 
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
     owner has stopped. With hysteresis all pursuers must store the same present owner; this requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
-Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
+Messages: with the payload "action" none, because positions are sensed. Otherwise announcements, see `announce` in the
     scenario. The present owner is then the pursuer of least measure among those that announce a chase, so that
     disagreement about the owner is resolved.
 Robust to loss: yes if positions are sensed, because no messages are needed; otherwise with heartbeats.
@@ -161,7 +161,7 @@ def owners(
 ) -> dict[int, int]:
     """Assign owners to evaders greedily; return the owner of each evader that has one.
 
-    A pursuer owns at most one evader. The owner of a single evader is that of `first`.
+    A pursuer owns at most one evader. A single evader is owned by the pursuer that `first` returns.
 
     Args:
         ids: (n,) ids of the pursuers, ascending.

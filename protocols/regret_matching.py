@@ -36,7 +36,7 @@ class RegretMatching(LearningRule):
 
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
-    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
+    """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight."""
     alpha: RevisionProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""
 
@@ -62,6 +62,6 @@ class GeneralisedRegretMatching(RegretMatching):
 
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
-    """Rate of forgetting: the least weight of the latest turn in the average; 0: all turns have equal weight."""
+    """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight."""
     alpha: RevisionProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""

@@ -28,13 +28,13 @@ def short(workload: str) -> str:
 
 
 DESIM_WAYS = ("publish", "send")
-"""The ways of delivery that are calls of desim; see `scenarios.benchmarks`."""
+"""The two ways of desim to deliver a broadcast, by its methods; for all ways see `scenarios.benchmarks`."""
 BROADCASTS = "broadcasts"
-"""The name in `--parts` of the delivery rates, which this module measures; the other parts are `costs.PARTS`."""
+"""The value of `--parts` for the delivery rates, measured here; for the others see `scenarios.costs.PARTS`."""
 SLOW_LAP = 5.0
 """Limit of CPU time, s: a way whose first lap takes longer has no further laps."""
 Commands = Mapping[str, Sequence[str]]
-"""The command that runs the program of each other simulator, by the name of the simulator."""
+"""For each simulator other than desim, by its name: the command that runs its program."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,11 @@ class Laps:
         self._seconds: dict[str, list[float]] = {}
 
     def lap(self, name: str) -> None:
-        """Run one lap of a way, unless it is missing or its first lap was longer than `SLOW_LAP`.
+        """Run a way once, unless its simulator is unavailable or its first lap took more than `SLOW_LAP`.
 
         Raises:
-            RuntimeError: if the way ends with tables that differ from those of the ways before it.
+            RuntimeError: if a way in this process makes other deliveries than those before it, or its nodes end with
+                other numbers received.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > SLOW_LAP:
             return

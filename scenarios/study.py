@@ -47,7 +47,8 @@ class Options:
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
         """Print the table, or the document as JSON if requested; write both and the figure to the folder `out`.
 
-        The file NAME.run.json, with the name of the study, records their provenance. Studies can share a folder.
+        NAME.run.json, where NAME is the name of the study, records the provenance of these files. Studies can share a
+        folder, because all their files have such names.
         """
         text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
         click.echo(text if self.as_json else table)

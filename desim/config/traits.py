@@ -1,12 +1,12 @@
-"""Optional attributes of models: a class of traits lists them in one place, with types, defaults and descriptions.
+"""Traits, the optional attributes of models: a subclass of `Traits` lists them, with types, defaults and descriptions.
 
 A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. An
 attribute, own or inherited, that has the name of a trait sets this trait; all other traits have their defaults. No
 base class is needed.
 
-An attribute of a function or a class is an error if its name is one letter off that of a trait and its value is valid
-for the trait, because the attribute would have no effect. It is allowed if the same function or class also has the
-trait. Private attributes, and those set in `__init__` or on a `functools.partial`, are not checked.
+An attribute of a function or a class whose name is one letter off that of a trait is probably misspelt, and would have
+no effect. So it is an error, if its value would be valid for the trait. It is allowed if the same function or class
+also has the trait. Private attributes, and those set in `__init__` or on a `functools.partial`, are not checked.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -21,13 +21,13 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from desim.config.model import Value, annotated
 
 SHORTEST = 5
-"""Minimum length of a name that is checked for typing errors; shorter names are one letter off many other words."""
+"""Minimum length of a trait for which misspellings are looked for; shorter words are one letter off many others."""
 
 
 class Parameter(BeforeValidator):
     """Marks a trait that is a parameter of some models; a value of a type not in `types` counts as absent (None).
 
-    The name of the trait is not checked for typing errors, because a model rejects unknown parameters itself.
+    Misspellings of the trait are not looked for, because a model rejects unknown parameters itself.
 
     Args:
         types: the allowed types of the parameter.

@@ -24,7 +24,7 @@ def escaped(text: str) -> str:
 
 
 def without_symlink(path: Path) -> Path:
-    """Remove a symbolic link at a path to write to, because it could point elsewhere; return the path.
+    """Return a path that is about to be written; if it is a symbolic link, which could point elsewhere, remove it.
 
     Raises:
         OSError: if the link cannot be removed.

@@ -40,14 +40,14 @@ class CellList:
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
-        """Nodes in a cell and the eight around it, by cell; deleted when a node enters or leaves one of these."""
+        """By cell, the nodes in it and in the eight around it; deleted when a node enters or leaves one of these."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
         self._cells = self._cells_of(self._at)
         self._enter(range(len(self._at)), self._cells)
 
     def around(self, node: int) -> Nodes:
-        """Return the nodes that may be within the radius of a node now, itself included, ascending; read-only.
+        """Return the nodes that may be within the radius of a node now, itself included, ascending; not to be changed.
 
         The result contains all nodes within the radius, and possibly others.
         """

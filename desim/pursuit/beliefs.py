@@ -147,7 +147,10 @@ class Beliefs:
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
     def _capture_time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
-        """Return the capture time, s, of a teammate for an evader, computed from the given record; nan if unknown."""
+        """Return the capture time, s, of a teammate for an evader, from its record or its sensed position.
+
+        It is nan if it is not known.
+        """
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan

@@ -16,7 +16,7 @@ from desim.pursuit.geometry import SMALLEST, toward
 from desim.pursuit.state import lengths
 
 EvaderVelocity = complex | Points
-"""The velocity, m/s, of the evader that all pursuers chase; or, (N,), of the evader that each pursuer chases."""
+"""One velocity, m/s, if all pursuers chase the same evader; else (N,) velocities, of the evader of each pursuer."""
 
 
 class Guidance(Protocol):

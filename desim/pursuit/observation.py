@@ -18,8 +18,8 @@ class EvaderObservation(State):
         radius: capture radius, m.
         heading: present heading of the evader, of length at most 1; 0 at the start and while it stands still.
         elapsed: time since the evader chose this heading, s; 0 at the start.
-        handover: whether an announcement of a change of action is in flight; always False if no strategy in the run
-            listens.
+        handover: whether an announcement of a change of action is in flight; always False unless a strategy in the run
+            overhears the radio (its attribute `listens`).
     """
 
     def __init__(

@@ -25,7 +25,8 @@ class State:
         active: (N,) whether each pursuer chases the evader.
         offsets: (N,) vectors from each pursuer to the evader, m.
         distances: (N,) distances from each pursuer to the evader, m.
-        nearest: index of the pursuer nearest to the evader, active or not; ties go to the lowest, -1 without pursuers.
+        nearest: index of the pursuer nearest to the evader, active or not; the lowest of equally near ones; -1 if there
+            are no pursuers.
     """
 
     def __init__(self, stamp: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
@@ -44,7 +45,7 @@ class State:
 
 
 def lengths(vectors: Points) -> Floats:
-    """Return the (k,) absolute values, rounded as by `abs`; the rounding of `np.abs` depends on the processor."""
+    """Return the (k,) absolute values, to the last bit those of `abs`; that of `np.abs` depends on the processor."""
     found: Floats = np.hypot(vectors.real, vectors.imag)
     return found
 

@@ -20,8 +20,8 @@ from desim.pursuit import game
 from desim.pursuit.traits import UtilityTraits
 
 Scope = Literal["heard", "neighbours", "component"]
-"""The teammates that count, among those believed active. heard: all; neighbours: those heard directly now; component:
-those heard now over any number of hops."""
+"""The teammates that count, among those believed active. heard: all; neighbours: those with a direct link at present;
+component: those connected at present over any number of hops."""
 
 
 NEWTON_STEPS = 5
@@ -40,7 +40,7 @@ class Utility(Protocol):
 
 
 class Mean(Value):
-    """Time left minus mean capture time of the active pursuers (Lee & Bakolas): an exact potential if all are heard."""
+    """The gain in time left less mean capture time (Lee & Bakolas): an exact potential if all are heard."""
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
     kind: Literal["mean"] = "mean"

@@ -38,7 +38,7 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
     without_symlink(folder / f"{TRACE}.part")
     with TraceFile(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
-        clear(folder)  # before the trace is renamed, so that it never lies beside the run.json of another run
+        clear(folder)  # before `TraceFile` renames its .part, so that a new trace is never beside an old run.json
         return result
 
 
@@ -59,8 +59,8 @@ def write(
     Args:
         result: the result of the run.
         folder: the folder; it is created, with its parents.
-        made: the provenance of the run, or of several runs that include it; if None, that of the scenario and this
-            program.
+        made: the provenance of the run, or of several runs that include it; if None, it is made from the scenario and
+            the running program.
         simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -128,7 +128,7 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     made = provenance.read(path)
     source = provenance.source(path, made, allow_import=allow_import)
     if made["runs"] != 1:
-        raise ValueError(f"{path}: records {made['runs']} runs, not the one in {TRACE}")
+        raise ValueError(f"{path}: records {made['runs']} runs, but the folder of a run needs the record of one")
     result = Result(validate(source), made["seed"], trace)
     if not _matches_start(result):
         raise ValueError(f"{path}: does not match {TRACE}: number, speeds or starting positions of players differ")

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 Assumption = Callable[["Scenario"], str | None]
 
+NOT_FORWARDED = "announcements are not forwarded (`announce.dissemination`)"
+
 
 def undivided(scenario: "Scenario") -> str | None:
     """No partition splits the team."""
@@ -36,7 +38,7 @@ def connected(scenario: "Scenario") -> str | None:
         return parted
     graph = _initial_graph(scenario)
     if not is_complete(graph) and not nx.is_strongly_connected(graph):
-        return "the network has several components at the start"
+        return "some pursuers cannot reach all others at the start"
     return None
 
 
@@ -46,7 +48,7 @@ def everyone_heard(scenario: "Scenario") -> str | None:
         return connected(scenario) or _out_of_hops(scenario)
     graph, size = _initial_graph(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
-        return "not all pursuers hear each other at the start, and no dissemination relays (`announce.dissemination`)"
+        return f"not all pursuers hear each other at the start, and {NOT_FORWARDED}"
     return undivided(scenario)
 
 
@@ -59,9 +61,7 @@ def component_heard(scenario: "Scenario") -> str | None:
         return None
     parts = nx.weakly_connected_components(graph)
     if any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
-        return (
-            "some pursuers are several hops apart at the start, and no dissemination relays (`announce.dissemination`)"
-        )
+        return f"some pursuers are several hops apart at the start, and {NOT_FORWARDED}"
     return None
 
 
@@ -90,17 +90,17 @@ def announcements_repeated(scenario: "Scenario") -> str | None:
 def one_at_a_time(scenario: "Scenario") -> str | None:
     """No two pursuers decide at the same instant."""
     at_once = scenario.schedule_traits.at_once
-    return "all pursuers decide at once" if at_once and scenario.team.count > 1 else None
+    return "several pursuers may decide at the same instant" if at_once and scenario.team.count > 1 else None
 
 
 def rounds(scenario: "Scenario") -> str | None:
-    """All pursuers decide in rounds or on their own clocks: no decision waits for the decisions of teammates."""
+    """No pursuer waits for its turn: all decide together in rounds, or each at its own times."""
     schedule = scenario.schedule_traits
     if schedule.without_serial_decisions is None or scenario.team.count == 1:
         return None
     return (
-        f"under {schedule.kind or 'its schedule'} pursuers decide one at a time; the rounds of the paper are the"
-        ' schedule kind "rounds", or "synchronous"'
+        f"under {schedule.kind or 'its schedule'} pursuers decide one at a time; for rounds, set the schedule"
+        ' kind to "rounds" or "synchronous"'
     )
 
 
@@ -133,7 +133,8 @@ def host_in_range(scenario: "Scenario") -> str | None:
 def times_known(scenario: "Scenario") -> str | None:
     """Every pursuer knows all capture times.
 
-    The evader is seen at any distance. Positions are sensed, or positions or capture times are announced to all.
+    This requires that the evader is seen at any distance, and that positions are sensed, or that announcements with
+    positions or capture times reach all.
     """
     if scenario.sensing.limited:
         return "pursuers see the evader only within the sensing radius (`sensing.radius`)"

@@ -15,14 +15,14 @@ MAX_TEXT = 48
 INFINITY = "Infinity"
 """Infinity as a JSON value; see `desim.config.model.Value.plain`."""
 IGNORED = {"name", "seed", "record", "sweep"}
-"""Keys that do not change a run, and the seed of the scenario: the seed of the run counts."""
+"""Keys that are not compared: those that do not change a run, and `seed`; the seeds of the runs are compared."""
 
 
 class Difference(NamedTuple):
     """A key of a scenario file with different values in two scenarios."""
 
     key: str
-    """The dotted key; that of a model if its kinds differ."""
+    """The dotted key; if the scenarios have models of different kinds there, the key of the model."""
     first: str
     """The value in the first scenario as text."""
     second: str
@@ -53,7 +53,7 @@ def side_by_side(first: Result, second: Result) -> str:
 
 
 def differences(first: Result, second: Result) -> list[Difference]:
-    """Return the differences between the seeds and the scenarios of two runs, in the order of the keys of scenarios.
+    """Compare two runs by seed and scenario, and return the differences in the order of the keys of scenarios.
 
     Keys that do not change a run (`name`, `record`, `sweep`) do not count. Of two models of different kinds, the kinds
     are compared and not their parameters.

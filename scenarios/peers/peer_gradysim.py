@@ -1,4 +1,4 @@
-"""Deliver the broadcasts of a workload in GrADyS-SIM NextGen, one packet per message.
+"""Deliver the broadcasts of a workload in GrADyS-SIM NextGen, as one packet to each receiver.
 
 This is a standalone program, which `scenarios.peers.elsewhere` runs. The simulator's own medium has a single delay, and
 checks for every node whether it is within range. `Medium` transmits to the neighbours only, with a separate delay for
@@ -41,7 +41,7 @@ class Medium(CommunicationHandler):  # type: ignore[misc]
 
 
 class Talker(IProtocol):  # type: ignore[misc]
-    """A node that broadcasts the number of each of its turns and keeps the newest number from each other node."""
+    """A node that broadcasts the number of its turn at each turn, and keeps the newest number from every other."""
 
     def initialize(self) -> None:
         self.table: dict[int, int] = {}

@@ -460,11 +460,11 @@ def test_cbaa_warns_of_crashes_and_both_auctions_warn_of_disconnected_graphs():
     ids=lambda each: getattr(each, "kind", ""),
 )
 def test_an_auction_in_turns_instead_of_rounds_is_warned_of(auction, schedule, in_turns):
-    """The schedules of the paper are named; a single pursuer has nobody to wait for."""
+    """The schedules with rounds are named; a single pursuer has nobody to wait for."""
     kind = auction().kind
     why = (
-        f"{kind} assumes rounds, but under {schedule.kind} pursuers decide one at a time; the rounds of the paper are"
-        ' the schedule kind "rounds", or "synchronous"'
+        f"{kind} assumes rounds, but under {schedule.kind} pursuers decide one at a time; for rounds, set the schedule"
+        ' kind to "rounds" or "synchronous"'
     )
     assert list(violations(Scenario(protocol=auction(schedule=schedule)))) == [("protocol", why)] * in_turns
     assert list(violations(Scenario(protocol=auction(schedule=schedule), team=Team(count=1)))) == []

@@ -142,7 +142,8 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
 
     skewed = frozen(Synchronous(), rule=Alone).model_copy(update={"fault": (ClockSkew(offset=0.1),)})
     assert dict(violations(skewed)) == {
-        "protocol": f"{skewed.protocol.kind} assumes one_at_a_time, but all pursuers decide at once",
+        "protocol": f"{skewed.protocol.kind} assumes one_at_a_time, but several pursuers may decide at the same"
+        " instant",
         "protocol.schedule": "synchronous assumes equal_clocks, but clocks differ",
     }
     assert not dict(violations(frozen(SharedSeed(), rule=Alone)))

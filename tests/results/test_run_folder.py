@@ -199,7 +199,7 @@ def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_fil
 
 
 OF_ANOTHER = {
-    "several runs": (lambda made: made | {"runs": 2}, "records 2 runs, not the one in trace.jsonl"),
+    "several runs": (lambda made: made | {"runs": 2}, "records 2 runs, but the folder of a run needs the record"),
     "another seed": (lambda made: provenance.of_one(made, 6), "does not match trace.jsonl"),
     "a sweep": (lambda made: made | {"what": "sweep"}, "was written by desim sweep, which desim run cannot repeat"),
 }

@@ -62,9 +62,9 @@ def four(graph=None, **given):
         (four(), None),
         (four(nx.path_graph(4)), None),
         (four(network=Links(range=1.0)), None),
-        (four(network=Links(range=0.99)), "several components"),
-        (four(TWO_PAIRS), "several components"),
-        (four(nx.DiGraph([(0, 1), (1, 2), (2, 3)])), "several components"),
+        (four(network=Links(range=0.99)), "cannot reach all others"),
+        (four(TWO_PAIRS), "cannot reach all others"),
+        (four(nx.DiGraph([(0, 1), (1, 2), (2, 3)])), "cannot reach all others"),
         (four(nx.DiGraph([(0, 1), (1, 2), (2, 3), (3, 0)])), None),
         (four(fault=[HALVES]), "partition"),
         (four(fault=[Jamming(start=0.0, centre=(0.0, 0.0), radius=1.0)]), None),
@@ -90,7 +90,7 @@ def assert_reason(found, why):
         (four(network=Links(range=2.99), announce=FLOODED), None),
         (four(network=Links(range=2.99), announce=Announcements(dissemination=Gossip())), None),
         (four(nx.path_graph(4)), "not all pursuers hear each other"),
-        (four(TWO_PAIRS, announce=FLOODED), "several components"),
+        (four(TWO_PAIRS, announce=FLOODED), "cannot reach all others"),
         (four(fault=[HALVES], announce=FLOODED), "partition"),
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenWalk())), None),
@@ -181,9 +181,9 @@ def test_information_gets_through_if_schedule_messages_carry_it(trigger, schedul
 @pytest.mark.parametrize(
     ("scenario", "why"),
     [
-        (four(protocol=BestResponse(schedule=Rounds())), "at once"),
-        (four(protocol=BestResponse(schedule=Rounds(participation=0.5))), "at once"),
-        (Scenario(team=Team(count=2), protocol=BestResponse(schedule=Rounds())), "at once"),
+        (four(protocol=BestResponse(schedule=Rounds())), "the same instant"),
+        (four(protocol=BestResponse(schedule=Rounds(participation=0.5))), "the same instant"),
+        (Scenario(team=Team(count=2), protocol=BestResponse(schedule=Rounds())), "the same instant"),
         (Scenario(team=Team(count=1), protocol=BestResponse(schedule=Rounds())), None),
         *((four(protocol=BestResponse(schedule=s)), None) for s in (SharedSeed(), Poisson(), Periodic(), TokenRing())),
         (four(protocol=lambda me: iter(())), None),
@@ -285,9 +285,10 @@ def test_a_violated_assumption_is_reported_with_its_protocol_and_reason():
         protocol=SpatialAdaptivePlay(schedule=Rounds()),
         fault=[ClockSkew(offset=0.1)],
     )
-    hops = "not all pursuers hear each other at the start, and no dissemination relays (`announce.dissemination`)"
+    hops = "not all pursuers hear each other at the start, and announcements are not forwarded"
+    hops += " (`announce.dissemination`)"
     found = [
-        ("protocol", "sap assumes one_at_a_time, but all pursuers decide at once"),
+        ("protocol", "sap assumes one_at_a_time, but several pursuers may decide at the same instant"),
         ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),
         ("protocol.utility", f"mean assumes everyone_heard, but {hops}"),
     ]

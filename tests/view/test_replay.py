@@ -1019,22 +1019,29 @@ def test_messages_fly_between_where_they_were_sent_and_where_they_arrive(shown):
     A message that waits is at its sender, one that is lost is just before its receiver.
     """
     opened = shown(history(samples=range(0, 1001, 100)))
-    places = "(t => (replay.seek(t), replay.places))"
     opened.until("(replay.draw(), replay.scale > 1)")
-    rim = opened.value("9 / replay.scale")
 
-    def between(source, target, share):
+    def places(t):
+        """Return where the messages are at a time, s, and the radius of a player, both at the present scale."""
+        found = opened.value(f"(replay.seek({t}), [replay.places, 9 / replay.scale])")
+        return *(found[0][kind] for kind in ("flying", "lost")), found[1]
+
+    def between(source, target, share, rim):
         way = np.subtract(target, source)
         unit = way / np.hypot(*way)
         return pytest.approx(np.add(source, unit * rim + share * (way - 2 * rim * unit)).tolist(), abs=1e-6)
 
-    found = opened.value(f"{places}(0.16)")
-    assert found["flying"] == [between((1, 0), (10, 0), 0.6)]
-    assert found["lost"] == [between((1, 0), (0, 10), 1.0)]
-    assert opened.value(f"{places}(0.28)")["flying"] == [between((0, 10), (4, 0), 0.0)]
-    assert opened.value(f"{places}(0.45)")["flying"] == [between((0, 10), (4, 0), 0.75)]
-    assert opened.value(f"{places}(0.55)")["lost"] == [between((0, 10), (4, 0), 1.0)]
-    assert opened.value(f"{places}(1.0)")["flying"][-1] == between((4, 0), (10, 0), 0.0)
+    flying, lost, rim = places(0.16)
+    assert flying == [between((1, 0), (10, 0), 0.6, rim)]
+    assert lost == [between((1, 0), (0, 10), 1.0, rim)]
+    flying, _, rim = places(0.28)
+    assert flying == [between((0, 10), (4, 0), 0.0, rim)]
+    flying, _, rim = places(0.45)
+    assert flying == [between((0, 10), (4, 0), 0.75, rim)]
+    _, lost, rim = places(0.55)
+    assert lost == [between((0, 10), (4, 0), 1.0, rim)]
+    flying, _, rim = places(1.0)
+    assert flying[-1] == between((4, 0), (10, 0), 0.0, rim)
 
 
 @in_chromium
