@@ -8,13 +8,13 @@ is up.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import compress, count
 from typing import TYPE_CHECKING, NamedTuple
 
 from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
 from desim.kernel.links import Links
@@ -177,7 +177,8 @@ class LinkLayer:
         for hear in self._listeners:
             hear(transmission.content, max(per_receiver(arrival, len(reached)), default=LOST))
         if self._trace is not None:
-            self._record(transmission, causes, arrival)
+            for event in _events(transmission, causes, arrival, now):
+                self._trace.append_message(event)
         for node, cause in causes.items():
             self._lose(transmission, [node], cause)
         if self._settles_on_arrival:
@@ -204,14 +205,9 @@ class LinkLayer:
         last = arrival if isinstance(arrival, int) else max(arrival, default=0)
         if last < until and not down:
             return reached, arrival
-        if isinstance(arrival, int) and last < until:
-            self._schedule_arrivals(transmission, [node for node in reached if node in down], arrival, airtime)
-            return [node for node in reached if node not in down], arrival
-        sure, later = list[tuple[int, int]](), list[tuple[int, int]]()
-        for node, when in zip(reached, per_receiver(arrival, len(reached)), strict=True):
-            (sure if when < until and node not in down else later).append((node, when))
-        self._schedule_arrivals(transmission, [node for node, _ in later], [when for _, when in later], airtime)
-        return [node for node, _ in sure], [when for _, when in sure]
+        sure, when, others, later = _split(reached, arrival, until, down)
+        self._schedule_arrivals(transmission, others, later, airtime)
+        return sure, when
 
     def _losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
@@ -285,18 +281,31 @@ class LinkLayer:
             for node in nodes:
                 self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
 
-    def _record(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Append a transmission to the trace; a message lost at transmission has the arrival time `LOST`."""
-        assert self._trace is not None
-        number, src, created, size, receivers, content = transmission[:6]
-        now, fates = self._env.now, arrival
-        if causes:
-            arrivals = iter(per_receiver(arrival, len(receivers)))
-            fates = [LOST if node in causes else next(arrivals) for node in receivers]
-        if isinstance(content, Record):
-            fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
-            event = Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
-            self._trace.append_message(event)
-        else:
-            for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
-                self._trace.append_message(Sent(now, number, src, node, arrives, created, size, content.body))
+
+def _events(transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival, now: int) -> Iterator[Event]:
+    """Yield the events of a transmission in the trace; a message lost at transmission has the arrival time `LOST`."""
+    number, src, created, size, receivers, content = transmission[:6]
+    fates = arrival
+    if causes:
+        arrivals = iter(per_receiver(arrival, len(receivers)))
+        fates = [LOST if node in causes else next(arrivals) for node in receivers]
+    if isinstance(content, Record):
+        fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
+        yield Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
+        return
+    for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
+        yield Sent(now, number, src, node, arrives, created, size, content.body)
+
+
+def _split(
+    reached: list[int], arrival: Arrival, until: float, down: Mapping[int, int]
+) -> tuple[list[int], Arrival, list[int], Arrival]:
+    """Return the receivers that are up and reached before `until` (ns), and the others, with their arrival times."""
+    if isinstance(arrival, int) and arrival < until:
+        up = [node for node in reached if node not in down]
+        return up, arrival, [node for node in reached if node in down], arrival
+    sure, later = list[tuple[int, int]](), list[tuple[int, int]]()
+    for node, when in zip(reached, per_receiver(arrival, len(reached)), strict=True):
+        (sure if when < until and node not in down else later).append((node, when))
+    nodes, others = ([node for node, _ in each] for each in (sure, later))
+    return nodes, [when for _, when in sure], others, [when for _, when in later]
