@@ -173,7 +173,7 @@ def test_a_sweep_on_a_cluster_is_interrupted_in_the_same_way_and_can_be_continue
     driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "--cluster", cluster, mark=mark)
     wait_for(lambda: sweeps.count(out / "sweep.sqlite") >= 5)
     told = interrupted(driver, mark)
-    assert "Traceback" not in told
-    *_, line = told.splitlines()  # Dask may have complained of a busy machine before
+    assert "desim/study/" not in told  # no traceback of ours; the loop of Dask may log one of its own
+    *_, line = told.splitlines()
     assert line.startswith("interrupted: ")
     assert finish(file, out, "--cluster", cluster) == whole
