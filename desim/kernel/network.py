@@ -161,7 +161,7 @@ class Network:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
-            self._records.insert([node], record)
+            self._records.relay(node, record)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources).

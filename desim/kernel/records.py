@@ -110,6 +110,7 @@ class Records:
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
+        self._relayed: set[int] = set()  # readers that get records by other ways, even before they are transmitted
         self._apart: set[int] = set()  # readers that have lost their records: they ignore the shared table
 
     def set_initial_belief(self, record: Record) -> None:
@@ -127,8 +128,10 @@ class Records:
         waiting = self._waiting
         if len(receivers) == self._size - 1 and isinstance(arrival, int):
             self._shared.schedule((arrival, record))
-            for node in self._apart - {record.src}:
-                waiting[node] += arrival, record
+            if self._apart:
+                for node in self._apart - {record.src}:
+                    waiting[node] += arrival, record
+                self._note_unread()
             return
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
@@ -136,8 +139,13 @@ class Records:
             pending.append(record)
         self._note_unread()
 
+    def relay(self, node: int, record: Record) -> None:
+        """Store a record that a node has received by other ways than `schedule`; see `insert`."""
+        self._relayed.add(node)
+        self.insert([node], record)
+
     def insert(self, nodes: list[int], record: Record) -> None:
-        """Store a record at nodes now; a node that has this or a newer record of its source ignores it."""
+        """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""
         now, waiting = self._env.now, self._waiting
         for node in nodes:
             waiting[node] += now, record
@@ -210,9 +218,9 @@ class Records:
         now, table, matching, fresh = self._env.now, self._tables[node], self._matching[node], self._waiting[node]
         predicate = self._predicate
         still_in_flight = self._still_in_flight.pop(node, [])
-        if node in self._out_of_order:
+        if node in self._out_of_order or node in self._relayed:
             still_in_flight, fresh = self._move_in_any_order(node, _pairs(still_in_flight + fresh)), []
-            self._out_of_order.remove(node)  # what is transmitted from now on is newer than all that is known
+            self._out_of_order.discard(node)  # what is transmitted from now on is newer than what was transmitted
         elif still_in_flight:
             still_in_flight = self._move_newer(node, _pairs(still_in_flight))
         for arrival, record in _pairs(fresh):

@@ -530,3 +530,18 @@ def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(
         transmit(network)
     clock.run(until=SECOND)
     assert not any(network.latest_records(node) or network.inbox(node).drain() for node in range(4))
+
+
+def test_a_record_that_overtakes_another_in_the_queue_of_its_source_stays_the_newest():
+    """Record 1 waits 1 s for the transmitter; record 2 reaches node 1 by other means before, and is read."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(medium=Bitrate(bitrate=8.0), latency=Uniform(0.05)))
+    network.send(0, 2, None, size=1)
+    network.publish(0, "first", size=1)
+    network.insert(1, network.next_record(0, "second"))
+    assert network.latest_records(1)[0][1].body == "second"
+    Instant(clock, 5 * SECOND, Phase.SAMPLE)
+    clock.run()
+    assert network.message_counts().delivered == 3
+    assert network.latest_records(1)[0][1].body == "second"
+    assert network.latest_records(2)[0][1].body == "first"
