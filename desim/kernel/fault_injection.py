@@ -56,8 +56,9 @@ def inject(
         network.fault_state.changed()
 
     def schedule(time: float, change: Callable[[simpy.Event], None]) -> None:
-        Instant(env, nanoseconds(time), Phase.FAULT).callbacks.append(change)
-        network.fault_state.plan(nanoseconds(time))
+        when = nanoseconds(time)
+        Instant(env, when, Phase.FAULT).callbacks.append(change)
+        network.fault_state.plan(when)
 
     for fault in faults:
         schedule(fault.start, partial(begin, fault))

@@ -30,11 +30,10 @@ class FaultState:
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
 
-    def plan(self, *times: int) -> None:
-        """Announce the times (ns) of changes. From the first call on, the state changes at announced times only."""
+    def plan(self, time: int) -> None:
+        """Announce the time, ns, of a change. From the first call on, the state changes at announced times only."""
         self._planned = self._planned or []
-        for time in times:
-            insort(self._planned, time)
+        insort(self._planned, time)
 
     def changed(self) -> None:
         """Note that the next announced change has happened."""
@@ -43,7 +42,7 @@ class FaultState:
 
     @property
     def constant_until(self) -> float:
-        """The time, ns, until which certainly nothing changes which nodes the faults keep from receiving.
+        """The time, ns, before which the faults certainly block the same receptions as now.
 
         It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
         """

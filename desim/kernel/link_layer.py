@@ -217,9 +217,8 @@ class LinkLayer:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         if self._fault_state is not None and (cut_off := self._fault_state.cut_off(src, receivers)):
             causes |= dict.fromkeys(cut_off, "partition")
-        if (
-            transmission.created < self._env.now and self._checks_departure
-        ):  # it waited, and its receivers may have moved
+        has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
+        if has_waited and self._checks_departure:
             reaches = self._topology.reaches(src, receivers, transmission.number)
             causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
         return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
