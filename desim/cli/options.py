@@ -1,6 +1,5 @@
 """Shared parts of the commands: options, reading of scenarios, output, and errors."""
 
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from desim.cli import completion
-from desim.config.file_names import files
+from desim.config.file_names import files, folder_name
 from desim.config.trust import escaped, without_symlink
 from desim.simulation.watchdog import checked_limit
 
@@ -235,7 +234,7 @@ def page_at(out: Path | None, usual: Path) -> Path:
 
 def folder_for(scenario: "Scenario", out: Path | None) -> Path:
     """Return the folder of the results of many runs: by default out/NAME, where "-" replaces special characters."""
-    return out or Path("out") / (re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed")
+    return out or Path("out") / folder_name(scenario.name)
 
 
 @contextmanager

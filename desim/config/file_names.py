@@ -22,6 +22,11 @@ SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 
 
+def folder_name(name: str) -> str:
+    """Return the name of a scenario as that of a folder, where "-" replaces special characters."""
+    return re.sub(r"[^\w-]+", "-", name).strip("-") or "unnamed"
+
+
 def files(path: Path, allowed: Sequence[str], default: Sequence[str]) -> list[Path]:
     """Return the files to write for a path that a user gives.
 

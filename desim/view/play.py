@@ -1,7 +1,7 @@
 """A scenario to play with: its keys are changed one by one, and each run is compared with a run that was pinned.
 
 The page of `desim play` (`desim.view.play_server`) and the widget of notebooks (`desim.view.widget`) show what the
-functions here return. All of it is JSON, because the runs are performed in worker processes.
+functions here return. All of it is JSON, because pages are its readers.
 """
 
 import re
@@ -11,7 +11,6 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,8 @@ import tomli_w
 from desim.analysis import palette
 from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
 from desim.analysis.statistics import mean, paired
+from desim.analysis.tables import with_half_width
+from desim.config.file_names import folder_name
 from desim.config.json_numbers import to_json
 from desim.results import provenance, run_folder
 from desim.scenario.checks import warnings
@@ -192,8 +193,7 @@ class Playground:
         """
         try:
             result = self.result(changes)
-            name = re.sub(r"[^\w-]+", "-", result.scenario.name).strip("-") or "unnamed"
-            folder = _new_folder(Path("out"), name)
+            folder = _new_folder(Path("out"), folder_name(result.scenario.name))
             run_folder.write(result, folder, made)
         except (Exception, TimedOut) as error:
             return {"error": str(error) if isinstance(error, ScenarioError | OSError) else _reason(error)}
@@ -246,7 +246,7 @@ class Session:
             return {"controls": self.playground.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
 
     def save(self, changes: Changes) -> Answer:
-        """Return what `Playground.save` returns in a worker."""
+        """Save a run in a worker; see `Playground.save`."""
         ground = self.playground
         try:
             scenario = ground.scenario(changes)
@@ -351,7 +351,7 @@ def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[st
                 | {
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(others).mean),
-                    "difference": f"{_formatted(found.mean, '+')} \N{PLUS-MINUS SIGN} {_formatted(found.half_width)}",
+                    "difference": with_half_width(found, found.count, sign="+"),
                     "differs": abs(found.mean) > found.half_width,
                     "sign": found.mean,
                     "count": found.count,
@@ -431,11 +431,8 @@ def _new_folder(parent: Path, name: str) -> Path:
     """
     if parent.is_symlink():
         raise OSError(f"{parent}: is a symbolic link, and the run would be written to its target")
-    for k in count(1):
-        folder = parent / f"{name}-{k}"
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise AssertionError
+    number = 1
+    while (folder := parent / f"{name}-{number}").exists():
+        number += 1
+    folder.mkdir(parents=True)
+    return folder

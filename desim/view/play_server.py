@@ -29,7 +29,7 @@ POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
     " form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
 )
-"""What the page may load: nothing but what is in it, and what this server answers.
+"""The page loads nothing from elsewhere; it connects to this server only.
 
 Scripts have no nonce, because the replay in its frame inherits the policy, and is the same page as that in a file.
 """
@@ -83,8 +83,8 @@ class PlayServer(ThreadingHTTPServer):
         self.shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore connections that the browser has closed; raise any other error."""
-        if not isinstance(sys.exc_info()[1], ConnectionError):
+        """Ignore connections that the browser has closed, or left waiting; report any other error."""
+        if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
