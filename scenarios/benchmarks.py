@@ -1,4 +1,4 @@
-"""Measure deliveries per second of desim, other implementations and other simulators; also other costs of desim.
+"""Measure the delivery rates of desim, a bare loop, SimPy and other simulators; also measure other costs of desim.
 
 Nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the number of the turn.
 The broadcasts are delivered in several ways (`--only`). `publish` and `send` are the two ways of desim. `heapq` is a
@@ -7,9 +7,10 @@ uses one Timeout per delivery; simpy-drawn-at-once does so, too, but draws all l
 simpy-documented uses a store per node and a process per message. All of these must end with the same tables of received
 numbers. The other simulators are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian
 packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. Each of them must make the right
-number of deliveries; mango runs a tenth of the turns only. Every way runs once in each lap (`--runs`), or only in the
-first if it takes more than 5 s there. A rate is the median over the laps, per second of CPU time. The costs of large
-teams, whole runs, recording and starting follow, in time and memory; some have a limit.
+number of deliveries; mango runs a tenth of the turns only. `--runs` is the number of laps. Every way runs once in each
+lap; a way that takes more than 5 s in the first lap is left out of the others. A rate is the median over the laps, per
+second of CPU time. Then the costs of large teams, whole runs, recording and start-up are measured, in time and memory.
+Some costs have an upper limit; the table marks a cost above its limit.
 """
 
 from collections.abc import Mapping, Sequence

@@ -31,7 +31,7 @@ SCHEDULES: dict[str, Callable[[float], Schedule]] = {
     "token_ring": lambda slot: TokenRing(holding_time=slot),
 }
 SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
-"""Values of delta in the pursuits, s."""
+"""Values of the slot delta, the mean time between two decisions of the team, in the pursuits, s."""
 LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Values of L in the pursuits, s."""
 CRITICAL = 3.0
@@ -89,7 +89,8 @@ def pursuit(latency: float, slot: float) -> Scenario:
 def measure_law(options: Options) -> list[Point]:
     """Measure g for each schedule and each dimensionless latency of `DELAYS`.
 
-    The token ring is measured without latency only, because the time between its revisions grows with the latency.
+    The token ring is measured only at zero latency. With latency its revisions are further apart, so its decision rate
+    is no longer lambda.
     """
     slot = 1.0 / (N * LAMBDA)
     keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]

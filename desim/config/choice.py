@@ -172,7 +172,10 @@ class OneOf:
         return value
 
     def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:
-        """Raise ValueError, with a message about `value`, if a function does not accept `first` followed by `takes`."""
+        """Raise ValueError if a function cannot be called with the arguments `first` and one for each name in `takes`.
+
+        The message names `value`: the function, object or class that the user gave.
+        """
         if not self.takes:
             return
         try:
@@ -260,8 +263,8 @@ def load_named(kind: str, folder: Path | None) -> Any:
     """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
     An object that `protocols.KINDS` or an entry point of a group `desim.*` lists is loaded as an entry point. Before
-    any other import, `folder` is appended to `sys.path`. Worker processes copy `sys.path`, so they, too, find the
-    module.
+    any other object is imported, `folder` is appended to `sys.path`, unless it is None or already there. A worker
+    process on this machine receives a copy of `sys.path` when it starts, so it, too, finds the module.
 
     An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first
     check that the file that names the object is trusted.

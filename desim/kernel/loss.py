@@ -136,7 +136,7 @@ class _Row:
 
 
 class ByDistance(Value):
-    """The probability of loss grows with distance d: near + (far - near) min(d / distance, 1)^exponent."""
+    """The probability of loss depends on distance d: near + (far - near) min(d / distance, 1)^exponent."""
 
     kind: Literal["by_distance"] = "by_distance"
     near: Probability = 0.0

@@ -26,7 +26,7 @@ FILE = "run.json"
 FORMAT = 2
 """The format number of a run.json. It changes when a key changes."""
 RUN = "run"
-"""The value of `what` in documents that `desim run` writes and can repeat."""
+"""The value of `what` in documents of runs, which `desim run` can repeat; `desim run` and `desim play` write them."""
 OTHER_COMMANDS = ("sweep", "explain", "merge")
 """The values of `what` in documents that the other commands write; any other value is the name of a study."""
 SHAPE: Mapping[str, tuple[type, ...]] = {
@@ -73,8 +73,10 @@ def document(
     Args:
         what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
         scenario: the scenario of the runs, if there is only one.
-        seed: seed of the first run; it replaces the seed in the recorded scenario.
-        runs: number of runs; the runs of `desim run` have the seeds `seed`, `seed` + 1, ...
+        seed: seed of the first run; for a sweep, an explanation or a merge, the root seed. It replaces the seed in the
+            recorded scenario.
+        runs: number of runs; for an explanation, of runs per variant; for a study, of runs per cell. The runs of
+            `desim run` have the seeds `seed`, `seed` + 1, ...
         folder: folder of the scenario file, in which modules and files named by the scenario are looked up.
         more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
@@ -160,7 +162,8 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     are looked up in the folder of the run.json, because an untrusted file may record any folder.
 
     Raises:
-        ProvenanceError: if the document does not record runs of `desim run`, or names a model that cannot be imported.
+        ProvenanceError: if `what` is not `RUN`, if the scenario is missing, or if the scenario names a model that
+            cannot be imported.
         ScenarioError: if an override is wrong.
     """
     from desim.scenario.overrides import Source
@@ -214,8 +217,9 @@ def _errors(made: Document) -> Iterator[str]:
 def _given(scenario: Document) -> Document:
     """Return the tables of a recorded scenario, in which each key can be overridden as in a scenario file.
 
-    The string "Infinity" becomes a number again. Network values equal to those of the preset (without one, to the
-    defaults) are removed, so that an override of the preset takes effect.
+    The string "Infinity" becomes a number again. A recorded network has all values, those of its preset included.
+    Values equal to those of the preset (or, if there is no preset, to the defaults) are removed. Otherwise they would
+    take precedence over the values of a preset given by an override.
     """
     from desim.kernel.links import Links
     from desim.kernel.presets import PRESETS

@@ -18,7 +18,8 @@ class Key(NamedTuple):
     """A key of scenario files."""
 
     place: tuple[str, ...]
-    """The parts of the dotted key, without kinds; after the name of a list of tables, the index 0 stands for each."""
+    """The parts of the dotted key; kinds are not parts. After the name of a list of tables comes the index "0", which
+    stands for the index of any table in the list."""
     kinds: tuple[str, ...] = ()
     """The kinds that its value may have."""
     owner: str | None = None
@@ -32,14 +33,21 @@ class Key(NamedTuple):
 
 @cache
 def all_keys() -> tuple[Key, ...]:
-    """Return every key of scenario files, once for each kind of its table; keys of outer tables come first."""
+    """Return every key of scenario files; keys of outer tables come first.
+
+    A key may occur several times, because the tables that contain it may have several kinds or forms.
+    """
     return tuple(sorted(_keys(Scenario, (), None, ()), key=lambda key: len(key.place)))
 
 
 def _keys(
     model: type[BaseModel], above: tuple[str, ...], owner: str | None, outer: tuple[type[BaseModel], ...]
 ) -> Iterator[Key]:
-    """Yield the keys of a model and of the models within it; the recursion stops at a model that contains itself."""
+    """Yield the keys of a model and of the models within it.
+
+    The recursion ends, because it does not enter a model that already encloses the present one. `outer` contains the
+    enclosing models.
+    """
     for name, field in fields_of(model).items():
         if name == "kind":
             continue
@@ -54,7 +62,10 @@ def _keys(
 
 
 def homes_of(name: str) -> list[Key]:
-    """Return the outermost keys whose last part is a name; if there are none, those with the most similar name."""
+    """Return the outermost keys whose last part is `name`.
+
+    If there are none, return the outermost keys with the most similar last part; [] if no last part is similar.
+    """
     names = {key.place[-1] for key in all_keys()}
     wanted = name if name in names else next(iter(get_close_matches(name, names, n=1, cutoff=0.8)), None)
     found = [key for key in all_keys() if key.place[-1] == wanted]

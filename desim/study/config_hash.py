@@ -5,7 +5,7 @@ a function, or an instance of such a class) covers
 
 - the values that it holds;
 - the source of its module and of the user modules that this module imports, directly or indirectly;
-- the versions of the installed packages that these modules import;
+- the versions of the installed packages that these modules import, except those in `KNOWN`;
 - the content of the data files that it declares or that these modules have opened (`desim.config.data_files`).
 
 If its module belongs to an installed package, all modules of the package are hashed. If the object is defined in a
@@ -82,15 +82,16 @@ class Identity(NamedTuple):
     key: str
     """A hash of the parameters, the user code and the data files, 16 hexadecimal digits."""
     sources: Mapping[str, str]
-    """By a description: the hash of each user module, of each function or class of a script, and of each data file, and
-    the version of each installed package that user code imports."""
+    """The hash of each user module, of each function or class of a script, and of each data file, and the version of
+    each installed package that user code imports. The key of each describes it, for example "the code of my_rules"."""
 
 
 def identify(scenario: Scenario) -> Identity:
     """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
 
     The hashes of data files are sorted by the names of the files without their folders, which may differ between
-    machines. Two files that swap their contents change the hash, unless both have the same name.
+    machines. If two files with different names swap their contents, the key changes. If their names are equal, it does
+    not.
 
     Raises:
         ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
@@ -169,7 +170,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     def persistent_id(self, value: Any) -> Any:
         """Return a substitute for an object whose pickle depends on the process; None for any other object.
 
-        The hashes of the data files that the object declares and of its user module are added to `files` and `code`.
+        The data files that the object declares are added to `files`. If the object is a module, or a function or class
+        that can be imported, its module is added; see `_add_module`.
 
         Raises:
             TypeError: if the object is a set, but no plain `set` or `frozenset`, because its order is not stable.
@@ -222,7 +224,10 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return object, (), [kind, *parts]  # the state, unlike the arguments, may contain the object itself
 
     def _import_name(self, value: Any) -> str:
-        """Return the name by which a module, function or class with a source can be imported; "" if it has none."""
+        """Return the name "module:name" by which a module, function or class can be imported, and add its module.
+
+        Return "" if it cannot be imported, or if its module has no source and does not belong to a package in `KNOWN`.
+        """
         module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
         if module == "builtins":  # some of its types, such as NoneType, cannot be looked up
             return f"{module}:{name}"
@@ -246,11 +251,11 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return False
 
     def _add_module(self, name: str) -> bool:
-        """Add the source of a module and of the user modules that it imports, with their data files and packages.
+        """Add the source of a module, and of the user modules that it imports directly or indirectly.
 
-        Data files are those that the modules have opened. Of the installed packages that they import, only the versions
-        are added; if the module itself is installed, its whole package is added. Return whether the module has a
-        source, or belongs to a package in `KNOWN`.
+        The data files that these modules have opened are added, too, and the versions of the installed packages that
+        they import, except those in `KNOWN`. If the module itself is installed, all modules of its package are added
+        instead. Return whether the module has a source, or belongs to a package in `KNOWN`.
         """
         if name in self.code or _root(name) in KNOWN:
             return True

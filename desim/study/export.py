@@ -82,7 +82,11 @@ def _cell(value: Any) -> Any:
 
 
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
-    """Return the arguments of a pandas series for a column, with one type for all values; integers stay integers."""
+    """Return the arguments of a pandas series for a column, with one type for all values.
+
+    A column of integers stays one if values are missing, and becomes text if a number does not fit 64 bits. A column of
+    integers and floats becomes one of floats.
+    """
     kinds = {type(each) for each in values} - {type(None)}
     some_missing = None in values
     if kinds == {bool}:

@@ -34,9 +34,9 @@ class Workers:
         self.executor = executor
         self._name = name or repr(executor)
         self.count: int = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
-        """The number of workers."""
+        """The number of calls that the workers can perform at the same time."""
         self.max_pending = 2 * self.count
-        """The number of calls that are kept submitted, so that no worker waits for its next call."""
+        """The largest number of submitted calls that have not ended: twice `count`, so that no worker has to wait."""
 
     def submit(self, call: Call) -> Future[Any]:
         """Submit a call to a worker."""
@@ -212,12 +212,15 @@ def workers_for(executor: Executor | int | str) -> Workers:
 
 
 def _pool(count: int, *, kept: bool) -> Executor:
-    """Return a pool of worker processes, which start with the first calls: the common one, or a new one to be kept."""
+    """Return a pool of worker processes, which start when the first calls are submitted.
+
+    If `kept` is true, the pool is new. Otherwise it is loky's reusable pool, which all such callers share.
+    """
     from loky import ProcessPoolExecutor, get_reusable_executor
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # in a block of its own: ensure_running() unblocks the signals
+            resource_tracker.ensure_running()  # it unblocks signals, so the next `with` blocks them again
     with _block_signals():  # loky starts a tracker of its own, another process
         make = ProcessPoolExecutor if kept else get_reusable_executor
         return make(  # type: ignore[no-any-return]

@@ -1,7 +1,7 @@
 """A scenario to play with: its keys are changed one by one, and each run is compared with a run that was pinned.
 
 The page of `desim play` (`desim.view.play_server`) and the widget of notebooks (`desim.view.widget`) show what the
-functions here return. All of it is JSON, because pages are its readers.
+functions here return. Each answer to a request of a page is a JSON object.
 """
 
 import re
@@ -52,11 +52,11 @@ FIRST = (
 MAX_SEEDS = 1000
 """The largest number of seeds of a comparison."""
 INNERMOST = 3
-"""The number of innermost calls shown of an exception in a user's code."""
+"""The number of innermost calls that are shown of the traceback of a run that failed."""
 KEPT = 3
 """The number of results that a process keeps: the pinned run is needed again with every change."""
 _recent: dict[bytes, Result] = {}
-"""The results kept, by the pickled playground and changes, the one that was needed last at the end."""
+"""The kept results by the pickled pair of playground and changes, from the least to the most recently used."""
 Answer = dict[str, Any]
 """A JSON object."""
 Changes = Sequence[str]
@@ -89,7 +89,7 @@ class Playground:
         return source
 
     def scenario(self, changes: Changes) -> Scenario:
-        """Return the scenario with changes, recorded as a replay needs.
+        """Return the scenario with changes and with the recordings that a replay needs.
 
         Raises:
             ScenarioError: if it is not valid.
@@ -121,9 +121,10 @@ class Playground:
             pinned: the changes of the run with which it is compared; None if there is none.
 
         Returns:
-            `controls`, the controls of the keys; either `page` (the replay), `metrics`, `seeds` and `warnings`, or
-            `errors`: a message for each key that is wrong, and under "" why a run failed; `texts`, if the scenario is
-            valid: the scenario as TOML, as a command and in Python.
+            The entry `controls`: the controls of the keys. If the scenario is valid, the entry `texts`: the scenario as
+            TOML, as a command and in Python. If all runs succeed, the entries `page` (the replay), `metrics`, `seeds`
+            and `warnings`; otherwise the entry `errors`. It has a message for each key that is wrong, and under "" the
+            messages that belong to no key, such as the reason why a run failed.
         """
         try:
             scenario = self.scenario(now)
@@ -182,7 +183,9 @@ class Playground:
         }
 
     def save(self, changes: Changes, made: provenance.Document) -> Answer:
-        """Run the scenario, and write the run to a new folder out/NAME-1, -2, ..., which `desim run --from` repeats.
+        """Run the scenario, and write the run to the first of out/NAME-1, out/NAME-2, ... that does not exist.
+
+        `desim run --from` repeats the run from the run.json in this folder.
 
         Args:
             changes: the changes of the scenario.
@@ -205,7 +208,7 @@ class Playground:
         return None if self.file is None else self.file.parent
 
     def pair(self, now: Changes, pinned: Changes, seed: int) -> tuple[Summary, Summary] | str:
-        """Run the scenario with both changes and one seed; return the metrics of both runs, or why one failed."""
+        """Run the scenario with `now` and with `pinned`, on one seed; return the metrics of both, or why one failed."""
         try:
             first, second = (self._measured(each, seed) for each in (now, pinned))
         except (Exception, TimedOut) as error:
@@ -236,7 +239,7 @@ class Session:
             self._submit(partial(self.playground.answer, self.playground.start, None))
 
     def run(self, now: Changes, pinned: Changes | None) -> Answer:
-        """Return the `Playground.answer` that a worker finds; an earlier request that has not begun is cancelled."""
+        """Let a worker compute `Playground.answer`, and return it; cancel an earlier request that has not begun."""
         if self._last is not None:
             self._last.cancel()
         self._last = self._submit(partial(self.playground.answer, now, pinned))
@@ -262,7 +265,8 @@ class Session:
     def compare(self, now: Changes, pinned: Changes, count: int) -> Generator[Answer, None, None]:
         """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
 
-        The seeds are those of the shown scenario and its successors. An earlier comparison is cancelled.
+        The first seed is that of the scenario with the changes `now`, and each later one is greater by 1. An earlier
+        comparison is cancelled.
 
         Raises:
             ScenarioError: if a scenario is not valid.
@@ -335,7 +339,7 @@ def is_request(body: Any) -> bool:
 
 
 def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int) -> Answer:
-    """Return how far some runs are, and the mean difference of each metric with its 95 % interval."""
+    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval."""
     rows = []
     for name in _ordered(pairs[0][0]) if pairs else []:
         complete = [

@@ -9,7 +9,7 @@ from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, not
 
 
 class Desim:
-    """The common part of both ways of desim."""
+    """The common part of `Publish` and `Send`, the two ways to deliver the broadcasts in desim."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -50,7 +50,7 @@ class Desim:
 
 
 class Publish(Desim):
-    """Records: `Network.publish`, and `Network.latest_records`, which keeps the newest record of each sender."""
+    """Records: `Network.publish`, and `Network.latest_records`, which returns the newest record of each sender."""
 
     def read(self, node: int) -> object:
         return self.network.latest_records(node)

@@ -34,7 +34,8 @@ class Workload:
     turns: int
     latency: Constant | Lognormal
     links: Links | None = None
-    """Links for the ways of desim; None: links with this latency. The other ways always use the latency only."""
+    """The links that the ways of desim use; if None, links with the field `latency` that are otherwise ideal. The other
+    ways always use `latency`."""
     seed: int = 0
 
     @property
