@@ -99,11 +99,12 @@ class LinkLayer:
     def crash(self, node: int) -> None:
         """Lose the queued transmissions of a node whose radio goes down now.
 
-        A transmission that is on the air now is lost on arrival.
+        A transmission that is on the air now is lost on arrival. What the node misses, the other nodes still share.
         """
         self._crashes.setdefault(node, []).append(self._env.now)
+        self._records.separate(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
-            self._lose(transmission, transmission.receivers, "crash")
+            self._lose(transmission, dict.fromkeys(transmission.receivers, "crash"))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
@@ -158,7 +159,7 @@ class LinkLayer:
             )
 
     def _overflow(self, transmission: Transmission) -> None:
-        self._lose(transmission, transmission.receivers, "queue")
+        self._lose(transmission, dict.fromkeys(transmission.receivers, "queue"))
 
     def _leave(self, transmission: Transmission, airtime: int) -> None:
         """Start a transmission with an airtime (ns): draw its losses and schedule its arrivals."""
@@ -179,8 +180,8 @@ class LinkLayer:
         if self._trace is not None:
             for event in _events(transmission, causes, arrival, now):
                 self._trace.append_message(event)
-        for node, cause in causes.items():
-            self._lose(transmission, [node], cause)
+        if causes:
+            self._lose(transmission, causes)
         if self._settles_on_arrival:
             self._schedule_arrivals(transmission, reached, arrival, airtime)
             return
@@ -245,8 +246,7 @@ class LinkLayer:
         causes, reached = self._obstacles(transmission, nodes, interval), nodes
         if causes:
             reached = [node for node in nodes if node not in causes]
-            for node in filter(causes.__contains__, nodes):
-                self._lose(transmission, [node], causes[node])
+            self._lose(transmission, {node: causes[node] for node in nodes if node in causes})
         if isinstance(transmission.content, Record):
             self._records.insert(reached, transmission.content)
         else:
@@ -261,8 +261,8 @@ class LinkLayer:
         (begin, end), causes = interval, dict[int, Cause]()
         if self._transmitter is not None:
             received = self._env.now - self._sampler.processing
-            transmitting = self._transmitter.transmitting(nodes, received, end - begin)
-            causes |= dict.fromkeys(transmitting, "half_duplex")
+            transmitting = self._transmitter.transmitting(received, end - begin)
+            causes |= dict.fromkeys(filter(transmitting.__contains__, nodes), "half_duplex")
         if self._checks_arrival:
             reaches = self._topology.reaches(transmission.src, nodes, transmission.number)
             causes |= {node: "out_of_range" for node, reached in zip(nodes, reaches, strict=True) if not reached}
@@ -274,10 +274,11 @@ class LinkLayer:
             causes |= {node: "crash" for node in nodes if node in faults.down_nodes}
         return causes
 
-    def _lose(self, transmission: Transmission, nodes: list[int], cause: Cause) -> None:
-        self._lost[cause] += len(nodes)
+    def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Count and record the losses of a transmission now, by receiver."""
+        self._lost.update(causes.values())
         if self._trace is not None:
-            for node in nodes:
+            for node, cause in causes.items():
                 self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
 
 

@@ -111,11 +111,15 @@ class Records:
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
         self._relayed: set[int] = set()  # readers that get records by other ways, even before they are transmitted
-        self._apart: set[int] = set()  # readers that have lost their records: they ignore the shared table
+        self._apart: set[int] = set()  # readers with their own copies of the shared records
 
     def set_initial_belief(self, record: Record) -> None:
-        """Give all nodes an initial record now, unless the shared table already has a record of the same source."""
-        self._shared.set_initial_belief((self._env.now, record))
+        """Give all nodes an initial record now, unless they already have a record of the same source."""
+        received = self._env.now, record
+        self._shared.set_initial_belief(received)
+        for node in self._apart - {record.src}:
+            if record.src not in self._tables[node]:
+                _store(received, self._tables[node], self._matching[node], self._predicate)
 
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
         """Store a record with its arrival times; O(1) if it reaches all nodes at one instant, else O(receivers).
@@ -126,13 +130,11 @@ class Records:
             arrival: the arrival times, ns.
         """
         waiting = self._waiting
-        if len(receivers) == self._size - 1 and isinstance(arrival, int):
+        if isinstance(arrival, int) and self._reaches_all_others(record.src, receivers):
             self._shared.schedule((arrival, record))
-            if self._apart:
-                for node in self._apart - {record.src}:
-                    waiting[node] += arrival, record
-                self._note_unread()
-            return
+            if not self._apart:
+                return
+            receivers = self._apart_among(receivers)
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
@@ -147,6 +149,9 @@ class Records:
     def insert(self, nodes: list[int], record: Record) -> None:
         """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""
         now, waiting = self._env.now, self._waiting
+        if self._reaches_all_others(record.src, nodes):
+            self._shared.schedule((now, record))
+            nodes = self._apart_among(nodes)
         for node in nodes:
             waiting[node] += now, record
         self._out_of_order.update(nodes)
@@ -177,16 +182,23 @@ class Records:
             known |= self._not_older_than_shared(matching)
         return known
 
-    def forget(self, node: int) -> None:
-        """Delete all records that a node has received, initial beliefs included.
+    def separate(self, node: int) -> None:
+        """Give a node its own copies of the shared records, so that it may miss some of the records to come.
 
-        From now on, the node has its own copies of the records that reach all nodes at one instant.
+        A record that reaches all other nodes at one instant is still stored once for them.
         """
+        if node in self._apart:
+            return
+        known, matching = self.latest_records(node), self.matching(node)
+        self._tables[node], self._matching[node] = known, matching
+        self._apart.add(node)
+        self._out_of_order.add(node)  # the copies are in the order of arrival
+        self._waiting[node] += [item for timed in self._shared.waiting if timed[1].src != node for item in timed]
+
+    def forget(self, node: int) -> None:
+        """Delete all records that a node has received, initial beliefs included."""
+        self.separate(node)
         self._apply_arrived(node)
-        if node not in self._apart:
-            self._apart.add(node)
-            self._out_of_order.add(node)  # the copies are in the order of arrival
-            self._waiting[node] += [item for timed in self._shared.waiting if timed[1].src != node for item in timed]
         self._tables[node].clear()
         self._matching[node].clear()
 
@@ -200,6 +212,18 @@ class Records:
         )
         shared = [record for arrival, record in self._shared.waiting if arrival > now]
         return own + sum(self._size - 1 - len(self._apart - {record.src}) for record in shared)
+
+    def _reaches_all_others(self, src: int, receivers: list[int]) -> bool:
+        """Return whether the receivers are all nodes but the source, and but nodes that have their own copies."""
+        if len(receivers) == self._size - 1:
+            return True
+        if not self._apart or len(receivers) < self._size - 1 - len(self._apart):
+            return False
+        return len(receivers) - len(self._apart.intersection(receivers)) == self._size - len(self._apart | {src})
+
+    def _apart_among(self, nodes: list[int]) -> list[int]:
+        """Return those of some nodes that have their own copies of the shared records."""
+        return sorted(self._apart.intersection(nodes))
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""

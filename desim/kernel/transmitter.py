@@ -62,8 +62,8 @@ class Transmitter(Generic[Item]):
         self._waiting: list[deque[Item]] = [deque() for _ in range(self.channels)]
         self._free_at = [0] * self.channels
         self._busy = 0
-        # For half duplex: the recent intervals (start, end) in which each node transmitted, ns.
-        self._intervals: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
+        self._recent: deque[tuple[int, int, int]] = deque()
+        """For half duplex: start (ns), end (ns) and node of the recent transmissions, by start."""
         self._lag, self._longest = lag, 0
 
     def enqueue(self, item: Item) -> None:
@@ -97,15 +97,14 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def transmitting(self, nodes: list[int], received: int, airtime: int) -> list[int]:
-        """Return those of some nodes that transmitted during a reception, from `received - airtime` to `received` (ns).
+    def transmitting(self, received: int, airtime: int) -> set[int]:
+        """Return the nodes that transmitted during a reception, from `received - airtime` to `received` (ns).
 
-        `received` is the end of the reception; the method is called `lag` after that.
+        `received` is the end of the reception; the method is called `lag` after that. The cost is O(transmissions
+        that started within two airtimes and `lag`).
         """
-        if not self._longest:
-            return []
-        start, own = received - airtime, self._intervals
-        return [node for node in nodes if any(begin < received and end > start for begin, end in own[node])]
+        start = received - airtime
+        return {node for begin, end, node in self._recent if begin < received and end > start}
 
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))
@@ -113,10 +112,9 @@ class Transmitter(Generic[Item]):
         self._busy += airtime
         if self._medium.half_duplex and not self._medium.shared:
             self._longest = max(self._longest, airtime)
-            intervals = self._intervals[item.src]
-            intervals.append((now, now + airtime))
-            while intervals[0][1] < now - self._longest - self._lag:
-                intervals.popleft()
+            self._recent.append((now, now + airtime, item.src))
+            while self._recent[0][0] < now - 2 * self._longest - self._lag:
+                self._recent.popleft()
         self._leave(item, airtime)
 
     def _await_turn(self, channel: int) -> None:

@@ -292,8 +292,8 @@ class Unbreakable(LinkLayer):
 class Leaky(LinkLayer):
     """It counts a loss and does not record it."""
 
-    def _lose(self, transmission, nodes, cause):
-        self._lost[cause] += len(nodes)
+    def _lose(self, transmission, causes):
+        self._lost.update(causes.values())
 
 
 class WrongCauses(LinkLayer):
@@ -307,8 +307,9 @@ class WrongCauses(LinkLayer):
 class Doubling(LinkLayer):
     """It lets a loss happen twice."""
 
-    def _lose(self, transmission, nodes, cause):
-        super()._lose(transmission, [*nodes, *nodes], cause)
+    def _lose(self, transmission, causes):
+        super()._lose(transmission, causes)
+        super()._lose(transmission, causes)
 
 
 SLOW = Links(latency=Constant(value=0.05))
