@@ -28,11 +28,11 @@ def short(workload: str) -> str:
 
 
 DESIM_WAYS = ("publish", "send")
-"""The two ways of desim to deliver a broadcast, by its methods; for all ways see `scenarios.benchmarks`."""
+"""The two ways of desim to deliver a broadcast, named after its methods; for all ways see `scenarios.benchmarks`."""
 BROADCASTS = "broadcasts"
 """The value of `--parts` for the delivery rates, measured here; for the others see `scenarios.costs.PARTS`."""
 SLOW_LAP = 5.0
-"""Limit of CPU time, s: a way whose first lap takes longer has no further laps."""
+"""Limit of CPU time, s: a way whose first lap (run on a workload) takes longer has no further laps on this workload."""
 Commands = Mapping[str, Sequence[str]]
 """For each simulator other than desim, by its name: the command that runs its program."""
 
@@ -65,8 +65,8 @@ class Laps:
         """Run a way once, unless its simulator is unavailable or its first lap took more than `SLOW_LAP`.
 
         Raises:
-            RuntimeError: if a way in this process makes other deliveries than those before it, or its nodes end with
-                other numbers received.
+            RuntimeError: if the number of deliveries or a final table of a way in this process differs from that of the
+                ways before it.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > SLOW_LAP:
             return

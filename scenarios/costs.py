@@ -1,4 +1,4 @@
-"""Costs of large teams, whole runs, recording and start-up, in time and memory; some have a limit.
+"""Costs of large teams, losses on arrival, whole runs, recording and start-up, in time and memory; some have a limit.
 
 Peak memory is measured in a separate process.
 """
@@ -6,6 +6,7 @@ Peak memory is measured in a separate process.
 import os
 import time
 from collections.abc import Callable, Generator, Mapping
+from dataclasses import replace
 from functools import partial
 from math import pi, sqrt
 from pathlib import Path
@@ -14,6 +15,7 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
+import networkx as nx
 import numpy as np
 import simpy
 from numpy.typing import NDArray
@@ -23,8 +25,11 @@ from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
+from desim.kernel.faults import Crash
 from desim.kernel.graphs import Complete
+from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
@@ -34,7 +39,8 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 from scenarios.measuring import Cost, apart, command, memory, per_unit
 from scenarios.peers.bare_loop import bare_loop
-from scenarios.peers.workloads import LOGNORMAL
+from scenarios.peers.desim_ways import Publish
+from scenarios.peers.workloads import LOGNORMAL, Workload
 from scenarios.study import SCENARIOS, Options
 from scenarios.table1 import configuration, decentralised
 
@@ -150,6 +156,44 @@ def complete(options: Options) -> list[Cost]:
     return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
 
 
+# Losses on arrival.
+
+
+def with_losses_on_arrival() -> Mapping[str, tuple[Workload, Workload]]:
+    """Return pairs of workloads, by a description: one with losses that are decided on arrival, and one without."""
+    slow, random = Links(latency=Constant(value=0.015)), Links(latency=LOGNORMAL)
+    radio = Bitrate(bitrate=1e6)
+    pairs: dict[str, tuple[Workload, Workload]] = {}
+    for name, links in {"constant latency": slow, "lognormal latency": random}.items():
+        work = Workload(name, nx.complete_graph(40), 2_000, LOGNORMAL, links)
+        moving = replace(work, speed=1.0, links=links.model_copy(update={"range": 10.0}))
+        assert moving.links is not None
+        late = replace(moving, links=moving.links.model_copy(update={"range_check": "delivery"}))
+        one_way = links.model_copy(update={"medium": radio.model_copy(update={"half_duplex": True})})
+        duplex = replace(work, links=links.model_copy(update={"medium": radio}))
+        pairs |= {
+            f"a crash plan, {name}": (replace(work, faults=(Crash(node=3, start=0.5, end=1.0),)), work),
+            f"range checked at delivery, {name}": (late, moving),
+            f"half duplex, {name}": (replace(work, links=one_way), duplex),
+        }
+    return pairs
+
+
+def published(work: Workload, seed: int) -> int:
+    """Run a workload with `publish`; return the number of messages sent."""
+    ready = Publish(replace(work, seed=seed))
+    ready.run()
+    return ready.network.message_counts().sent
+
+
+def arrivals(options: Options) -> list[Cost]:
+    """Measure the cost of a message whose loss is decided on arrival, relative to one whose arrival is certain."""
+    pairs = with_losses_on_arrival()
+    variants = {f"{what}, {k}": partial(published, work) for what, both in pairs.items() for k, work in enumerate(both)}
+    found = per_unit(variants, range(options.seed, options.seed + options.runs))
+    return [Cost(f"{what} / without", found[f"{what}, 0"] / found[f"{what}, 1"], "", 3.3) for what in pairs]
+
+
 # Whole runs.
 
 
@@ -259,6 +303,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
     {
         "disk_graphs": disk_graphs,
         "complete": complete,
+        "arrivals": arrivals,
         "table1": table_1,
         "loop": loop,
         "recording": recording,

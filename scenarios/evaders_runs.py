@@ -53,13 +53,13 @@ STRATEGIES: Mapping[str, Strategy] = MappingProxyType(
 )
 REFERENCE = "pure evasion"
 CLAIMED = "pure, of active"
-"""The strategy that is claimed to survive longer than the reference."""
+"""The strategy for which a line of the output states whether it survives longer than the reference."""
 IDEAL = "sap, ideal"
 PROTOCOLS = (IDEAL, "sap", "local_min", "cbba", "server", "voronoi", "centralised")
 NEAREST = "voronoi"
 """The protocol under which the nearest pursuer chases, not necessarily the fast one."""
 MORE = 3
-"""The second table has this many times the runs of the first, because it estimates shares."""
+"""The second part (limited sensing) has this many times the runs of the first, because it estimates shares."""
 RADII = (2.0, 4.0, 8.0, 16.0, inf)
 """Sensing radii R_s, m."""
 HELD = "hold"
@@ -78,7 +78,8 @@ WATCHED = Scenario(
     announce=SPOKEN,
     record=Recording(messages=True),
 )
-"""Ten watchers too slow to capture the evader, and two chasers. Latency and sensing radius are set by `watched`."""
+"""Ten watchers too slow to capture the evader, and two chasers. `watched` sets the latency, the sensing radius and the
+kind of estimate."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,8 @@ class Sighted:
     never_seen: float
     """Share of the runs in which no pursuer ever saw the evader."""
     lost: float
-    """Share of the runs in which the evader was seen, and later by no pursuer for longer than `track_timeout`."""
+    """Share of the runs in which the evader was seen, and later was out of sight of all pursuers for longer than
+    `track_timeout`."""
     reports: float
     """Messages with sightings, one per receiver, per second of the pursuit."""
     report_transmissions: float
@@ -149,7 +151,7 @@ class Watched(NamedTuple):
 
 
 def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the first table; the latency, s, does not apply to the ideal network."""
+    """Return one scenario of the first part; the latency, s, does not apply to the ideal network."""
     ideal = protocol == IDEAL
     return Scenario(
         name=f"{strategy}, {protocol}",
@@ -163,7 +165,7 @@ def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
 
 
 def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the second table, given a sensing radius, m, a kind of estimate, and a latency, s."""
+    """Return one scenario of the second part, given a sensing radius, m, a kind of estimate, and a latency, s."""
     sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
     return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
 

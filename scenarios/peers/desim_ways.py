@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from desim.config.arrays import Floats
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.fault_injection import inject
+from desim.kernel.fault_state import FaultState
 from desim.kernel.links import Links
 from desim.kernel.network import Network
 from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
@@ -15,8 +18,18 @@ class Desim:
         self.work = workload
         self.env = Clock()
         links = workload.links or Links(latency=workload.latency)
-        places = np.random.default_rng(workload.seed).random((workload.size, 2))
-        self.network = Network(self.env, workload.graph, links, seed=workload.seed, positions=lambda: places)
+        rng = np.random.default_rng(workload.seed)
+        places, headings = rng.random((workload.size, 2)), rng.uniform(0.0, 2.0 * np.pi, workload.size)
+        velocities = workload.speed * np.column_stack((np.cos(headings), np.sin(headings)))
+
+        def positions() -> Floats:
+            return places + velocities * (self.env.now / SECOND) if workload.speed else places
+
+        faults = FaultState(positions) if workload.faults else None
+        self.network = Network(
+            self.env, workload.graph, links, seed=workload.seed, positions=positions, fault_state=faults
+        )
+        inject(workload.faults, self.env, self.network)
         self.env.process(self.turns())
 
     def run(self) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import simpy
 from scipy.spatial.distance import pdist, squareform
 
+from desim.kernel.faults import Fault
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.propagation import BLOCK
@@ -36,6 +37,10 @@ class Workload:
     links: Links | None = None
     """The links that the ways of desim use; if None, links with the field `latency` that are otherwise ideal. The other
     ways always use `latency`."""
+    faults: tuple[Fault, ...] = ()
+    """Planned faults; in desim only."""
+    speed: float = 0.0
+    """Speed of all nodes, m/s; in desim only."""
     seed: int = 0
 
     @property
