@@ -1,6 +1,7 @@
 """A limit on the wall time of a block, and a description of what each process waits for when the limit is exceeded."""
 
 import ctypes
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from linecache import getline
@@ -8,8 +9,7 @@ from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread, get_ident
 from traceback import walk_tb
 from types import GeneratorType
-from typing import TYPE_CHECKING
-from weakref import WeakSet
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from desim.kernel.clock import Clock
@@ -50,8 +50,7 @@ def within(limit: float) -> Iterator[None]:
         ValueError: if `limit`, s, is not valid; see `checked_limit`.
     """
     checked_limit(limit)
-    set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
-    on_its_way: WeakSet[TimedOut] = WeakSet()
+    set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), get_ident()
     is_late = False
 
     class Raised(TimedOut):
@@ -60,15 +59,14 @@ def within(limit: float) -> Iterator[None]:
                 *text
                 or (f"took longer than {limit:g} s: the limit was reached while the timed block was entered or left",)
             )
-            on_its_way.add(self)
 
     def watch() -> None:
         nonlocal is_late
         pause = limit
         while not over.wait(pause):
             is_late, pause = True, AGAIN
-            if not on_its_way:
-                set_exception(thread, ctypes.py_object(Raised))
+            if not _handles(thread, Raised):
+                set_exception(ctypes.c_ulong(thread), ctypes.py_object(Raised))
 
     watcher = Thread(target=watch, daemon=True)
 
@@ -76,7 +74,7 @@ def within(limit: float) -> Iterator[None]:
         over.set()
         if watcher.is_alive():
             watcher.join()
-        set_exception(thread, None)
+        set_exception(ctypes.c_ulong(thread), None)
 
     try:
         try:
@@ -92,6 +90,15 @@ def within(limit: float) -> Iterator[None]:
         raise TimedOut(f"took longer than {limit:g} s: {error if is_described else place_of(error)}") from error
     if is_late:
         raise TimedOut(f"took longer than {limit:g} s: it ended by itself, but too late")
+
+
+def _handles(thread: int, kind: type[BaseException]) -> bool:
+    """Return whether a thread is in an `except`, `finally` or `with` block because of an exception of a kind."""
+    handled: Any = sys._current_exceptions().get(thread)
+    error = handled[1] if isinstance(handled, tuple) else handled  # a tuple before Python 3.12
+    while error is not None and not isinstance(error, kind):
+        error = error.__context__
+    return error is not None
 
 
 def place_of(error: BaseException) -> str:
@@ -114,7 +121,8 @@ MAX_LISTED = 100
 def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["RestartableProcess"]]) -> TimedOut:
     """Return the error for a simulation that timed out.
 
-    Its text has the simulated time, the line of code that was interrupted, and what each process is waiting for.
+    Its text has the simulated time, the line of code that was interrupted, and what each process is waiting for, up to
+    `MAX_LISTED` processes.
 
     Args:
         env: the clock of the simulation.
@@ -144,7 +152,7 @@ def _line(process: "RestartableProcess") -> str:
 
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:
-    """Return the text ", at ... s" with the time of the event that a process waits for; "" if none is scheduled."""
+    """Return ", at ... s", the time of the first scheduled event that a process waits for; "" if none is scheduled."""
     from desim.kernel.clock import parts_of, seconds
 
     times = [due[id(each)] for each in parts_of(process.target) if id(each) in due]

@@ -1,6 +1,7 @@
 """Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
 import re
+import sys
 import time
 from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
@@ -138,6 +139,25 @@ def test_a_swallowed_time_out_is_raised_again_and_never_while_it_propagates(look
     ):
         lose()
     assert told == [0, 1, 2, 3, 4, "clean-up"]
+
+
+def test_a_time_out_that_is_dropped_and_kept_by_the_hook_for_such_exceptions_is_raised_again(look, monkeypatch):
+    """Python drops exceptions of `__del__`; pytest, for one, keeps them until the end of the test."""
+    kept = []
+    monkeypatch.setattr(sys, "unraisablehook", kept.append)
+
+    class Closed:
+        def __del__(self):
+            look()
+
+    def lose():
+        Closed()
+        assert len(kept) == 1
+        look()
+
+    with pytest.raises(TimedOut, match=r"^took longer than 9 s: .*:\d+ \(once\)$"), within(9.0):
+        lose()
+    assert [type(each.exc_value).__name__ for each in kept] == ["Raised"]
 
 
 class Late(BaseModel):
