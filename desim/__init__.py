@@ -127,7 +127,7 @@ __all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `
 
 
 def __getattr__(name: str) -> object:
-    """Return a public name; its module is imported on first access.
+    """Return the object that a public name denotes; its module is imported on first access.
 
     Raises:
         AttributeError: if there is no such name.

@@ -2,13 +2,14 @@
 
 A bid is -phi, where phi is the capture time, so the pursuer with the least phi bids highest; ties go to the lower id. A
 pursuer bids for one evader at a time: among the evaders for which it outbids all others, the one that it would capture
-first. Its announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
+first. Its announcement, the claim, carries its action and, for each evader, the winner and the winning bid that the
+pursuer knows.
 
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
-(`bid_updater`), so at any instant all pursuers rank bids alike. Otherwise a bid is at least as old as the announcement
-that carries it. An old bid of an active pursuer is too low, because the phi of the pursuer has fallen since. If the phi
-of two active pursuers differ by less than the age of the bids, each therefore outbids the bid that it knows of the
-other, and both stay active.
+(`bid_updater`), so at any instant all pursuers that see the evader rank bids for it alike. Otherwise a bid is at least
+as old as the announcement that carries it. An old bid of an active pursuer is too low, because the phi of the pursuer
+has fallen since. If the phi of two active pursuers differ by less than the age of the bids, each therefore outbids the
+bid that it knows of the other, and both stay active.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -110,7 +111,7 @@ def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
-    """Yield the unread records of `Agent.trusted` with a claim, by the id of the source, and mark them as read.
+    """Yield the unread records of `Agent.trusted` with a claim, in order of the source ids, and mark them as read.
 
     `read` maps each source to the sequence number of the last record read. With `announce.warm_start` the initial
     records carry no claim and are skipped.

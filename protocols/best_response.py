@@ -3,7 +3,7 @@
 Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for the finite improvement property.
     BetterReply: better reply with inertia, Young 2004, "Strategic Learning and Its Limits"; Marden, Arslan & Shamma
     2007, "Regret Based Dynamics".
-Parameters: schedule, utility; alpha (probability of changing).
+Parameters: schedule, utility; for BetterReply alpha (probability of changing).
 Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
     one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game`) under any schedule. Better
     reply with inertia ends in an equilibrium under any revision order.

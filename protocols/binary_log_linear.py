@@ -6,9 +6,9 @@ Paper: BinaryLogLinear: Marden & Shamma 2012, "Revisiting Log-Linear Learning". 
     not implemented: a pursuer may try every other action that `prune` allows.
 Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: as Spatial Adaptive Play (`protocols.sap`); the stationary distribution is then the same Gibbs distribution.
-    With two actions the binary rule *is* SAP. With one evader, the selective one is SAP that skips each turn with
+    With two actions the binary rule *is* SAP. With one evader, SelectiveSAP is SAP that skips each turn with
     probability 1/2.
-Messages: as Spatial Adaptive Play. A turn compares two actions, however many there are.
+Messages: as Spatial Adaptive Play.
 Robust to loss: yes, with heartbeats.
 """
 
@@ -42,9 +42,9 @@ class BinaryLogLinear(LogLinear):
 class SelectiveSAP(BinaryLogLinear):
     """The binary rule with a trial action drawn from all actions, the present one included.
 
-    The restricted set R_i contains inactivity and each evader that the pursuer may chase. Each action in R_i is drawn
-    as the trial action with probability 1 / max |R_i| = 1 / (M + 1). Otherwise the trial action is the present action,
-    which the pursuer then keeps.
+    The restricted set R_i contains inactivity and each evader that the pursuer may chase. It has at most M + 1 actions,
+    where M is the number of evaders at the start. Each action in R_i is drawn as the trial action with probability
+    1 / (M + 1). If none is drawn, the trial action is the present action, which the pursuer then keeps.
     """
 
     kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]

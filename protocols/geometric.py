@@ -58,7 +58,10 @@ class Geometric(Value):
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return a function that computes the measures of the pursuers for an evader; it is called once per slot."""
+        """Return a function that computes the measures of the pursuers for an evader.
+
+        The returned function is called once per slot, so it may have a memory.
+        """
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:

@@ -6,10 +6,10 @@ Paper: LocalMin: the greedy maximal independent set of the communication graph, 
     capture time; computed in local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a
     heuristic.
 Parameters: schedule.
-Assumes: symmetric links. Then, among the pursuers that would be in time, LocalMin leaves at least one active in every
-    neighbourhood, and no two neighbours chase the same evader. ArgminKnown leaves one of them active per evader in the
+Assumes: symmetric links. Then, under LocalMin, every pursuer that could capture in time is active or has an active
+    neighbour, and no two neighbours chase the same evader. ArgminKnown leaves one such pursuer active per evader in the
     whole team if announcements reach all (if need be over several hops, see `announce.dissemination`); otherwise it may
-    leave a neighbourhood without an active pursuer.
+    leave a pursuer and all its neighbours inactive.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """

@@ -10,7 +10,7 @@ Assumes: symmetric links; a neighbour that does not answer `attempts` requests h
     exclusion holds only between neighbours, and a pursuer has up-to-date knowledge only of its neighbours' actions.
 Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L, where L is the one-way
     latency. If it takes longer than expected, requests are retransmitted, and neighbours that defer their reply answer
-    with `Deferred`. The transmission queues are stable while the channel can carry 2 d_i messages per decision.
+    with `Deferred`. The transmission queues are stable if the channel can carry the 2 d_i messages of every decision.
 Robust to loss: yes. Requests are retransmitted until they are answered. The pursuer with the oldest request waits
     only for neighbours that do not answer. These are left out after `attempts` requests, so no pursuer waits for ever.
     A neighbour that was left out still gets requests. Once it answers one, its replies are awaited again.
@@ -131,7 +131,7 @@ class CriticalSection:
                 if (yield from self._wait(until)):
                     self._ask_again()
                     break
-            if self._me.now > until + self._time_out():  # so late only after a crash: beliefs may be outdated
+            if self._me.now > until + self._time_out():  # the pursuer was down, so its beliefs may be outdated
                 self._ask()
 
     def leave(self) -> None:
@@ -188,7 +188,7 @@ class CriticalSection:
     def _process_request(self, src: int, stamp: Stamp) -> None:
         """Reply to a request, or defer the reply if this pursuer's own request is older.
 
-        If another request of this neighbour is already deferred, answer with `Deferred`.
+        If a request of this neighbour has been deferred before, also answer with `Deferred`.
         """
         self._highest = max(self._highest, stamp[0])
         if self._own_request is None or stamp < self._own_request:

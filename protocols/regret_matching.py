@@ -9,8 +9,8 @@ Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Lead
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
 Assumes: announcements of all teammates; revisions in any order. With the default parameters, regret matching has no
     regret in the long run, and the empirical frequencies of profiles (joint actions) tend to the coarse correlated
-    equilibria. In the relay game with one evader and constant capture times, the only one is the relay profile
-    (`desim.pursuit.game`). Generalised regret matching settles in a pure equilibrium.
+    equilibria. In the game with one evader and constant capture times, the only coarse correlated equilibrium is the
+    relay profile (`desim.pursuit.game`). Generalised regret matching settles in a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """

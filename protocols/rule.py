@@ -1,9 +1,10 @@
 """Rules: protocols that choose an action at each turn of a schedule.
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: inactive,
-j: chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only be inactive, the
-generator is not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule,
-network and dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
+j: chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only be inactive,
+`Rule.__call__` does not advance the generator. A `LearningRule` chooses by the utilities of the actions. Any rule runs
+under any schedule, network and dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs
+messages of its own.
 """
 
 from collections.abc import Collection, Iterator
@@ -47,7 +48,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`, or 0 without a choice.
+        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`, or 0 if it has no choice.
 
         Raises:
             TypeError: if `actions` is not a generator.

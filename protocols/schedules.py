@@ -67,7 +67,10 @@ class SharedSeed(Value):
 
 
 class Poisson(Value):
-    """Each pursuer revises at the ticks of its own Poisson clock, so the revising pursuers are i.i.d. and uniform."""
+    """Each pursuer revises at the ticks of its own Poisson clock.
+
+    The pursuers that revise one after the other are therefore independent uniform draws from the team.
+    """
 
     kind: Literal["poisson"] = "poisson"
     rate: Rate = 5.0
@@ -89,8 +92,8 @@ class Poisson(Value):
 class Rounds(Value):
     """In every round each pursuer revises with probability `participation`; announcements follow all decisions.
 
-    The stationary distribution is not the Gibbs distribution. With `participation` = 1 this schedule settles fastest in
-    the relay game, because all pursuers revise at once.
+    The stationary distribution of log-linear learning is then not the Gibbs distribution. With `participation` = 1 the
+    team settles fastest in the game with one evader, because all pursuers revise at once.
     The theorem of Marden & Shamma 2012 on independent revisions does not apply. In the theorem the probability of
     revising tends to 0 with tau, as exp(-m / tau) for a constant m; here `participation`, q, is constant.
     """

@@ -4,24 +4,24 @@ Paper: the decision is that of the centralised benchmark (`protocols.centralised
     Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"; reports and orders have latency
     and loss.
 Parameters: host (the pursuer that carries the server), period (time between two reports).
-Time: every pursuer reports at the start, and then every period with a random phase. (If all reported at once, a
-    period of an even number of motion steps would always sample a chattering evader in the same state; see
+Time: every pursuer but the host reports at the start, and then every period with a random phase. (If all reported at
+    once, a period of an even number of motion steps would always sample a chattering evader in the same state; see
     `schedules.Periodic`.) The server decides when reports arrive, once for all reports of one instant. The host obeys
     at once, the others when an order arrives. A changed order is sent at once; the current order is repeated every
     period.
 Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
     assume that a pursuer just ordered to chase is still inactive, and its orders would oscillate for ever. The server
     therefore extrapolates each pursuer's last report, using the orders sent since. It assumes that each order, the
-    present one included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader
-    in the meantime, the lost time is added to its capture time phi. With constant latency and no loss the server acts
-    as an omniscient planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at
-    the instants of the reports.
+    present one included, takes effect `me.latency` and an airtime after sending. The time until the present order takes
+    effect is lost for a pursuer that does not chase the evader; this lost time is added to its capture time phi. With
+    constant latency and no loss the server acts as an omniscient planner whose orders are delayed by L. At L = 0 it
+    acts as the centralised benchmark, deciding at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
     extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
-    clocks that differ cause small errors.
-Messages: a first report of each pursuer; per period, N - 1 reports of 72 bytes and N - 1 orders of 24 bytes plus 8
-    for each evader that is chased; N - 1 orders per change.
+    differences between the clocks cause errors of the predicted positions.
+Messages: a first report of each pursuer but the host; per period, N - 1 reports of 72 bytes and N - 1 orders of 24
+    bytes plus 8 for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
     discarded. The server assumes that its orders are obeyed. If an order is lost or late, the predicted position is
     wrong by at most the distance covered since the last report, and only until the order is repeated. A pursuer without
@@ -176,7 +176,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
 
 
 def apply_order(me: Agent, order: Order) -> None:
-    """Chase the evader named by the order; be inactive if it names none or that evader has been captured."""
+    """Chase the evader that the order assigns to the pursuer; be inactive if there is none or it has been captured."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0
     if me.action != action:

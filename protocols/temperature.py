@@ -102,7 +102,10 @@ class AdaptiveTau(Value):
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield at each turn the slots (of length `slot`, s) since the start, a restart or the last reheating event."""
+        """Yield at each turn the number of slots (of length `slot`, s) since the last restart or reheating event.
+
+        Before the first such event, slots are counted from the start of the run.
+        """
         since, known, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()

@@ -1,7 +1,7 @@
 """Circulation of one token: forwarding, detection of its loss, regeneration, and removal of duplicates.
 
 Paper: Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring. Here each
-    regenerated token has its own epoch, and a node discards any token older than the newest epoch it has seen.
+    regenerated token has its own epoch, and a node discards any token of an older epoch than the newest it has seen.
 Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up);
     both belong to the schedule.
 Assumes: nothing; in the end each component of the graph has a single token. A token is not regenerated needlessly if a
@@ -12,7 +12,7 @@ Messages: two each time the token is forwarded: the token and its receipt. A nod
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated; the time-out is shorter for lower ids. Crashes, partitions and delayed messages can
-    produce several tokens; each has its own epoch, and an older one is discarded by any node that has seen the newest.
+    produce several tokens; each has its own epoch, and nodes that have seen the newest epoch discard the others.
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ class Token(NamedTuple):
 
 
 class TokenReceipt(NamedTuple):
-    """Answers a token, a probe or an outdated message; a receipt whose epoch is newer than the token rejects it."""
+    """Answers a token, a probe or an outdated message; a receipt with a newer epoch than the message rejects it."""
 
     epoch: Epoch
     hop: int
@@ -156,8 +156,8 @@ class TokenNode:
         """The time, s, without a sign of the token after which this pursuer regenerates it.
 
         It is the time of three rounds and of all attempts to reach a silent neighbour, plus two hops for each pursuer
-        of lower id. Because of these two hops, the notice of a regenerated token reaches the pursuer of next higher
-        id before that pursuer regenerates the token, too.
+        of lower id. These two hops give the notice of a regenerated token time to reach the pursuer of next higher id
+        before that pursuer regenerates the token, too.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
@@ -282,7 +282,7 @@ class TokenNode:
                 self._me.send(j, notice, PORT)
 
     def _reset_deadline(self) -> None:
-        """Wait a whole `loss_timeout` from now on before the token is regenerated."""
+        """Set the deadline to a whole `loss_timeout` from now."""
         self._deadline = self._me.now + self.loss_timeout
 
     # The token.
@@ -331,7 +331,10 @@ class TokenNode:
         return token
 
     def _probed(self, token: Token) -> Token:
-        """Probe an absent neighbour, each at most once in N hops, and record the probe; return the token."""
+        """Probe the absent neighbour that is due, if any, and record the probe in the token; return the token.
+
+        A neighbour is due at most once in N hops (`longest_absent`). This pursuer sends at most one probe per time-out.
+        """
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._next_probe:
             return token

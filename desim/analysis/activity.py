@@ -1,8 +1,9 @@
-"""Metrics of the actions alone: active times, changes of action, handovers.
+"""Metrics that need only the actions of the pursuers: active times, changes of action, handovers.
 
-n(t) is the number of active pursuers; integrals run from 0 to the end of the run. With several evaders n_j(t) is the
-number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet
-captured), so the integral of an n_j ends at the capture of j.
+The action of a pursuer is the number of the evader that it chases, or 0; a pursuer that chases is active. n(t) is the
+number of active pursuers; integrals run from 0 to the end of the run. With several evaders n_j(t) is the number of
+pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet captured), so
+the integral of an n_j ends at the capture of j.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -131,7 +132,7 @@ def _step_function(start: int, steps: Iterable[tuple[int, int]], end: int) -> St
 
 
 def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
-    """Return the integral over time, s, of the function `of` of the counts, summed over step functions by `fsum`."""
+    """Return the integral of `of(counts)` over time, s, summed over the step functions by `fsum`."""
     return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
 
 
@@ -178,7 +179,8 @@ def switches(result: Result) -> int:
 def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
     """Return the pursuers that chased an evader alone, in order of time, as (start (ns), pursuer).
 
-    A pursuer is listed when it chases alone for a positive time, but not twice in succession.
+    A period of length 0 does not count. Successive periods of one pursuer, between which no other pursuer chased alone,
+    count as one.
     """
     return _relays(result)[evader - 1]
 
@@ -208,7 +210,7 @@ def handovers(result: Result) -> int:
 def ping_pongs(result: Result, within: float = 1.0) -> int:
     """Return the number of handovers i -> j less than `within` s after the handover j -> i.
 
-    The term is that of cellular networks (3GPP TR 36.839, in which the minimum time of stay, here `within`, is 1 s).
+    The term comes from cellular networks (3GPP TR 36.839, in which the minimum time of stay, here `within`, is 1 s).
     """
     return sum(
         before == after and back - there < nanoseconds(within)

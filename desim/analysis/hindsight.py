@@ -1,23 +1,25 @@
 """Hindsight: the actions of the pursuers compared with the optimum of the game, at the true capture times.
 
-S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, and r(t) the time left, which is constant in
-a static game. The relay pursuer i*(t) is the pursuer with the least phi among those that have not broken down; ties go
-to the lowest id. If its phi is at least r, there is no relay pursuer, and {i*} is empty. The potential of the game is
-Phi(S) = r - mean of phi over S, with Phi(empty) = 0. It is largest for S = {i*}. Integrals run from 0 to the end of the
-run.
+S(t) is the set of active pursuers, and r(t) the time left, which is constant in a static game. phi_i(t) is the capture
+time of pursuer i: the time that it needs for a capture from now on (`desim.pursuit.capture`), or inf if it cannot
+capture the evader. The relay pursuer i*(t) is the pursuer with the least phi among those that have not broken down;
+ties go to the lowest id. If its phi is at least r, there is no relay pursuer, and {i*} is empty. The potential of the
+game is Phi(S) = r - mean of phi over S, with Phi(empty) = 0; members of S with phi = inf do not count. Phi(S) is
+largest for S = {i*}. Integrals run from 0 to the end of the run.
 
 With several evaders, there is one such game for each evader that is not yet captured. S_j is the set of the pursuers
 that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.assignment`). Phi is largest for
-a profile with at most one pursuer on each evader: the relay pursuers of the evaders if they all differ, otherwise the
-pursuers that `optimal_assignment` gives.
+a profile (the actions of all pursuers) with at most one pursuer on each evader. These are the relay pursuers of the
+evaders if they all differ, otherwise the pursuers that `optimal_assignment` gives.
 
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
-samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
-For example, take 12 seeds of scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every
-0.002 s does not change the misassigned time or the time to relay. It changes the potential gap by 0.01 % and the
-regret by 0.02 %. With all speeds 1.1 m/s, i* may change at every motion step, when the evader runs between two equally
-near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the
-error is 0.16 s. The time to relay restarts at each change of i*, and is 1.25 s instead of 1.34 s. If such errors
+samples, and phi is evaluated in the middle of each piece of the timeline (`desim.analysis.timeline`). In a static game
+that is exact; in other games the error depends on the interval between samples. For example, take 12 seeds of
+scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every 0.002 s does not change the
+misassigned time or the time to relay. It changes the potential gap by 0.01 % and the regret by 0.02 %. With all speeds
+1.1 m/s, i* may change at every motion step, when the evader runs between two equally near pursuers. Sampling every
+0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the error is 0.16 s. A change of
+i* ends S = {i*} until S follows, so the time to relay starts anew; it is 1.25 s instead of 1.34 s. If such errors
 matter, sample at every motion step.
 """
 
@@ -39,7 +41,7 @@ from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 ALIKE = 20
-"""Largest number of nodes used to estimate the mean latency of a complete graph, whose links are all alike."""
+"""The mean latency of a complete graph whose links share one model is estimated from at most this many nodes."""
 NO_PURSUER = -1
 
 
@@ -187,7 +189,7 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
 
     Args:
         result: the result of a run whose positions were recorded.
-        window: the time, s, for which S = {i*} has to hold; if None, that of `settling_window`.
+        window: the time, s, for which S = {i*} has to hold; if None, the result of `settling_window`.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -205,10 +207,10 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
 def settling_window(result: Result) -> float:
     """Return the time W = 2 (L + N delta), s, after which an unchanged profile counts as settled.
 
-    L is the mean latency of the scenario's links, with the airtime of a message and without queueing. delta is the mean
-    time between two decisions of the team, so N delta is that between two decisions of one pursuer: the `slot` of the
-    protocol, otherwise its `period`, otherwise the mean in this run. W is inf in the last case if there were no
-    decisions.
+    L is the mean latency of the scenario's links, with processing delays and the airtime of a message, but without
+    queueing. delta is the mean time between two decisions of the team, so N delta is the mean time between two
+    decisions of one pursuer. N delta is the `slot` of the protocol, or its `period` if it has no `slot`. If it has
+    neither, N delta is the mean in this run, and W is inf if there were no decisions.
     """
     protocol = result.scenario.protocol_traits
     between = protocol.period if protocol.slot is None else protocol.slot

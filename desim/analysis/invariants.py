@@ -123,7 +123,7 @@ class MotionWatcher:
 
     def __init__(self, scenario: Scenario):
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
-        self._at_large = np.full(len(self._evader_speeds), np.inf)  # time of capture, ns
+        self._at_large = np.full(len(self._evader_speeds), np.inf)  # time of capture, ns; inf before it
         self._moves = not scenario.motion.static
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
@@ -160,9 +160,9 @@ class MotionWatcher:
 class PotentialWatcher:
     """A watcher that checks that no decision lowers the potential; the invariant needs the assumptions below.
 
-    The potential is the global utility Phi of the profile, with the capture times and the time left at the instant
-    of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, that of the paper, a change of action
-    changes the pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
+    The potential is the global utility Phi of the profile (the actions of all pursuers), with the capture times and the
+    time left at the instant of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean` of the
+    paper, a change of action changes the pursuer's utility and Phi by the same amount. So no decision lowers Phi if
 
     - each decision is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
     - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
@@ -170,7 +170,7 @@ class PotentialWatcher:
       beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any payload).
 
     Players may move, because positions do not change during a decision; the potential may fall between decisions. In a
-    static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
+    static game all decisions are judged, otherwise only the decisions at the instant of a sample of the trajectory.
 
     Args:
         scenario: the scenario of the run.

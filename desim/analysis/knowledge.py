@@ -131,7 +131,7 @@ class _Life:
             return np.concatenate([np.broadcast_to(presumed, len(others)), heard])
 
         source, seq = column(others, announced.source[record]), column(self.seq, announced.seq[record]) + 1
-        # In order of source, then arrival, the running maximum of this key is the newest record so far.
+        # In order of source, then arrival, the running maximum of this key belongs to the newest record so far.
         order = np.argsort(source.astype(np.int32), kind="stable")
         key = (source * (seq.max(initial=0) + 1) + seq)[order]
         newer = np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]

@@ -1,8 +1,8 @@
-"""Metrics: functions that compute a number from the trace of a run. `Summary` holds the metrics of one run.
+"""Metrics: functions that compute a value, usually a number, from the trace of a run.
 
-A built-in metric is an entry in `Summary`: its name, its function, its unit and its note in the table of a run. Tables,
-JSON, the stores of sweeps and the option --until use these entries. Only `network_regret` has no entry, because it
-executes another run for comparison.
+`Summary` holds the metrics of one run. A built-in metric is an entry in `Summary`: its name, its function, its unit and
+its note in the table of a run. Tables, JSON, the stores of sweeps and the option --until use these entries. Only
+`network_regret` has no entry, because it executes another run for comparison.
 
 A user's metric is a function of a result that returns a number, True, False or None, or a `Metric` of such a function.
 It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
@@ -164,7 +164,7 @@ class Summary(Mapping[str, Any]):
     missing. The built-in metrics are attributes, too: `summary.active_time`. A run that was stored before a metric
     existed lacks it: `summary.get(name)` is None.
 
-    `str` returns a line with the unit for each metric that is not None.
+    `str` returns a line for each metric that is not None: its name, value and unit.
 
     Args:
         values: the value of each metric by name.
@@ -320,7 +320,7 @@ Metrics = Mapping[str, Metric | Callable[[Result], Any]]
 COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
 """The columns that are not metrics, in tables of runs."""
 UsersMetrics = tuple[tuple[str, Metric], ...]
-"""A user's metrics, each with its name; tuples, so that user code in them is found and sent to workers."""
+"""A user's metrics, each with its name."""
 
 for _name in METRICS:
     setattr(Summary, _name, property(itemgetter(_name)))
@@ -421,7 +421,7 @@ def more_is(name: str, own: Mapping[str, Metric]) -> Literal["better", "worse"] 
 
 
 def unit_of(name: str, units: Mapping[str, str]) -> str:
-    """Return the unit of a metric, "" if it has none; `units` are those of the metrics that are not built in."""
+    """Return the unit of a metric, "" if it has none; `units` holds the units of the metrics that are not built in."""
     return METRICS[name].unit if name in METRICS else units.get(name, "")
 
 

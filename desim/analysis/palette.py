@@ -1,8 +1,8 @@
 """The colours and symbols of the players and messages, the same in all figures, the animation and the replay.
 
 All hues except `LOST` and grey are those of Okabe & Ito 2008, "Color Universal Design"; colour-blind readers can
-distinguish them. Shapes show the same distinctions as colours. The replay has these hues on a light page, and lighter
-ones on a dark page.
+distinguish them. Shapes, sizes and line widths show most of the distinctions, too. The replay has these hues on a light
+page, lighter ones on a dark page, and its own greys.
 """
 
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
@@ -22,7 +22,7 @@ IN_FLIGHT = ORANGE
 DELIVERED = GREEN
 """A message that arrived."""
 LOST = "#D11A2A"
-"""A message that was lost, always dotted or a cross."""
+"""A message that was lost; it is always drawn dotted or as a cross."""
 
 PURSUER_MARK = "o"
 EVADER_MARK = "D"

@@ -1,4 +1,7 @@
-"""Figures from results, drawn by matplotlib; files are reproducible byte by byte."""
+"""Drawing with matplotlib: the common style of all figures, the writing of their files, and the paths of a run.
+
+Files are reproducible byte by byte.
+"""
 
 import re
 from base64 import b64encode
@@ -119,7 +122,7 @@ def _extent(figure: Figure) -> object:
 
 
 def as_it_is(text: str) -> dict[str, Any]:
-    """Return the options of a title that is shown without mathematics; a long one is wrapped unless it has a "$"."""
+    """Return the options of a title whose "$" is shown as it is; a long title is wrapped unless it has a "$"."""
     return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
 
 

@@ -38,11 +38,11 @@ A few values may lie close together by chance, so a study whose first look is at
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The mean of independent runs and its uncertainty."""
+    """The mean of a value over independent runs, and its uncertainty."""
 
     mean: float
     standard_error: float
-    """Standard deviation / sqrt(count); nan for a single run."""
+    """Standard deviation / sqrt(count); nan for fewer than 2 runs."""
     count: int
 
     def __str__(self) -> str:
@@ -51,11 +51,11 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the 95 % t interval; nan for a single run."""
+        """Half the width of the 95 % t interval; nan for fewer than 2 runs."""
         return self.half_width_at(0.95)
 
     def half_width_at(self, confidence: float) -> float:
-        """Return half the width of the t interval with a confidence in (0, 1); nan for a single run."""
+        """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs."""
         from scipy.special import stdtrit
 
         quantile = 0.5 + confidence / 2
@@ -87,7 +87,7 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
     positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
-    then holds for the seeds with both values; so say beside it how many runs of each side have a value. Without
+    then holds only for the seeds with both values, so report with it how many runs of each side have a value. Without
     any pair the count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
 
     If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
@@ -126,11 +126,12 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs at which a sequential study ends, `at_most` or fewer.
+    """Return the number of runs at which a sequential study ends, or that its next look needs.
 
-    The study ends with the first look that finds a half width of at most `target`. If no look at the given values finds
-    this, return the number of runs that the next look needs. Looks are taken at the same numbers of runs however many
-    runs exist already, so an interrupted study ends at the same number of runs. The arguments are those of `next_look`.
+    The study ends with the first look that finds a half width of at most `target`, or with `at_most` runs. If the given
+    values do not end it, the number of runs that its next look needs is returned. Looks are taken at the same numbers
+    of runs however many runs exist already, so an interrupted study ends at the same number of runs. See `next_look`
+    for the arguments.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
@@ -142,14 +143,14 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 
 
 def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs that the next look needs, given the values of the first n runs; n if it is the last.
+    """Return the number of runs that the next look needs, given the values of the first n runs; n if the study ends.
 
     A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
-    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The next look is at
-    the number of runs predicted from the values, n (half width / target)^2, but at least at 1.1 n and at most at 2 n,
-    `first_look` or `at_most`.
-    The upper limit bounds the effect of a bad estimate of the variance: at most half of the runs are superfluous. The
-    lower limit keeps the looks few, because each may end the study too early by chance.
+    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The first look is at
+    `first_look` runs. Each later look is at the number of runs predicted from the values, n (half width / target)^2,
+    but at no fewer than 1.1 n and no more than 2 n runs. No look is at more than `at_most` runs. The limit 2 n bounds
+    the effect of a bad estimate of the variance: at most half of the runs are superfluous. The limit 1.1 n keeps the
+    looks few, because each may end the study too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least

@@ -10,7 +10,10 @@ from desim.config.json_numbers import json_number
 from desim.scenario.scenario import Scenario
 
 PER_EVADER = {"captures", "mean_capture_time"}
-"""The metrics that have no row if there is one evader, because they repeat `captured` and `capture_time`."""
+"""The metrics that have no row in the table of several runs if there is one evader.
+
+They then repeat `captured` and `capture_time`.
+"""
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
 
@@ -65,7 +68,10 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
-    """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`."""
+    """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
+
+    Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a positive mean, too.
+    """
     if not found.count:
         return "-"
     digits = 3 if abs(found.mean) < 100.0 else 1

@@ -1,10 +1,11 @@
 """The timeline of a run: the active pursuers and the capture times, piece by piece.
 
-A piece is the time between two successive breakpoints. The breakpoints are the changes of action, samples of positions,
-crashes and recoveries of robots, and captures. No action changes within a piece, so metrics of the actions alone are
-exact. The capture times phi are evaluated in the middle of a piece, at positions interpolated between the samples.
-They are exact in a static game; for other games `desim.analysis.hindsight` gives examples of the error. Each evader
-has its own timeline; the timelines of all evaders have the same pieces.
+A piece is the time between two successive breakpoints. The breakpoints are the start and the end of the run, changes of
+action, samples of positions, crashes and recoveries of robots, and captures. No action changes within a piece, so
+metrics of the actions alone are exact. The capture time phi of a pursuer is the time that it needs for a capture from
+now on (`desim.pursuit.capture`). It is evaluated in the middle of a piece, at positions interpolated between the
+samples. It is exact in a static game; for other games `desim.analysis.hindsight` gives examples of the error. Each
+evader has its own timeline; the timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
@@ -22,12 +23,12 @@ from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
 PART = 1 << 18
-"""Number of capture times that one part of a timeline holds; a part has at least one piece."""
+"""Largest number of capture times in one part of a timeline, unless a single piece has more; a part is never empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Successive pieces of a run, each of positive length, for one evader."""
+    """A part of the timeline of one evader: k successive pieces, each of positive length."""
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
@@ -77,7 +78,7 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
 
 
 def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
-    """Yield (time (ns), pursuer, step) for each crash (1) and recovery (-1) of a robot."""
+    """Yield (time (ns), pursuer, increment) for the start (increment 1) and the end (-1) of each crash of a robot."""
     for event in result.trace:
         if (
             isinstance(event, FaultStarted | FaultEnded)

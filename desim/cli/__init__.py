@@ -20,7 +20,7 @@ from desim.cli.start import examples, new
 from desim.config.trust import no_cwd_import
 
 RENAMED = {"draw": "plot"}
-"""Names that users may try instead of the name of a command, and the name of the command."""
+"""Names that users may try, each with the name of the command that they mean."""
 
 
 class Commands(Program, click.Group):

@@ -1,7 +1,7 @@
 """Shell completion of keys, kinds of protocols and names of examples, without slow imports.
 
 A shell runs the program on every press of Tab, so the keys are read from `keys.txt`. A test compares `keys.txt` with
-the models, and rewrites it if RENEW=1.
+the models; if the environment variable RENEW is set, it first rewrites the file.
 """
 
 from importlib.metadata import entry_points

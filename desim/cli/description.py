@@ -31,7 +31,7 @@ def described(
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
-    """Yield lines with the traits (`desim.config.traits`) of a model and their values, except its parameters."""
+    """Yield lines with the traits (`desim.config.traits`) of a model that are not parameters, and their values."""
     yield "    traits:"
     fields = fields_of(type(traits))
     for name in traits.names():
@@ -92,7 +92,7 @@ def summary(model: Any) -> str:
 
 
 def default_of(field: FieldInfo) -> str:
-    """Return " = " and the default of a field; if the default is a model, its kind. "" without a default or a kind."""
+    """Return " = " and the default of a field; for a model, its kind. Return "" without a default or a kind."""
     if field.is_required():
         return ""
     default = field.get_default(call_default_factory=True)

@@ -76,7 +76,7 @@ JSON = click.option(
 
 
 def _allow(ctx: click.Context, _param: click.Parameter, is_allowed: bool) -> None:
-    """Store in the context of a command whether its scenario file may name code."""
+    """Store in the context of a command whether its scenario file is trusted."""
     ctx.meta[ALLOWED] = is_allowed
 
 
@@ -145,10 +145,10 @@ def source_of(
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
-    """Add the metrics of --metric that are not built in to `record.metrics` of a scenario.
+    """Add to `record.metrics` of a scenario the metrics of --metric that are not built in.
 
-    End the program if a metric does not exist or is not numeric. A MODULE:FUNCTION is not imported here, but when the
-    scenario is validated.
+    End the program if a metric does not exist or is not numeric. A MODULE:FUNCTION is imported and checked later, when
+    the scenario is validated.
     """
     if not metrics:
         return
@@ -172,7 +172,7 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
 
 
 def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Return the names of the metrics of --metric; if there are none, `usual` and the metrics of the scenario."""
+    """Return the names of the metrics to show: of --metric or, without it, `usual` and the metrics of the scenario."""
     names = tuple(each.rpartition(":")[2] for each in metrics)
     return names or (*usual, *(each.name for each in scenario.record.metrics))
 
@@ -202,7 +202,7 @@ def valid(source: "Source") -> "Scenario":
 
 
 def make_folder(folder: Path) -> None:
-    """Create the output folder; end the program if it cannot be written. Print a warning without matplotlib."""
+    """Create the output folder; end the program if it cannot be written. Warn if matplotlib is not installed."""
     from desim.results.run_folder import can_plot
 
     try:
@@ -239,7 +239,7 @@ def folder_for(scenario: "Scenario", out: Path | None) -> Path:
 
 @contextmanager
 def making(page: str) -> Iterator[None]:
-    """End the program if a page cannot be made: a package is not installed, or the results are invalid."""
+    """End the program if a page or picture needs a package that is not installed, or the results are invalid."""
     try:
         yield
     except ModuleNotFoundError as error:

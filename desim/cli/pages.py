@@ -37,7 +37,8 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
     path = page_at(out, _usual_page(sources))
     if path.resolve() in [each.resolve() for each in sources]:
         fail(f"{path}: is a source, and the page would replace it; give another --out")
-    recorded_first = sorted(dict.fromkeys(sources), key=is_recorded, reverse=True)  # to be refused before others run
+    # Recorded sources come first: if one is invalid, the program ends before a scenario is run.
+    recorded_first = sorted(dict.fromkeys(sources), key=is_recorded, reverse=True)
     found = {each: result_of(each, seed, overrides) for each in recorded_first}
     results = [found[each] for each in sources]
     with making("replay"):

@@ -1,4 +1,4 @@
-"""`desim play`: a page on which the keys of a scenario are changed and each run is seen at once."""
+"""`desim play`: a page on which the user changes the keys of a scenario and sees the run after each change."""
 
 import os
 import webbrowser
@@ -30,7 +30,7 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
     from desim.view.play_server import PlayServer, page
 
     path = example("relay") if file is None else file
-    source_of(path, overrides)  # ends the program if they are not valid
+    source_of(path, overrides)  # ends the program if the file or an override is invalid
     limit = {} if timeout is None else {"timeout": timeout}
     playground = Playground(read(path, allow_import=is_import_allowed()), path, overrides, **limit)
     with making("page to play with"):
@@ -48,9 +48,10 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
 
 
 def _door(folder: Path, address: str) -> str:
-    """Write a page that leads to an address, and return the address of that page.
+    """Write a page that redirects to an address, and return the address of that page.
 
-    Other users of the machine see the command line of the browser, but not what is in the folder.
+    The address has a secret token, so it must not be on the command line of the browser, which other users of the
+    machine can see. They cannot read the folder.
     """
     path = folder / "play.html"
     path.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")

@@ -235,7 +235,7 @@ def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str
 
 
 def _check_options(kind: str) -> None:
-    """Raise a usage error if the command line has an option of another kind of picture."""
+    """Raise a usage error if the command line has an option that this kind of picture lacks."""
     context = click.get_current_context()
     everything = {**OF_RUNS, **OF_SWEEPS}
     names = {each.name: each.opts[-1] for each in context.command.params}

@@ -46,5 +46,5 @@ class Program(click.Command):
         except OSError as error:
             if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # not raised by printing
                 raise
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes stdout at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the flush at exit succeeds
             fail(f"stdout: cannot be written: {error.strerror}")

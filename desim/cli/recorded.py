@@ -37,7 +37,7 @@ SOURCES = click.argument(
 
 
 def is_recorded(source: Path) -> bool:
-    """Return whether a source holds recorded results and is not a scenario file."""
+    """Return whether a source is a folder or a file of recorded results; any other source is a scenario file."""
     return source.is_dir() or source.name == TRACE or source.suffix == ".sqlite"
 
 

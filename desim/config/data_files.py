@@ -1,4 +1,8 @@
-"""Data files of models; their content is part of the identity of a run, see `desim.study.config_hash`."""
+"""Data files of models; their content is part of the identity of a run.
+
+The identity of a run is a hash by which a sweep recognises stored results of the same run; see
+`desim.study.config_hash`.
+"""
 
 import hashlib
 import sys
@@ -13,7 +17,7 @@ from desim.config.traits import attributes
 from desim.config.trust import regular_or_missing
 
 OPENED = "__opened_data__"
-"""The global variable in which a module keeps the content hash of each file that it has opened, by path."""
+"""The name of the global variable in which a module keeps the content hash of each file that it has opened, by path."""
 _identified: ContextVar[bool] = ContextVar("identified", default=False)
 
 
@@ -35,8 +39,8 @@ def open_data(path: str | Path) -> BytesIO:
 
     Raises:
         OSError: if the file cannot be read.
-        DataFileError: if it is called during a run of a sweep, an explanation or a study, because the hash of the run
-            is computed before the run starts.
+        DataFileError: if it is called during a run of a sweep, an explanation or `run_many`, because the identity of a
+            run is determined before the run starts.
     """
     if _identified.get():
         raise DataFileError(

@@ -23,7 +23,7 @@ SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 
 
 def folder_name(name: str) -> str:
-    """Return the name of a scenario as that of a folder, where "-" replaces special characters."""
+    """Return the name of a scenario as a folder name: "-" replaces special characters; "unnamed" if nothing remains."""
     return re.sub(r"[^\w-]+", "-", name).strip("-") or "unnamed"
 
 

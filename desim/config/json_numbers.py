@@ -32,7 +32,7 @@ def field_names(kind: type) -> tuple[str, ...] | None:
 
 
 def to_json(value: Any) -> Any:
-    """Return a value with infinity and NaN replaced by strings and tuples by lists."""
+    """Return a value with strings in place of infinity and NaN, and lists in place of tuples."""
     if isinstance(value, Mapping):
         return {key: to_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""`Value`, the immutable and validated base class of all models, and the types of fields: lengths, times, ..."""
+"""`Value`, the base class of all models, which are immutable and validated; the types of fields: lengths, times, ..."""
 
 import ast
 import json

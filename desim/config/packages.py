@@ -39,7 +39,7 @@ def check_visible(package: str) -> None:
 
 
 class _HiddenModuleFinder:
-    """The last finder in `sys.meta_path`: explains why no other finder has found a module of `PACKAGES`."""
+    """The last finder in `sys.meta_path`; it explains why no finder has found a module of a hidden package."""
 
     def find_spec(self, name: str, path: object = None, target: ModuleType | None = None, /) -> None:
         """Raise HiddenPackageError if the module belongs to a hidden package."""

@@ -4,9 +4,10 @@ A protocol, a schedule or a link model is any callable: a frozen model, an objec
 attribute, own or inherited, that has the name of a trait sets this trait; all other traits have their defaults. No
 base class is needed.
 
-An attribute of a function or a class whose name is one letter off that of a trait is probably misspelt, and would have
-no effect. So it is an error, if its value would be valid for the trait. It is allowed if the same function or class
-also has the trait. Private attributes, and those set in `__init__` or on a `functools.partial`, are not checked.
+If the name of an attribute is one letter off the name of a trait, it is probably misspelt, and the attribute would have
+no effect. `Traits.check` therefore raises an error if the value of the attribute would be valid for the trait, unless
+the function or class with the attribute also has the trait. Only attributes of functions and classes are checked.
+Private attributes, and attributes set in `__init__` or on a `functools.partial`, are not.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -61,7 +62,7 @@ class Traits(Value):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if an object has an attribute one letter off a trait, or a trait with an invalid value."""
+        """Raise ValueError if a trait has an invalid value, or an attribute is probably a misspelt trait."""
         cls.of(value)
         names = tuple(cls.names())
         is_function = isinstance(value, FunctionType)

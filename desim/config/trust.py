@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
 NO_CWD_IMPORT = {"PYTHONSAFEPATH": "1"}
-"""Environment that stops a Python child process from importing from its working directory; see `no_cwd_import`."""
+"""Environment variable that stops a Python process from importing from its working directory; see `no_cwd_import`."""
 
 
 ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_import=True)"
@@ -69,7 +69,7 @@ def no_cwd_import() -> Iterator[None]:
 
     This protects workers and the resource tracker, a process that `multiprocessing` starts. Workers receive the
     `sys.path` of the parent after they start, so they can import the same modules. Other threads should not start
-    processes meanwhile, because child processes copy the environment.
+    processes meanwhile, because these would inherit the setting, too.
     """
     before = {name: os.environ.get(name) for name in NO_CWD_IMPORT}
     os.environ.update(NO_CWD_IMPORT)
@@ -93,7 +93,10 @@ def is_trusted(info: "ValidationInfo") -> bool:
 
 
 def resolve_path(path: Any, info: "ValidationInfo") -> Path:
-    """Return a path named in a file, resolved against the folder of that file, if known; see `path_in`."""
+    """Return a path named in a file, resolved against the folder of that file; see `path_in`.
+
+    If the folder is not known, the path is resolved against the working directory.
+    """
     return path_in(Path((info.context or {}).get("folder", ".")), path, is_trusted=is_trusted(info))
 
 

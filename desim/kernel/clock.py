@@ -27,11 +27,11 @@ SECOND = 1_000_000_000
 
 
 class Phase(IntEnum):
-    """The order of simultaneous events: the SimPy priority of each kind of event.
+    """The order of simultaneous events, as SimPy priorities: the lowest number comes first.
 
-    The priority of a decision is `DECISION` plus the id of the node, so the lowest id decides first. SimPy's own events
-    (priorities 0 and 1), such as a condition that is met, come before all phases. A process that waits for a condition
-    therefore resumes in the phase of the event that met the condition.
+    An event at which a node acts, such as a decision, has the priority of its phase plus the id of the node, so the
+    lowest id acts first. SimPy's own events (priorities 0 and 1), such as a condition that is met, come before all
+    phases. A process that waits for a condition therefore resumes in the phase of the event that met the condition.
     """
 
     FAULT = 1 << 32
@@ -45,9 +45,9 @@ class Phase(IntEnum):
     DECISION = 5 << 32
     """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32
-    """Nodes repeat their last announcement or report; processes that wait for all decisions of the instant resume."""
+    """Nodes send periodic announcements and reports; processes that wait for all decisions of the instant resume."""
     MOTION = 7 << 32
-    """Headings are recomputed."""
+    """Velocities are recomputed."""
     SAMPLE = 8 << 32
     """Positions are recorded."""
 

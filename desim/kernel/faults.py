@@ -191,7 +191,11 @@ FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
-    """Return (offset in s, drift) of the clock of each node; skews without a node are drawn, and skews add up."""
+    """Return (offset in s, drift) of the clock of each node, summed over all `ClockSkew` in `given`.
+
+    A `ClockSkew` without a node adds an error drawn for each node. A sum of drifts below `MIN_DRIFT` is raised
+    to it.
+    """
     errors = np.zeros((size, 2))
     for k, skew in enumerate(each for each in given if isinstance(each, ClockSkew)):
         if skew.node is None:

@@ -119,7 +119,7 @@ class Link(Edge):
         return self
 
     def ways(self) -> list[tuple[int, int]]:
-        """Return the directed links (sender, receiver) that the overrides apply to."""
+        """Return the directions (sender, receiver) of the link to which its own models apply."""
         return [(self.src, self.dst), *([(self.dst, self.src)] if self.both_ways else [])]
 
 
@@ -234,7 +234,9 @@ def node_names(graph: "nx.Graph[Any]") -> str:
 
 
 def as_model(name: str, value: Any) -> Any:
-    """Convert an edge attribute: a number becomes a constant latency (s) or a loss probability; others are unchanged.
+    """Convert an edge attribute: a number becomes a constant latency (s) or a Bernoulli loss.
+
+    Any other value is returned unchanged.
 
     Raises:
         ValueError: if the attribute is an invalid order, or a number that is not a valid latency or probability.

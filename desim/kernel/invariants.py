@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 MIN_BATCH = 64
-"""Initial limit of unchecked transmissions: above it, deliveries are checked. It grows with the number in flight."""
+"""Initial limit of the number of unchecked transmissions, above which deliveries are checked.
+
+The limit grows with the number of transmissions in flight.
+"""
 
 
 class Conservation:
@@ -43,7 +46,7 @@ class Conservation:
         self._waiting: dict[int, set[int]] = {}
         """The remaining receivers of each waiting transmission, by its number."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
-        """Unchecked transmissions by number: the event, and its unchecked arrival times (ns) or `LOST` by receiver."""
+        """Unchecked transmissions by number: the last event, and the arrival (ns or `LOST`) at unchecked receivers."""
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
@@ -137,7 +140,7 @@ class Conservation:
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Check and count the unchecked deliveries before a time (ns); the same faults were active at all of these."""
+        """Check and count the unchecked deliveries before a time (ns); all of them happened under the active faults."""
         for transmission, (event, flying) in list(self._flying.items()):
             if event.t < before:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
@@ -164,11 +167,11 @@ class Conservation:
 class OneToken:
     """A watcher of one run that raises AssertionError if there are more tokens than allowed.
 
+    A token has an epoch and a hop number. A regenerated token has a new epoch, see `protocols.token_passing`. A hop
+    passes the token to another node; a retransmission of an unacknowledged token is not a new hop.
+
     - An epoch has at most one token: its hop numbers increase, and each hop has one sender and one receiver.
     - From the time `settled` on, there is only one token: no epoch reappears after a hop of another epoch.
-
-    A regenerated token has a new epoch, see `protocols.token_passing`. A retransmission of an unacknowledged token is
-    not a new hop.
 
     Args:
         kind: the type of the message bodies that are tokens; it has an `epoch` and a hop number `hop`.
@@ -176,7 +179,7 @@ class OneToken:
         settled: the time, ns, from which only one token may be left; None: this is not checked.
 
     Attributes:
-        spoilt: the last time, ns, at which the group had two tokens; -1 if never.
+        spoilt: the last time, ns, at which an epoch reappeared, so the group had two tokens; -1 if never.
     """
 
     def __init__(self, kind: type[Any], group: "Collection[int] | None" = None, *, settled: int | None = None):

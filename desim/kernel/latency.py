@@ -281,7 +281,7 @@ def _check_quantiles(base: Any) -> None:
 
 
 class _Pairs:
-    """`PerPair` in one run: the base latencies of each sender are computed once and cached, at most `ROOM` in all."""
+    """`PerPair` in one run; it caches the base latencies of each sender, at most `ROOM` numbers in all."""
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)

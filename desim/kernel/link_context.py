@@ -22,6 +22,7 @@ class LinkContext:
     seed: int = 0
     """Seed of the run."""
     positions: PositionFunction | None = None
+    """Returns the current positions of all nodes, m; None: the nodes have no positions."""
 
     @property
     def distances(self) -> NDArray[np.float64]:

@@ -32,8 +32,8 @@ COLLECTIONS = (tuple, list, set, frozenset)
 def as_sent(body: Any) -> Any:
     """Return the body as the receivers of a message get it: changes that the sender makes later do not affect it.
 
-    A hashable body, such as a number, a string or a named tuple of such, counts as immutable and is not copied. A list,
-    a dict or an array, or a tuple that contains one, is copied once for all receivers.
+    A hashable body, such as a number, a string or a named tuple of numbers, counts as immutable and is not copied. Any
+    other body, such as a list, a dict, an array or a tuple that contains one of them, is copied once for all receivers.
     """
     try:
         hash(body)

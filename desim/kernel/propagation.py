@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
 BLOCK = 4096
-"""Number of draws per block."""
+"""Minimum number of draws per block."""
 Each = TypeVar("Each")
 Overrides = dict[int, dict[int, Any]]
 """The models of individual links, by sender and receiver."""
@@ -147,7 +147,7 @@ class LinkSampler:
         return sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
-        """Delay arrival times (ns) on FIFO links so that no message overtakes an earlier one; return them all."""
+        """Return the arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""
         overrides = self._order_overrides.get(src)
         if self._order == "overtaking" and not overrides:
             return arrival
@@ -193,10 +193,12 @@ def _never_loses(model: object) -> bool:
 
 
 def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models of individual links: those of the edges of the graph, overridden by those of `links.link`.
+    """Return the models of individual links, by "latency", "loss" and "order".
+
+    A model is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
 
     Raises:
-        ValueError: if a link is not in the graph, or an edge attribute is invalid.
+        ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
     """
     found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
     for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOM = 2**22
-"""Maximum number of values of pairs of nodes in one cache; further values are computed at each use."""
+"""Maximum number of values in a cache with one value per pair of nodes; further values are computed at each use."""
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:

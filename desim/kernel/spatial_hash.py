@@ -40,7 +40,8 @@ class CellList:
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
-        """By cell, the nodes in it and in the eight around it; deleted when a node enters or leaves one of these."""
+        """By cell, the nodes in it and in the eight cells around it; an entry is deleted when a node enters or leaves
+        one of these nine cells."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
         self._cells = self._cells_of(self._at)

@@ -140,7 +140,7 @@ def _body_json(value: Any) -> str:
 
 
 def _nested(value: Any) -> str:
-    """Return a value as JSON, with named tuples as objects."""
+    """Return a value as JSON, with named tuples as objects; a named tuple inside a dict is written as an array."""
     if isinstance(value, tuple | list):
         names = field_names(value.__class__)
         if names is None:

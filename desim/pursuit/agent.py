@@ -121,7 +121,7 @@ class Agent(Knowledge):
             self.broadcast()
 
     def broadcast(self) -> None:
-        """Announce its action through `announce.dissemination`, whether or not it has changed."""
+        """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
         self._announced = self._news() if self._announcements.trigger in {"change", "both"} else None
         self._announcements.dissemination.broadcast(self, self.announcement())
 
@@ -208,7 +208,7 @@ class Agent(Knowledge):
             raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
-        """Call a function after a duration (s) on the local clock; an earlier restart without memory cancels the call.
+        """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
 
         Raises:
             ValueError: if the duration is negative, infinite or nan.
@@ -230,7 +230,7 @@ class Agent(Knowledge):
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Run a process that calls a function once per period (s, local clock), after all decisions of an instant.
+        """Run a process that calls a function once per period (s, local clock), after all decisions of the instant.
 
         The first call happens after a random fraction of the period, drawn from the stream `name`.
         """

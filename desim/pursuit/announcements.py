@@ -35,7 +35,8 @@ class TimedAssignment(NamedTuple):
 
     active: int
     capture_time: float
-    """Capture time, s, of the evader that it chases or, if inactive, the least one over the uncaptured evaders."""
+    """Capture time, s, for the evader that the pursuer chases; if it is inactive, the least one over the uncaptured
+    evaders, or inf if all are captured."""
 
     @classmethod
     def announced_by(cls, pursuer: int, view: View) -> Self:
@@ -108,7 +109,7 @@ def relayed_records(body: Any) -> tuple[Record, ...] | None:
 
 
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
-    """Return the records in a transmission: those that it relays, or the one that it broadcasts, or none."""
+    """Return the records in a transmission: the relayed records, the broadcast record, or none."""
     relayed = relayed_records(event.body)
     if relayed is not None:
         return relayed

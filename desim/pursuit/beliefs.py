@@ -81,17 +81,17 @@ class Beliefs:
         """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s; the heartbeat if None. It is used only if
-                `belief_timeout` is "auto".
+            period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
+                It is used only if `belief_timeout` is "auto".
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
         received = self._network.latest_records(self._id)
         return {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
-        """Return the pursuer's own capture time, and the ids and capture times of the teammates believed to chase.
+        """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
 
-        Capture times are for `evader`, in s; nan if unknown.
+        The believed chasers are teammates. Capture times are in s; nan if unknown.
         """
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
@@ -149,7 +149,7 @@ class Beliefs:
     def _capture_time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
         """Return the capture time, s, of a teammate for an evader, from its record or its sensed position.
 
-        It is nan if it is not known.
+        The capture time is nan if it is unknown.
         """
         body = record.body
         if isinstance(body, TimedAssignment):

@@ -30,7 +30,7 @@ class EvaderController:
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
         sensing_range: range up to which the evader senses pursuers, m.
-        reaction_delay: age, s, at which the evader perceives the positions and actions of pursuers.
+        reaction_delay: delay, s, with which the evader perceives the positions and actions of pursuers.
     """
 
     def __init__(

@@ -43,7 +43,7 @@ class Fleeing(Value):
     """Base of the strategies that flee from pursuers; without a pursuer to flee from, the evader stands still."""
 
     flees_from: Literal["all", "active"] = "all"
-    """The pursuers from which it flees: all that it senses, or only the active ones among them."""
+    """The pursuers from which it flees. all: all that it senses; active: the sensed pursuers that chase this evader."""
 
     def fled_from(self, state: EvaderObservation) -> EvaderObservation:
         """Return an observation restricted to the pursuers from which the evader flees."""

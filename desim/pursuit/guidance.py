@@ -53,10 +53,10 @@ class ConstantBearing(Value):
     """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
 
     With w the velocity of the evader, the point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The
-    line of sight keeps its direction b (parallel navigation): the pursuer matches the velocity of the evader across
-    this line, and uses the rest of its speed along the line, u = b (sqrt(v_i^2 - w_across^2) + 1j w_across). The
-    closing speed is sqrt(v_i^2 - w_across^2) - w_along. There is no intercept point if the closing speed is not
-    positive, or if |w_across| > v_i.
+    line of sight keeps its direction b (parallel navigation). Along and across this line, w has the components w_along
+    and w_across. The pursuer matches w_across and uses the rest of its speed along the line, so that its velocity is
+    b (sqrt(v_i^2 - w_across^2) + 1j w_across). The closing speed is sqrt(v_i^2 - w_across^2) - w_along. There is no
+    intercept point if the closing speed is not positive, or if |w_across| > v_i.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"

@@ -126,11 +126,11 @@ class Knowledge:
         """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s; the heartbeat if None. It counts only if
-                `belief_timeout` is "auto".
+            period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
+                It counts only if `belief_timeout` is "auto".
             evader: the evader to which the capture times refer.
-            orders: orders sent to teammates by a server; see `Orders`. Announced positions are extrapolated along these
-                orders instead of the announced action.
+            orders: orders sent to teammates by a server; see `Orders`. An announced position is extrapolated along the
+                announced action until the first order of the teammate takes effect, and then along its orders.
         """
         return self._beliefs.about_teammates(period, evader, orders)
 
@@ -170,8 +170,8 @@ class Knowledge:
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the pursuers whose actions count in its utility: all, those it hears directly, or its component.
 
-        The component is that of the network. If it does not sense the positions of teammates, the scope is ignored and
-        all pursuers count.
+        The component contains all pursuers whose messages can reach it now over any number of hops. If this
+        pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)

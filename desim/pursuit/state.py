@@ -45,7 +45,10 @@ class State:
 
 
 def lengths(vectors: Points) -> Floats:
-    """Return the (k,) absolute values, to the last bit those of `abs`; that of `np.abs` depends on the processor."""
+    """Return the (k,) lengths of complex vectors, equal to the last bit to what `abs` returns.
+
+    The last bits of `np.abs` depend on the processor.
+    """
     found: Floats = np.hypot(vectors.real, vectors.imag)
     return found
 

@@ -17,7 +17,8 @@ class Steering:
         state: the true state of the world.
         law: the guidance law.
         sensor: the sensors of the team; None if sensing is unlimited.
-        evader_first: whether pursuers aim at the evader's position at the end of the motion step, not at the start.
+        evader_first: whether pursuers aim at the evader's position at the end of the motion step; if not, at its
+            position at the start.
     """
 
     def __init__(self, state: WorldState, law: Guidance, sensor: TeamSensor | None, *, evader_first: bool):

@@ -27,11 +27,11 @@ AssumptionName = Literal[
     "times_known",
     "positions_known",
 ]
-"""The names of the functions of `desim.scenario.assumptions`."""
+"""The names of the assumptions, which are functions in `desim.scenario.assumptions`."""
 
 
 class Assuming(Traits):
-    """The optional attributes (traits) of a protocol and of each of its parts."""
+    """The optional attributes (traits) that protocols, schedules, utilities and disseminations have in common."""
 
     assumes: tuple[AssumptionName, ...] = ()
     """Names of its assumptions about the scenario (`desim.scenario.assumptions`); a violated one gives a warning."""
@@ -69,8 +69,8 @@ class ScheduleTraits(Assuming):
     at_once: Flag = False
     """Whether several pursuers may revise at the same instant."""
     spreads_to: Literal["all", "neighbours"] | None = None
-    """The pursuers to which the schedule's own messages, such as a token, repeatedly carry actions; they need no
-    announcements of these actions."""
+    """The pursuers to which the schedule's own messages, such as a token, repeatedly carry actions, so that these
+    pursuers need no announcements of the actions; None: its messages carry no actions."""
     without_serial_decisions: Callable[[], dict[str, Any]] | None = None
     """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
     decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""
@@ -82,8 +82,8 @@ class UtilityTraits(Assuming):
     """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
     expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
-    """`expected(own, others, chances, reward)` returns the mean gain, s, if each of the other pursuers is active with
-    its probability in `chances`."""
+    """`expected(own, others, chances, reward)` returns the mean gain, s, if each of the other pursuers is independently
+    active with its probability in `chances`."""
 
 
 class DisseminationTraits(Assuming):
@@ -102,4 +102,5 @@ class StrategyTraits(Traits):
     """The optional attributes of an evader's strategy, in addition to `__call__`."""
 
     listens: Flag = False
-    """Whether the strategy overhears the pursuers' radio. If none in the run does, `state.handover` is always False."""
+    """Whether the strategy overhears the pursuers' radio. If no strategy in the run does, `state.handover` is
+    always False."""

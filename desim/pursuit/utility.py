@@ -20,8 +20,9 @@ from desim.pursuit import game
 from desim.pursuit.traits import UtilityTraits
 
 Scope = Literal["heard", "neighbours", "component"]
-"""The teammates that count, among those believed active. heard: all; neighbours: those with a direct link at present;
-component: those connected at present over any number of hops."""
+"""The teammates that count, among those believed active. heard: all; neighbours: those that the pursuer receives from
+directly at present; component: those whose messages can reach it at present over any number of hops. If positions are
+announced and not sensed, all count; see `desim.pursuit.knowledge.Knowledge.counted_teammates`."""
 
 
 NEWTON_STEPS = 5
@@ -40,7 +41,10 @@ class Utility(Protocol):
 
 
 class Mean(Value):
-    """The gain in time left less mean capture time (Lee & Bakolas): an exact potential if all are heard."""
+    """Marginal contribution to the global utility U_E = time left - mean capture time (Lee & Bakolas).
+
+    U_E is an exact potential if all are heard.
+    """
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
     kind: Literal["mean"] = "mean"
@@ -51,9 +55,9 @@ class Mean(Value):
         return game.gain(own, others, reward)
 
     def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
-        """Return the mean gain, s, over all sets of active others; the cost is O(K^2) for K others.
+        """Return the mean gain, s, if the others are active independently; the cost is O(K^2) for K others.
 
-        With n the random number of active others, and n_j that of active others except j, the mean gain is
+        With n the random number of active others, and n_j the number of active others besides j, the mean gain is
 
             r P(n = 0) - phi_i E[1/(1 + n)] + sum_j phi_j q_j (E[1/(1 + n_j)] - E[1/(2 + n_j)]).
 
@@ -86,7 +90,7 @@ class LocalMean(Mean):
 
 
 class Component(Mean):
-    """The mean over the pursuers heard over any number of hops: the paper's game in each network component."""
+    """As `mean`, over the pursuers in the same network component: the paper's game in each component."""
 
     assumes: ClassVar[tuple[str, ...]] = ("component_heard",)
     kind: Literal["component"] = "component"  # type: ignore[assignment]

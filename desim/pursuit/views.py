@@ -1,4 +1,4 @@
-"""Views of the world without a sensing limit; `desim.pursuit.sensing` has the view with one."""
+"""Views: what a pursuer knows of the evaders without a sensing limit; `desim.pursuit.sensing` has the limited view."""
 
 from cmath import isnan
 from collections.abc import Callable, Collection, Sequence
@@ -80,7 +80,7 @@ class View:
         state = self.state
         if self.unlimited or self.sees(evader):
             now = state.now
-            if now == state.step_end:  # the next motion step needs all positions of this instant anyway
+            if now == state.step_end:  # cache all positions, which the motion step that begins now needs anyway
                 state.players.positions()
             return state.body(evader).capture_times_of(pursuers, now)
         times = self.capture_times(evader)
@@ -129,14 +129,14 @@ class View:
         If nothing moves, or the position of the evader is unknown, this is `position`.
 
         Args:
-            position: its position at that time, m.
+            position: its position at the start of the chase, m.
             speed: its speed, m/s.
-            age: time since it was at that position, ns.
+            age: time since the start of the chase, ns.
             evader: the evader that it chased.
             exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
                 assumed to head straight for the evader's present position, as estimated.
-            ended: time since the chase ended, at most `age`, ns; a later call with the same start must not give an
-                earlier end of the chase.
+            ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
+                stand still since its end. A later call with the same start must not give an earlier end of the chase.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:
@@ -172,5 +172,5 @@ class GlobalState(View):
         return self.state.profile.copy()
 
     def broken(self) -> NDArray[np.bool_]:
-        """Return the (N,) mask of the pursuers that are down and follow no action."""
+        """Return the (N,) mask of the pursuers that are down, and so stand still."""
         return self.state.broken.copy()

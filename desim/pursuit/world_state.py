@@ -28,7 +28,7 @@ class WorldState:
         speeds: (N,) speeds of the pursuers while they chase, m/s.
         actions: initial actions.
         radius: capture radius, m.
-        horizon: end of the run, ns.
+        horizon: latest end of the run, ns.
         static: whether all players stand still for the whole run.
 
     Attributes:
@@ -37,7 +37,7 @@ class WorldState:
         at_large: numbers of the evaders that have not been captured, ascending.
         actions: see `Actions`; replaced by `set_actions`, never changed in place.
         profile: `actions` as a list.
-        broken: (N,) mask of the pursuers that are down and follow no action.
+        broken: (N,) mask of the pursuers that are down, and so stand still.
         step_end: end of the present motion step, ns.
     """
 

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
-"""The installed distributions that results depend on."""
+"""The Python packages that results depend on, by distribution name."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
 METRICS_MODULE = "analysis/metrics.py"
-"""The module that lists the metrics. It is not hashed: a new metric changes no run, and a store hashes each metric."""
+"""The module that lists the metrics. It is not hashed: a new metric changes no run, and the store of a sweep
+hashes the code of each metric itself."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
@@ -47,7 +48,7 @@ def code() -> str:
 
 
 def _versions() -> dict[str, str | None]:
-    """Return the versions of python, desim, the distributions of `NUMERICS`, and the installed plugins of desim."""
+    """Return the versions of Python, desim, the packages of `NUMERICS`, and the installed plugins of desim."""
     plugged = {
         each.dist.name
         for group in entry_points().groups
@@ -79,7 +80,8 @@ def _platform() -> dict[str, str]:
 def _checkout() -> tuple[str | None, bool | None]:
     """Return the commit that desim is imported from, and whether its files have changed; (None, None) without a commit.
 
-    The repository must track the package. For example, the repository of a project with desim in its .venv does not.
+    The repository must track the package. Otherwise, for example if desim is in the .venv of another project, the
+    result is (None, None), too.
     """
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")

@@ -1,8 +1,10 @@
 """Assumptions of protocols about a scenario, and checks whether a scenario satisfies them.
 
 A protocol, its schedule, its utility or a dissemination lists the names of its assumptions in `assumes`. Each
-assumption is a function of the scenario that returns the reason why it does not hold, or None. A violated assumption
-gives a warning, not an error, because simulations also study protocols where their assumptions do not hold.
+assumption is a function of the scenario that returns the reason why it does not hold, or None if it holds. The first
+line of the function's docstring states the assumption. Links between pursuers are checked only at the start of the run
+with the seed of the scenario. A violated assumption gives a warning, not an error, because simulations also study
+protocols where their assumptions do not hold.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -133,8 +135,8 @@ def host_in_range(scenario: "Scenario") -> str | None:
 def times_known(scenario: "Scenario") -> str | None:
     """Every pursuer knows all capture times.
 
-    This requires that the evader is seen at any distance, and that positions are sensed, or that announcements with
-    positions or capture times reach all.
+    This requires that the evaders are seen at any distance. It also requires that positions are sensed, or that
+    announcements with positions or capture times reach all.
     """
     if scenario.sensing.limited:
         return "pursuers see the evader only within the sensing radius (`sensing.radius`)"
@@ -146,7 +148,7 @@ def times_known(scenario: "Scenario") -> str | None:
 
 
 def positions_known(scenario: "Scenario") -> str | None:
-    """Every pursuer knows all positions: they are sensed, or announced to all, and the evader is seen."""
+    """Every pursuer knows all positions: pursuers are sensed or announce theirs to all, and the evaders are seen."""
     if scenario.announce.payload == "time":
         return "announcements contain no positions (`announce.payload`)"
     return times_known(scenario)
@@ -207,7 +209,7 @@ def _reached_by_schedule(scenario: "Scenario") -> str | None:
 
 
 def _is_relayed(scenario: "Scenario") -> bool:
-    """Return whether announcements are relayed over several hops."""
+    """Return whether announcements are relayed over several hops, or messages of the schedule carry actions to all."""
     return DisseminationTraits.of(scenario.announce.dissemination).relays or _reached_by_schedule(scenario) == "all"
 
 

@@ -1,4 +1,4 @@
-"""Warnings about valid but probably unintended scenarios: keys without effect, and violated assumptions."""
+"""Warnings about valid but probably unintended scenarios, for example keys without effect and violated assumptions."""
 
 from collections.abc import Collection, Iterator, Sequence
 from math import inf
@@ -73,9 +73,9 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
 def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str]]:
     """Yield the key and the text of a warning for each latency that was probably given in milliseconds by mistake.
 
-    The scenarios are those of a sweep, or only one. A sweep may vary a latency from short to long on purpose. With
-    several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in all scenarios
-    where it is positive, or reaches the horizon in one.
+    The scenarios are the configurations of a sweep, or a single scenario. A sweep may vary a latency from short to long
+    on purpose. With several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in
+    all scenarios where it is positive, or reaches the horizon in one.
     """
     found: dict[str, list[tuple[float, float]]] = {}
     for scenario in scenarios:
@@ -168,7 +168,7 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about the network, announcements and faults: overridden presets, unused keys, overload."""
+    """Yield the warnings about the network, announcements and faults."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
         values, preset = dict(network), dict(Links(preset=network.preset))

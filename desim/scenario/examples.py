@@ -45,8 +45,8 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
     Args:
         name: the name of the example.
-        target: the path of the copied scenario file if it ends in .toml and is not a folder, else the folder for all
-            copies. Missing folders are created.
+        target: the path of the copied scenario file if it ends in .toml and is not a folder, else its folder. The
+            data files are copied to the same folder. Missing folders are created.
 
     Raises:
         ValueError: if there is no such example.

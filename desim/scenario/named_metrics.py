@@ -34,7 +34,9 @@ def installed_metrics() -> Mapping[str, EntryPoint]:
 
 
 def _named(value: Any, info: ValidationInfo) -> NamedMetric:
-    """Return the metric given as a function or a name; an untrusted scenario may only name installed code.
+    """Return the metric given as a function or a name.
+
+    An untrusted scenario may name only code that `protocols.KINDS` or an entry point of desim lists.
 
     Raises:
         ValueError: if the value is not such a function or name, or the code is not trusted or cannot be imported.

@@ -38,7 +38,7 @@ class Source:
     allow_import: bool = False
     """Whether the scenario may name code to be run, and files outside of that folder."""
     files: dict[KeyPath, str] = field(default_factory=dict)
-    """For each key that is set in a base file only, the path of that file."""
+    """For each key that is set only in a base (a file that the key `base` names), the path of this base."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -65,7 +65,10 @@ class Source:
         return self._set_at(place)[1]
 
     def _set_at(self, place: KeyPath) -> tuple[str, int]:
-        """Return the file where a key was set, or the description of the last override, and the line, or 0."""
+        """Return (origin, line) of a key: the file where it was set and the line, or its last override and 0.
+
+        An override is given by its description. If the source has no lines, its name and 0 are returned.
+        """
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         known = lines.keys() | self.origins.keys()
@@ -133,7 +136,10 @@ class Source:
         self._set_as_text("--grid", text, form, _parsed_list, above="sweep.grid.")
 
     def _set_as_text(self, option: str, text: str, form: str, parse: Callable[[str], Any], above: str = "") -> None:
-        """Set a key, below the tables `above`, to the value that an option gives as a text KEY=VALUE."""
+        """Set a key to a value, given the text KEY=VALUE of an option.
+
+        `above` is put before KEY, for instance "sweep.grid.".
+        """
         origin = f"{option} {text}"
         name, equals, value = text.partition("=")
         if not equals or not all(name.strip().split(".")):
@@ -148,7 +154,8 @@ class Source:
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
 
-        When the kind of a table changes, its earlier keys that the new kind does not have are removed.
+        When the kind of a table changes, the keys that the new kind does not have are removed, except those that were
+        overridden.
 
         Raises:
             ScenarioError: if the name is not a key of a table or leads into an empty list, or if a model that was
@@ -204,14 +211,17 @@ class Source:
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
-    """Return the model class of the value of a field, or of its items."""
+    """Return the model class of the value of a field, or of its items; None if there is none."""
     for one_of in choices_of(info):
         return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
     return next(models_in(info.annotation), None)
 
 
 def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
-    """Return the model field of a place in the tables of a scenario, or of the list that contains the place."""
+    """Return the model field of a place in the tables of a scenario, or of the list that contains the place.
+
+    It is None if no model has such a field.
+    """
     model: type[BaseModel] | None = Scenario
     info: FieldInfo | None = None
     for end, key in enumerate(place, start=1):
@@ -300,7 +310,8 @@ def _parsed(text: str) -> Any:
     """Return the value of a TOML text; text that is not TOML is a string, unless it begins with a quote or bracket.
 
     Raises:
-        ScenarioError: if such a text is not TOML, or if the text is more than one value or cannot be read.
+        ScenarioError: if a text that begins with a quote or bracket is not TOML, or if a text is more than one value or
+            cannot be read.
     """
     try:
         tables = tomllib.loads(f"value = {text}")

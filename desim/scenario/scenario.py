@@ -273,9 +273,10 @@ class Scenario(Value):
     sweep: Sweep = Sweep()
 
     def play(self, timeout: float = 30.0) -> "PlayWidget":
-        """Return a widget for notebooks, with controls for all keys and a replay of the run that they give.
+        """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
 
-        Each change runs the same seed again; the run that is pinned stays as a ghost. It needs the extra `notebook`.
+        Each change of a key runs the scenario again, with the same seed unless the seed is changed. A run that the user
+        pins stays in the replay, drawn faint, for comparison.
 
         Args:
             timeout: the wall time after which a run is ended, s.

@@ -257,7 +257,7 @@ reps = 20                                               # runs of each configura
 )
 _MODULES = MappingProxyType({"protocol": _PROTOCOL, "latency": _LATENCY, "evader": _EVADER, "metric": _METRIC})
 TEMPLATES = ("scenario", *_MODULES)
-"""What a starting file can be made for."""
+"""The names of the templates."""
 
 
 def starting_files(template: str, name: str) -> dict[str, str]:
@@ -268,7 +268,8 @@ def starting_files(template: str, name: str) -> dict[str, str]:
         name: the name of the scenario and of the module; an identifier.
 
     Raises:
-        ValueError: if the name is not an identifier, or that of an installed module, or one that the template uses.
+        ValueError: if the name is not an identifier; for any template but "scenario", also if an installed module has
+            this name or the code of the template uses it.
     """
     if not name.isidentifier() or iskeyword(name):
         raise ValueError(f"{name!r} should be an identifier: letters, digits and _, my_{template} for instance")

@@ -30,7 +30,7 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
     Args:
         file: the path of the file.
-        overrides: strings "key.key=value" that set keys, in place of those of the file; the value is in TOML.
+        overrides: strings "key.key=value" that set keys and take precedence over the file; the value is in TOML.
         allow_import: whether the file may name code to be run ("module:name") and files outside of its folder. Leave
             it off for files that you do not trust.
 
@@ -42,7 +42,10 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
 
 def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
-    """Return the source of a TOML file before validation, merged with its bases and overrides; see `load`."""
+    """Return the source of a TOML file before validation, merged with its bases and overrides; see `load`.
+
+    A base is another scenario file, which the key `base` names.
+    """
     sources = list(_with_bases(Path(file), allow_import))
     source = sources.pop()
     while sources:

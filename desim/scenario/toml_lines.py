@@ -10,7 +10,10 @@ KeyPath = tuple[str | int, ...]
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line on which each key of a valid TOML text is first set or occurs in a table header."""
+    """Return the line on which each key of a valid TOML text is first set or occurs in a table header.
+
+    For a key within a statement of several lines, it is the first line of the statement.
+    """
     lines: dict[KeyPath, int] = {}
     lengths: dict[KeyPath, int] = {}  # number of tables so far, by array of tables
     header: KeyPath = ()
@@ -40,7 +43,10 @@ def _is_readable(statement: str) -> bool:
 
 
 DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){100}""")
-"""Matches a key of so many parts that `tomllib`, which stores every prefix of a key, may run out of memory."""
+"""Matches the start of a key of more than 100 parts.
+
+`tomllib` stores every prefix of a key, so it may run out of memory at a very long one.
+"""
 
 
 # Tokens: the four kinds of strings, comments, brackets and line ends. Strings and comments are matched as a whole,
@@ -66,9 +72,10 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
-    """Return the place of a table header, with the index of the last table so far after each array of tables.
+    """Return the place that a table header names, given the header as parsed by `tomllib`.
 
-    A header [[...]] adds a table to its array: `lengths`, the number of tables in each array, is updated.
+    In the place, the key of an array of tables is followed by the index of the last table of the array so far. A header
+    [[...]] adds a table to its array and updates `lengths`, the number of tables in each array.
     """
     place: KeyPath = ()
     node: Any = tables

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Those of the three signals that this platform has; Windows has no SIGHUP."""
+"""SIGINT, SIGTERM and SIGHUP, as far as this platform has them; Windows has no SIGHUP."""
 
 
 class Terminated(KeyboardInterrupt):

@@ -13,8 +13,8 @@ class RestartableProcess(simpy.Process):
     """A process of a pursuer that runs a behaviour (its protocol or dissemination) and survives crashes of the robot.
 
     It is running, suspended (the robot is down) or finished. After a recovery with memory it waits for the same event,
-    or continues at this instant if the event has happened. After a recovery without memory it starts the behaviour
-    anew.
+    or continues at the instant of the recovery if the event has happened meanwhile. After a recovery without memory it
+    starts the behaviour anew. A process that finished before the crash stays finished.
     """
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
@@ -61,10 +61,10 @@ class RestartableProcess(simpy.Process):
 
 
 def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
-    """Create the process, a generator, of a pursuer that runs a protocol.
+    """Create the generator that runs a behaviour for a pursuer.
 
     Raises:
-        TypeError: if the protocol returns no generator.
+        TypeError: if the behaviour returns no generator.
     """
     behaviour = protocol(agent)
     if not isinstance(behaviour, Iterator):

@@ -27,9 +27,9 @@ from desim.simulation.run_end import RunEnd
 class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
-    All players move on piecewise straight paths with common breakpoints: the motion steps, and the changes of an action
-    and the captures within them. The next capture is predicted from the present velocities. It is predicted again at
-    each breakpoint, and when a pursuer goes down or up.
+    All players move on piecewise straight paths with common breakpoints: the start of each motion step, each change of
+    an action and each capture. The next capture is predicted from the present velocities. It is predicted again at each
+    breakpoint, and when a pursuer goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
@@ -103,7 +103,7 @@ class World:
         self._change_action(pursuer, action)
 
     def crash(self, pursuer: int) -> None:
-        """Take a pursuer down: it stands still, whatever its action is set to, and captures no evader."""
+        """Take a pursuer down: until `recover` its action is 0, it stands still and captures no evader."""
         self.state.broken[pursuer] = True
         if self.state.profile[pursuer]:
             self._trace.append(BrokeDown(self._env.now, pursuer))
@@ -170,7 +170,7 @@ class World:
         Instant(self._env, when, priority).callbacks.append(act)
 
     def _places(self) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
-        """Return the positions of the evaders and of the pursuers as [x, y], m."""
+        """Return the positions of the evaders and of the pursuers as (x, y), m."""
         places = tuple((x, y) for x, y in coordinates(self.state.players.positions()).tolist())
         return places[self.state.size :], places[: self.state.size]
 

@@ -38,8 +38,8 @@ def run_many(
         simulate: performs a run; called in the worker.
 
     Raises:
-        BaseException: the exception of a failed run; if several fail, of the one that is reported first. If it cannot
-            be pickled, a RuntimeError with its traceback is raised instead.
+        BaseException: the exception of a failed run; if several fail, the exception that is reported first. If it
+            cannot be pickled, a RuntimeError with its traceback is raised instead.
         BrokenExecutor: if a run ended its worker process.
         ValueError: if `jobs` is negative.
     """

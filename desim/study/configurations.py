@@ -116,9 +116,9 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error with the place (file and line) that sets or sweeps a key before its text.
+    """Return an error whose text begins with the place at which a key is set or swept (see `Source.where`).
 
-    The text of the given error begins with this dotted key.
+    The dotted key is the beginning of the text of the given error; `settings` holds the keys of the grid.
     """
     key = str(error).partition(":")[0]
     above = [each for each in settings if f"{key}.".startswith(f"{each}.")]

@@ -40,11 +40,12 @@ class Outcome:
     """The outcome of a run: its measurement, or its failure."""
 
     status: Literal["ok", "error", "crashed"]
-    """ok; error: the run raised an exception; crashed: the run ended its worker process."""
+    """ok; error: the run raised an exception, or its result could not be returned, for example because it cannot be
+    serialized; crashed: the run ended its worker process."""
     value: Any = None
     """The measurement, if ok."""
     error: BaseException | None = None
-    """The exception of the run, if it can be pickled."""
+    """The exception; None if the run is ok, or if its exception cannot be pickled."""
     traceback: str = ""
     """The traceback of the exception, as text."""
 
@@ -73,7 +74,7 @@ def drive(
     Runs are dispatched in batches, in the order of the tasks. After a worker has died, each run of the unfinished
     batches is repeated alone, while no other run is under way. The runs of a batch whose call failed, for example
     because its result cannot be serialized, are repeated in the same way. If a worker dies while a run is repeated, the
-    outcome of this run is "crashed".
+    outcome of this run is "crashed". If the repeated call fails otherwise, the outcome is "error".
 
     Raises:
         BrokenExecutor: if a worker of the user's own executor died, after which the executor accepts no more calls.

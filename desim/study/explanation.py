@@ -122,7 +122,10 @@ class Cost:
 
 @dataclass(frozen=True)
 class Explanation:
-    """The cost of each imperfection of a scenario; see `desim.study.explain`."""
+    """The cost of each imperfection of a scenario; see `desim.study.explain`.
+
+    A *variant* is the scenario as it is, without one imperfection, or without all of them.
+    """
 
     name: str
     runs: int

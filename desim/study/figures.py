@@ -28,11 +28,11 @@ APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
 error bars apart."""
 MAX_TICKS = 8
-"""The largest number of ticks that mark values of a key."""
+"""The largest number of ticks that mark values of a key with numbers; each value of any other key has a tick."""
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
 PAGE = 9.4
-"""The maximum width of a figure with many panels, inches."""
+"""The maximum width, inches, of a figure with several heat maps side by side."""
 LETTER = 0.075
 """The approximate width of a letter of 8 points, inches."""
 CELL = 0.68, 0.45
@@ -44,8 +44,8 @@ INK = "#111111"
 WIDE = 20.0
 """The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
 
-Such an axis also requires that no value is negative, and that there are at least three positive values, half of which
-are below a quarter of the largest.
+Such an axis also requires that no value is negative, and that there are at least three finite positive values. Half of
+these, rounded down, must be below a quarter of the largest.
 """
 
 
@@ -70,16 +70,18 @@ def means(
             configuration has a row; but with `by`, the first other key with several values is on the abscissa.
         by: the key or keys whose values name the lines; each combination of values of the other keys has a panel. By
             default all keys but `x` name the lines, in one panel.
-        against: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the one that has
-            these values and is otherwise equal. The differences from the references are drawn instead of the means; see
-            `SweepResult.differences`.
-        labels: texts to show in place of values, such as {"sap": "SAP (ours)"}: by value, or by kind if only one value
-            has this kind. A text for a key is the title of the legend. Mathematics is between dollar signs, as in
-            `xlabel`.
-        xlabel: the label of the abscissa.
-        ylabel: the label of the ordinate.
+        against: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the configuration
+            that has these values and is otherwise equal. The differences from the references are drawn instead of the
+            means; see `SweepResult.differences`. None = draw the means.
+        labels: texts to show in place of values, such as {"sap": "SAP (ours)"}. A label belongs to a value, or to the
+            kind of a value, such as "sap" of "sap(tau=...)", if only one value has this kind. If one key names the
+            lines, a label of this key is the title of the legend. Text between dollar signs is mathematics, here and
+            in `xlabel` and `ylabel`.
+        xlabel: the label of the abscissa; None = the name and the unit of the key or metric on it.
+        ylabel: the label of the ordinate; None = the name and the unit of the metric or keys on it.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title: put
-            the title in the caption. A figure can also be resized later with `set_size_inches`.
+            the title in the caption. A figure can also be resized later with `set_size_inches`. None = a size that
+            suits the panels.
 
     Raises:
         ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
@@ -139,7 +141,7 @@ def file_name(kind: str, metric: str | None = None, against: Mapping[str, Any] |
 
 
 Point = tuple[Group, Estimate | None]
-"""A configuration and the estimate of a metric in it; None instead of the estimate if it is a reference."""
+"""A configuration and the estimate of a metric; None instead of the estimate if the configuration is a reference."""
 
 
 def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
@@ -222,8 +224,8 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
 def phase(result: SweepRuns, metric: str) -> Figure:
     """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
 
-    The values of a key are equally spaced. Each combination of the other keys has a panel; all panels share one colour
-    scale.
+    The values of a key are equally spaced. Each combination of values of the other keys has a panel; all panels share
+    one colour scale.
 
     Raises:
         ValueError: if fewer than two keys take several numbers, or the sweep has no such metric.
@@ -337,7 +339,10 @@ def _draw_lines(
 def _lines(
     points: Sequence[Point], abscissa: str, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, list[tuple[Any, Estimate]]]:
-    """Return the lines by name, one for each combination of the keys `by`: pairs of abscissa and estimate."""
+    """Return the lines by name, one for each combination of values of the keys `by`.
+
+    A line is a list of pairs (value on the abscissa, estimate), without the configurations that are references.
+    """
     lines: dict[str, list[tuple[Any, Estimate]]] = {}
     for group, found in points:
         line = lines.setdefault(", ".join(_named(key, group, labels, len(by) > 1) for key in by), [])
@@ -347,7 +352,7 @@ def _lines(
 
 
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
-    """Return the label of a setting, or its value if it has none; with the key if several keys name a line."""
+    """Return the label of a setting; if it has none, its value, preceded by the key if several keys name a line."""
     value = text(group.settings[key])
     for name in (value, kind_of(value)):
         if name in labels:

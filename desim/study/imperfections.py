@@ -58,7 +58,7 @@ def without_faults(scenario: Scenario) -> Scenario:
 
 
 def without_serial_decisions(scenario: Scenario) -> Scenario:
-    """Return the scenario in which pursuers take no turns: no decision waits for those of teammates.
+    """Return the scenario in which pursuers take no turns: no decision waits for a decision of a teammate.
 
     If messages of the schedule, such as a token, carried the actions, pursuers now announce each change of action
     immediately, and repeat it with every heartbeat. A scenario without turns or with one pursuer is returned unchanged,

@@ -27,7 +27,7 @@ def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
 
 @cache
 def _source_hash(metric: Metric) -> str:
-    """Return a hash of the source of a built-in metric: of its function and of the others that `_functions` returns.
+    """Return a hash of the source of a built-in metric: the source of all functions that `_functions` returns.
 
     A store also records `desim.results.environment.code`, a hash of the other code that a run depends on.
     """

@@ -1,4 +1,4 @@
-"""The result of a sweep, which the user gets: its runs with tables, figures, a data frame and files."""
+"""The result that a sweep returns: its runs, as tables, figures, a data frame and files."""
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ class SweepResult(SweepRuns):
         configurations: Sequence[str] | None = None,
         failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
     ) -> Self:
-        """Return the result of the runs in a store, for all configurations or for those with given hashes.
+        """Return the result of the runs in a store, for the configurations with the given hashes; None = for all.
 
         The rows of `failed`, by (configuration hash, replication), replace the rows of the same runs in the store.
 

@@ -49,7 +49,10 @@ class Group:
         return [row for row in self.rows if not row.ok]
 
     def pairs(self, other: "Group") -> list[tuple[Row, Row]]:
-        """Return the pairs of runs of this and another configuration that have the same seed and did not fail."""
+        """Return the pairs of runs of this and another configuration with equal numbers, if neither run failed.
+
+        If seeds are common (`SweepRuns.common`), the two runs of a pair have the same seed.
+        """
         there = {row.replication: row for row in other.rows if row.ok}
         return [(row, there[row.replication]) for row in self.rows if row.ok and row.replication in there]
 
@@ -88,8 +91,8 @@ class SweepRuns:
         Args:
             metric: the name of the metric.
             reference: the position of the reference in `groups`; or the values of some keys, such as
-                {"protocol": "sap"}: each configuration is compared with the one that has these values and is otherwise
-                equal; see `setting`. None = the first value of the first key that has several values.
+                {"protocol": "sap"} (see `setting`). Each configuration is then compared with the configuration that has
+                these values and is otherwise equal. None = the first value of the first key that has several values.
 
         Raises:
             ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
@@ -173,8 +176,8 @@ class SweepRuns:
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
         """Return a warning for each key of the grid on which neither `captured` nor any of the given metrics depends.
 
-        Such a key makes no difference, bit for bit, between runs with the same seed and all else equal: with all values
-        of the other keys, or with one value of another key, for example one protocol. There is no warning if seeds are
+        Runs with the same seed that differ only in such a key agree in all these metrics, bit for bit. A warning may
+        also be limited to one value of another key, for example to one protocol. There is no warning if seeds are
         independent, or if a run failed. `SweepPlan.warnings` returns the warnings that need no runs.
         """
         metrics = each_name(metrics)
@@ -189,7 +192,10 @@ class SweepRuns:
         ]
 
     def _without_effect(self, key: str, metrics: Sequence[str]) -> Iterator[tuple[str, int]]:
-        """Yield where a key has no effect, as text, and the number of pairs of runs that differ in it only."""
+        """Yield the condition under which a key has no effect, and the number of pairs of runs that differ in it only.
+
+        The condition is a text, for example "with protocol = sap, "; it is "" if the key has no effect at all.
+        """
         firsts = zip(self.groups, self.first_along(key), strict=True)
         pairs = [(group, self.groups[first].pairs(group)) for k, (group, first) in enumerate(firsts) if k != first]
         if count := _equal(pairs, metrics):

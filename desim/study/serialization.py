@@ -42,7 +42,7 @@ def _own_modules() -> set[str]:
 
 @cache
 def _is_own(name: str) -> bool:
-    """Return whether a module is a Python source file that is neither installed nor part of desim."""
+    """Return whether a module is a Python source file that is neither installed nor part of `desim` or `protocols`."""
     file = getattr(sys.modules[name], "__file__", None) or ""
     is_ours = name.partition(".")[0] in OURS
     return file.endswith(".py") and not is_ours and not is_installed(Path(file).absolute())

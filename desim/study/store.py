@@ -68,7 +68,7 @@ class Row:
 
 
 class Store(StoreFile):
-    """The runs of one sweep, of a shard of it, or of several merged shards.
+    """The runs of one sweep, of a shard of it (one of several parts that are run separately), or of merged shards.
 
     Args:
         path: the path of the file, which is created if it does not exist; None: in memory.
@@ -289,7 +289,7 @@ SUMMARY = 5
 
 
 class _Metrics(BaseModel):
-    """Metrics that are not built in."""
+    """The base of `_Numbers`: it accepts metrics that are not built in as further fields."""
 
     model_config = ConfigDict(strict=True, extra="allow", protected_namespaces=())
     __pydantic_extra__: dict[str, bool | int | float | Literal["Infinity", "-Infinity"] | None]
@@ -301,7 +301,7 @@ _Numbers = create_model("Numbers", __base__=_Metrics, **_FIELDS)
 ARGV = Json[list[str]]
 RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
 SETTINGS = Json[dict[str, bool | int | float | str]]
-"""The types of a row of `runs`, and of the settings of a configuration."""
+"""The types of the words of a command, of a row of `runs`, and of the settings of a configuration."""
 
 
 def _differs(name: str, one: Any, other: Any) -> str:

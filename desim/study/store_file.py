@@ -51,7 +51,7 @@ NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands"
 LOCK_TIMEOUT = 30.0
 """The time-out, s of wall time, for a file that another process has locked."""
 PAUSE = 0.02
-"""The pause, s of wall time, between two attempts to change the journal: SQLite itself does not wait for its lock."""
+"""The pause, s of wall time, between two attempts to change the journal; see `_use_write_ahead_log`."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 Arguments = ParamSpec("Arguments")
@@ -137,7 +137,7 @@ class StoreFile:
             )
 
     def _check_content(self) -> None:
-        """Raise StoreError unless the structure of the file is sound and each row matches its checksum."""
+        """Raise StoreError if the file is corrupt, a row does not match its checksum, or a run has no configuration."""
         if (found := self.check()) != "ok":
             raise StoreError(f"{self.path}: is damaged: {found}")
         for table in NAMED_BY:
@@ -264,7 +264,7 @@ def _use_write_ahead_log(database: sqlite3.Connection) -> str:
 
 
 def _use_rollback_journal(path: Path | None) -> None:
-    """Give a file a rollback journal; the file is locked exclusively, because this needs no shared memory."""
+    """Give a file a rollback journal; with an exclusive lock on the file, SQLite needs no shared memory for this."""
     database = _connected(path)
     try:
         database.execute("PRAGMA locking_mode = EXCLUSIVE")

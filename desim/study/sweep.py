@@ -199,9 +199,11 @@ def sweep(
         store: the file to which each run is added as it ends; successful runs in it are not repeated; None = no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
             has at most this half width. The interval is first checked when 30 runs have a value of the metric. `reps`
-            (10,000 if None) is the maximum number of runs of a configuration.
+            (10,000 if None) is the maximum number of runs of a configuration. None = each configuration has `reps`
+            runs.
         fail_fast: whether the first run that fails ends the sweep.
-        timeout: the wall time, s, after which a run counts as failed; see `desim.simulation.watchdog`.
+        timeout: the wall time, s, after which a run counts as failed; None = no limit; see
+            `desim.simulation.watchdog`.
         metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
             run that lacks one of them is repeated. If a metric raises an exception, its run counts as failed.
 
@@ -238,9 +240,10 @@ def carry_out(
 ) -> SweepResult:
     """Perform the runs of a plan that a store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout` s of wall time counts as failed. A stored run is repeated if it lacks one of
-    the given metrics, the metric of `until` or a metric of the plan. If the repetition fails, the stored run is kept,
-    and the result reports the failure. `on_start` is called before the first run, unless there is none to perform.
+    A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed. A stored run is repeated if
+    it lacks one of the given metrics, the metric of `until` or a metric of the plan. If the repetition fails, the
+    stored run is kept, and the result reports the failure. `on_start` is called before the first run, unless there is
+    none to perform.
 
     Raises:
         ValueError: if `until` is invalid, or given together with one of several shards, or `timeout` is out of its
@@ -299,7 +302,7 @@ def _run(
 
 
 def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None:
-    """Raise ValueError if a metric is not numeric, or its target half width is not positive."""
+    """Raise ValueError if there is no numeric metric of this name, or its target half width is not positive."""
     check_numeric(metric, dict(own))
     if not half_width > 0.0:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")

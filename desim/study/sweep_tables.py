@@ -14,7 +14,7 @@ Table = tuple[str, list[tuple[str, ...]]]
 
 
 def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
-    """Yield the table of means; then that of differences, if seeds are common and a key has several values."""
+    """Yield the table of means and, if seeds are common and a key has several values, the table of differences."""
     yield heading(result, metrics), _mean_rows(result, metrics)
     key = result.compared_by
     if result.common and key is not None:
@@ -44,7 +44,10 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
 
 
 def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
-    """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
+    """Return means, half widths and paired differences as JSON-compatible values; None where undefined.
+
+    If seeds are independent, there are no differences.
+    """
     means = {metric: result.estimates(metric) for metric in metrics}
     differences = {metric: result.differences(metric) for metric in metrics} if result.common else {}
     configurations = []
@@ -68,7 +71,10 @@ def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
 
 
 def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return rows of text: settings, number of runs, share with a capture, and the mean of each metric."""
+    """Return rows of text: settings, number of runs, share of runs that ended by capture, and the mean of each metric.
+
+    If any run failed, the number of failed runs follows the number of runs.
+    """
     titles = (title(name, result.units) for name in metrics)
     failed = ("failed",) if result.failed else ()
     rows: list[tuple[str, ...]] = [(*result.keys, "runs", *failed, "captured", *titles)]
@@ -96,6 +102,6 @@ def _difference_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[st
 
 
 def _share(captured: Sequence[bool]) -> str:
-    """Return the share of runs with a capture and its 95 % Wilson interval, as text in %."""
+    """Return the share of runs that ended by capture and its 95 % Wilson interval, as text in %."""
     low, high = wilson(sum(captured), len(captured))
     return f"{sum(captured) / len(captured):.1%} ({low:.1%} .. {high:.1%})"

@@ -1,4 +1,4 @@
-"""A run as a GIF for slides: a plan view of all players, the active pursuers, and the messages in flight.
+"""A run as a GIF for slides: a plan view of the players that shows active pursuers and messages in flight.
 
 Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.palette` and
 `desim.view.deliveries`.
@@ -53,12 +53,13 @@ HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", INACTIVE, ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, DELIVERED, LOST)
 PALE = 0.4
-"""Weight of an evader's hue in the colour of pursuers that chase it together, blended with white; only with several
-evaders."""
+"""If there are several evaders, the weight of an evader's hue in the colour of the pursuers that chase it together; the
+rest is white."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 RECEIVER_GAP = 0.02
-"""Distance, in widths of the axes, between the mark of an arrival or a loss and the receiver."""
+"""Distance, in widths of the axes, between the mark of an arrival or a loss and the receiver; at most half of the way
+from the sender."""
 SHADES = 10
 """Number of shades of each colour, towards white."""
 
@@ -72,7 +73,7 @@ def animate(
         result: the result of a run with recorded positions; messages are drawn as dots if they were recorded, too.
         path: the output file.
         begin: the start of the time window, s.
-        end: the end of the time window, s; None, or a later time than the end of the run = the end of the run.
+        end: the end of the time window, s; None or a time after the end of the run = the end of the run.
         speed: simulated seconds per second of the animation.
         fps: frames per second, at most 50; rounded up such that a frame lasts a whole number of hundredths of a second,
             the time unit of GIF.
@@ -206,7 +207,7 @@ class _Scene:
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
-        """Return the legend entries of active pursuers; in grey with several evaders, which have different hues."""
+        """Return the legend entries of active pursuers; grey if there are several evaders, because hues differ then."""
         first = self._evaders[0]
         if len(self._evaders) == 1:
             return [first.together, first.alone]
@@ -309,7 +310,7 @@ class _MessageDots:
         lost: (k,) whether the message was lost.
         source: (k, 2) positions of the senders at transmission, m.
         target: (k, 2) positions of the receivers at arrival or loss, m.
-        short: the distance between the mark of an arrival or a loss and the receiver, m.
+        short: the distance between the mark of an arrival or a loss and the receiver, m; see `RECEIVER_GAP`.
     """
 
     def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
@@ -324,7 +325,10 @@ class _MessageDots:
         return found
 
     def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
-        """Return the (k, 2) positions, m, of the marks of messages lost (or else delivered) between two times (ns)."""
+        """Return the (k, 2) positions, m, of the marks of messages lost after `before` and up to `t` (ns).
+
+        If `lost` is false, return the positions of the marks of messages delivered in this interval.
+        """
         gone = (self.lost == lost) & (before < self._until) & (self._until <= t)
         way = (self._target - self._source)[gone]
         length = np.hypot(way[:, 0], way[:, 1])

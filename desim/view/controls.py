@@ -29,13 +29,16 @@ FIRST = (
     "evader.strategy",
     "seed",
 )
-"""The keys that come first; those of a kind are followed by the parameters of the kind, except for `protocol`."""
+"""The keys that come first, in this order.
+
+If the value of a key is a model with a kind, the parameters of the model follow the key; `protocol` is an exception.
+"""
 BY_UNIT: Mapping[str, tuple[float, float]] = {"s": (0.001, 10.0), "1/s": (0.1, 100.0), "m": (0.1, 100.0)}
 """The ends of the logarithmic slider of a key, by its unit."""
 LINEAR: Mapping[str, tuple[float, float]] = {"team.count": (1.0, 60.0)}
 """The ends of the linear sliders of keys that have no upper bound."""
 WIDEST = 1000.0
-"""The largest difference of two bounds between which there is a linear slider."""
+"""A number whose bounds differ by at most this much has a linear slider."""
 
 BARE = re.compile(r"(?!(?:inf|nan|true|false)$)[A-Za-z_][\w:. -]*")
 """A text that needs no quotes in `--set`."""
@@ -48,11 +51,11 @@ class Slider:
     low: float
     high: float
     is_log: bool = False
-    """Whether equal distances are equal ratios."""
+    """Whether the slider is logarithmic: equal distances are equal ratios."""
     at_low: float | None = None
-    """The value at the lower end, if it is not `low`: 0 on a logarithmic slider."""
+    """The value at the lower end if it is not `low`, namely 0 on a logarithmic slider; None = `low`."""
     at_high: float | None = None
-    """The value at the upper end, if it is not `high`: inf."""
+    """The value at the upper end if it is not `high`, namely inf; None = `high`."""
 
 
 @dataclass(frozen=True)
@@ -62,25 +65,28 @@ class Control:
     key: str
     """The dotted key, as in `--set`."""
     form: Form
-    """kind: the kind of a model; choice: one of several texts; flag: true or false; text: any other value, for which
-    `options` has suggestions."""
+    """kind: the kind of a model; choice: one of several texts; flag: true or false; integer, number: a number; text:
+    any other value."""
     value: str
     """The present value as in `--set`; "" for none."""
     help: str
     unit: str = ""
     options: tuple[str, ...] = ()
-    """The values of a kind or a choice."""
+    """The possible values of a kind or a choice; for a text, suggestions."""
     low: float | None = None
-    """The least value of a number."""
+    """The lower bound of a number, which may itself be excluded; None if there is none."""
     high: float | None = None
-    """The greatest value of a number."""
+    """The upper bound of a number, which may itself be excluded; None if there is none."""
     slider: Slider | None = None
     first: int | None = None
     """The position of the key among the keys that come first; None for all others."""
 
 
 def controls(given: Scenario | Mapping[str, Any]) -> list[Control]:
-    """Return a control for each key of a scenario, given as a model or, if it is not valid, as tables."""
+    """Return a control for each key of a scenario except its sweep, first the controls of `FIRST`.
+
+    The scenario is given as a model or, if it is not valid, as tables.
+    """
     found = _controls(Scenario, dict(given) if isinstance(given, Scenario) else given, ())
     return sorted(found, key=lambda each: len(FIRST) if each.first is None else each.first)
 
@@ -99,7 +105,10 @@ def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str
 
 
 def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[Control]:
-    """Yield the controls of one value of a field: its own, and those of the model that it holds."""
+    """Yield the control of one value of a field, and the controls of the keys of the model that the value is.
+
+    A field that takes kinds has no control if its value is None.
+    """
     choice, plain = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
     inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else plain
     if isinstance(value, list | tuple):
@@ -120,7 +129,10 @@ def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[
 
 
 def _kind(choice: OneOf, value: Any) -> tuple[str, type[BaseModel] | None]:
-    """Return the kind of a value, and its model if it has one: a table, a bare kind or number, or a model."""
+    """Return the kind of a value, and the class of the model of this kind; None if there is no such class.
+
+    The value is a model, a table, a bare kind, a bare number, or a user's function or callable object.
+    """
     if isinstance(value, BaseModel):
         kind = dict(value).get("kind")
         return (kind if isinstance(kind, str) else import_name(type(value))), type(value)
@@ -148,7 +160,7 @@ def _scalar(place: tuple[str, ...], field: FieldInfo, value: Any) -> Control:
 
 
 def _bounds(field: FieldInfo) -> tuple[float, float, bool]:
-    """Return the bounds of a number, and whether it may be the lower one."""
+    """Return the bounds of a number (-inf and inf if it has none), and whether it may equal the lower bound."""
     low, high, may_be_low = -inf, inf, True
     for each in markers_of(field):
         if isinstance(each, Ge | Gt):
@@ -159,7 +171,7 @@ def _bounds(field: FieldInfo) -> tuple[float, float, bool]:
 
 
 def _types(annotation: Any) -> list[Any]:
-    """Return the types of which a value may be, without those inside tuples."""
+    """Return the types that the value of an annotation may have, without the item types of tuples, lists and dicts."""
     if get_origin(annotation) in {None, tuple, list, dict, Literal}:
         return [annotation]
     return [each for inner in get_args(annotation) for each in _types(inner)]

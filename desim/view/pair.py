@@ -15,20 +15,23 @@ MAX_TEXT = 48
 INFINITY = "Infinity"
 """Infinity as a JSON value; see `desim.config.model.Value.plain`."""
 IGNORED = {"name", "seed", "record", "sweep"}
-"""Keys that are not compared: those that do not change a run, and `seed`; the seeds of the runs are compared."""
+"""Keys of a scenario that are not compared: three that do not change a run, and `seed`.
+
+The seeds of the runs are compared instead of the key `seed`.
+"""
 
 
 class Difference(NamedTuple):
     """A key of a scenario file with different values in two scenarios."""
 
     key: str
-    """The dotted key; if the scenarios have models of different kinds there, the key of the model."""
+    """The dotted key of the value; if the value is in models of different kinds, the key of the models."""
     first: str
     """The value in the first scenario as text."""
     second: str
     """The value in the second scenario as text."""
     unit: str | None = None
-    """The unit of both values; None if they are not numbers."""
+    """The unit of both values; None if they are not numbers, or have no unit."""
 
 
 def side_by_side(first: Result, second: Result) -> str:

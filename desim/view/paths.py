@@ -1,4 +1,4 @@
-"""A compact plan view of a pursuit: the paths of pursuers active alone and with others, and the handovers.
+"""A compact plan view of a pursuit: the paths of evaders and active pursuers, handovers and captures.
 
 If there are several evaders, each has a number, a marker and a hue; its pursuers are drawn in the same hue.
 """

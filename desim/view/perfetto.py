@@ -4,8 +4,8 @@ The format is that of Google's document "Trace Event Format", as Perfetto reads 
 (https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source). Times
 `ts` and durations `dur` are in microseconds, with decimals. The phases `ph` are "M", which names a process or a thread;
 "X", a slice of a thread; "i", an instant; "C", a counter; "b" and "e", the start and end of an asynchronous slice. The
-two events of such a slice have the same pid, cat, id and name; slices may overlap, and those of equal name in one
-process share a track.
+two events of an asynchronous slice have the same pid, cat, id and name. Asynchronous slices may overlap. Asynchronous
+slices of equal name in one process share a track.
 
 The pursuers are the threads of one process. Each receiver is a process whose tracks are its incoming links.
 """
@@ -27,11 +27,11 @@ from desim.simulation.run import Result
 from desim.view.deliveries import chasing, deliveries, handover_events, outages
 
 PURSUERS = 1
-"""The process whose threads are the pursuers."""
+"""The number (pid) of the process whose threads are the pursuers."""
 TEAM = 1
-"""The thread of events that concern the whole team."""
+"""The number (tid) of the thread of events that concern the whole team."""
 FIRST = 2
-"""The thread of pursuer 0, and the process of the messages to it."""
+"""The tid of pursuer 0, and the pid of the messages to pursuer 0; the numbers of later pursuers follow."""
 Entry = dict[str, Any]
 """One event of the format, a JSON object."""
 
@@ -72,7 +72,7 @@ def _names(size: int, has_messages: bool) -> Iterator[Entry]:
     for pursuer in range(size):
         yield from name("thread", PURSUERS, FIRST + pursuer, f"pursuer {pursuer}")
     for pursuer in range(size if has_messages else 0):
-        # Perfetto identifies threads by tid alone, so the tid of a receiver must differ from those of pursuers.
+        # Perfetto identifies threads by tid alone, so the tid of a receiver must differ from the tids of pursuers.
         yield from name("process", FIRST + pursuer, FIRST + size + pursuer, f"messages to {pursuer}")
 
 
@@ -110,7 +110,10 @@ def _instants(result: Result) -> Iterator[Entry]:
 
 
 def _counts(result: Result) -> Iterator[Entry]:
-    """Yield the counters at each change of action: active pursuers; with several evaders, also those of each evader."""
+    """Yield the counter of active pursuers, at the start and at each change of action.
+
+    With several evaders, also yield the counter of the pursuers of each evader, at the start and when it changes.
+    """
     start = started(result)
     on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
 
@@ -128,7 +131,11 @@ def _counts(result: Result) -> Iterator[Entry]:
 
 
 def _messages(result: Result) -> Iterator[Entry]:
-    """Yield the start and end of each delivery; a message in flight at the end of the run lasts until its arrival."""
+    """Yield the start and end of each delivery.
+
+    The slice of a message in flight at the end of the run lasts until its arrival. The slice of a message still queued
+    then is after the end, and has zero duration.
+    """
     size, over = len(started(result).active), ended(result).t
     for each in deliveries(result):
         link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.transmission}.{each.dst}"}

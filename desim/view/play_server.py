@@ -1,8 +1,8 @@
 """The server of `desim play`: one page for one user of this machine.
 
 It listens on the loopback interface only. Its address has a secret token, and a request is refused if it is for another
-host, as under DNS rebinding, or if a page of another origin makes it. It ends when it is interrupted, or when its last
-page has been closed.
+host, as under DNS rebinding, or if a page of another origin makes it. The server ends when it is interrupted, or a few
+seconds after its last page was closed.
 """
 
 import json
@@ -20,18 +20,22 @@ from desim.config.json_numbers import to_json
 from desim.view.play import Answer, Playground, Session, is_request, style
 
 LINGER = 5.0
-"""The time for which the server waits for a page after the last one was closed, s: a reload closes it, too."""
+"""The time, s, for which the server waits for another page after the last one was closed, for example by a reload."""
 BEAT = 1.0
-"""The time between two signs of life to a page, s; a page that is gone is noticed then."""
+"""The time between two signs of life, s: lines that the server sends to each open page.
+
+The server notices that a page was closed when it cannot send the next line.
+"""
 MAX_BODY = 1_000_000
-"""The largest request, bytes."""
+"""The largest body of a request, bytes."""
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
     " form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
 )
-"""The page loads nothing from elsewhere; it connects to this server only.
+"""The content security policy: the page loads nothing from elsewhere, and connects to this server only.
 
-Scripts have no nonce, because the replay in its frame inherits the policy, and is the same page as that in a file.
+The policy asks for no nonce of scripts: the frame of the replay inherits the policy, and the replay is the same page as
+in a file, where scripts have no nonce.
 """
 PATIENCE = 10.0
 """The time-out for a browser that does not send the rest of its request, s."""
@@ -83,7 +87,7 @@ class PlayServer(ThreadingHTTPServer):
         self.shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore connections that the browser has closed, or left waiting; report any other error."""
+        """Ignore an OSError: the browser has closed the connection, or left it waiting. Report any other error."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
@@ -120,7 +124,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer({"": self._page, "alive": self._alive})
 
     def do_POST(self) -> None:
-        """Answer with a run, with paired runs one by one, or save a run, or cancel paired runs."""
+        """Run the scenario, compare runs over seeds, save a run, or cancel a comparison; answer with the result."""
         self._answer({"run": self._run, "seeds": self._seeds, "save": self._save, "cancel": self._cancel})
 
     def log_message(self, *_: Any) -> None:
@@ -148,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _body(self) -> Answer | None:
-        """Return the JSON object of a request; None, after an answer, if it is no such object."""
+        """Return the body of a request, a JSON object; if the body is invalid, answer with an error and return None."""
         length = self.headers.get("Content-Length", "")
         if length.isdecimal() and len(length) < 10 and int(length) <= MAX_BODY:
             try:
@@ -220,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _lines(answers: Iterator[Answer]) -> Iterator[bytes]:
-    """Yield answers as lines of JSON; an exception is the last line, as an `error`."""
+    """Yield answers as lines of JSON; if computing them raises an exception, the last line is an `error`."""
     try:
         for each in answers:
             yield json.dumps(each, allow_nan=False).encode() + b"\n"

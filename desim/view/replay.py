@@ -54,7 +54,7 @@ MAX_REPLAY_TIME = 2**32 - 1
 DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 SAMPLES = 0.05
-"""Time between samples of positions, if a scenario that is run for a replay records none, s."""
+"""Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
 TRIGGERS = {
@@ -78,7 +78,7 @@ class Replay:
 
     @classmethod
     def of(cls, result: Result, ghost: Result | None = None) -> Self:
-        """Return the replay of a run, with another run as a ghost; needs jinja2 (the extra `plot`)."""
+        """Return the replay of a run, by default without a ghost; see `replay`; needs jinja2 (the extra `plot`)."""
         return cls(replay(result, ghost), run_name(result))
 
     def write(self, path: str | Path) -> Path:
@@ -104,8 +104,9 @@ def replay(result: Result, ghost: Result | None = None) -> str:
 
     Args:
         result: the run.
-        ghost: another run to compare it with, perhaps with other players or another duration. Its players and their
-            trails are drawn faint in the same plane, and its number of active pursuers is dashed on the time axis.
+        ghost: another run to compare it with, perhaps with other players or another duration; None = no other run. The
+            players of the ghost and their trails are drawn faint in the same plane, and its number of active pursuers
+            is dashed on the time axis.
     """
     from jinja2 import Environment
 
@@ -123,7 +124,10 @@ def replay(result: Result, ghost: Result | None = None) -> str:
 
 
 def with_recordings(scenario: Scenario) -> Scenario:
-    """Return a scenario whose runs are recorded as a replay needs: messages, and positions unless it records them."""
+    """Return a copy of a scenario that records what a replay needs: messages and positions.
+
+    If the scenario records positions already, the time between samples is kept; otherwise it is `SAMPLES`.
+    """
     record = scenario.record
     return scenario.model_copy(
         update={"record": record.model_copy(update={"messages": True, "trajectory": record.trajectory or SAMPLES})}
@@ -149,7 +153,7 @@ def missing_recordings(result: Result, ghost: Result | None = None) -> Iterator[
 
 
 def run_name(result: Result) -> str:
-    """Return the name of a run: that of its scenario, and its seed."""
+    """Return the name of a run: the name of its scenario, and its seed."""
     return f"{result.scenario.name}, seed {result.seed}"
 
 
@@ -218,7 +222,7 @@ def _number(number: float) -> str:
 
 
 class _Ticks(NamedTuple):
-    """The tick, the unit of time in the page: the least power of ten, ns, with fewer than 2^31 ticks in a run."""
+    """The tick, the unit of time in the page: the shortest one of 1, 10, ... ns with fewer than 2^31 ticks in a run."""
 
     length: int
     """Duration of a tick, ns."""
@@ -322,7 +326,10 @@ def _reception(result: Result) -> ReplayData:
 
 
 def _falls(links: Links) -> bool:
-    """Return whether the reception probability never increases between 1000 distances up to 4 times the range."""
+    """Return whether the reception probability never increases along 1000 distances up to 4 times the range.
+
+    If the range is unlimited, the result is true.
+    """
     if not isfinite(links.range):
         return True
     chance = links.reception(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
@@ -456,9 +463,10 @@ def _messages(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
-    """Return the changes of beliefs as columns: time, reader, source, and the source's action as last received.
+    """Return the changes of beliefs as columns: time, reader, source, and the action of the source as last received.
 
-    An action is 0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
+    The reader is the pursuer that holds the belief; the source is the pursuer that the belief is about. An action is
+    0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
     `announce.warm_start`, the initial actions are known. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1

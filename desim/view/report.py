@@ -37,7 +37,7 @@ MAPPED = "active_time"
 MAX_FAILURES = 20
 """Maximum number of different tracebacks shown."""
 SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
-"""Matches the path of a file in a traceback; the group is the name of the file, preceded by that of its folder."""
+"""Matches the path of a file in a traceback; the group consists of the names of its folder and of the file."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
 """Colours that are illegible on a dark page, and the CSS colours that replace them."""
@@ -145,11 +145,12 @@ def _waterfalls(found: Explanation) -> Iterator["Markup"]:
 def findings(study: Study) -> Iterator[str]:
     """Yield the findings as sentences: one about the costs of imperfections, and one about the paired differences.
 
-    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. A
-    sentence names the greatest absolute mean of those that differ significantly from 0. If none differs, it says so and
-    names the greatest of all. The test has a level of 5 % for all costs or all differences together (Bonferroni). The
-    interval shown is that of the one cost or difference, as in the tables. If nothing can be compared, there is no
-    sentence.
+    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. Of
+    the costs or differences whose means differ significantly from 0, a sentence names the one with the greatest
+    absolute mean. If none differs, the sentence says so and names the greatest of all. The test has a level of 5 % for
+    all costs or all differences together (Bonferroni). The 95 % interval shown is for one cost or difference alone, as
+    in the tables. If nothing can be compared, there is no sentence. The runs of `desim explain` have no sentence about
+    differences.
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)

@@ -2,8 +2,8 @@
 
 After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
 a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
-arrival time: it is drawn as if it took the mean latency of the messages that are not lost, and ends just short of the
-line of its receiver. A message lost on arrival ends on the line of its receiver.
+arrival time: it is drawn as if it took the mean latency of the drawn messages that are not lost, and ends just short of
+the line of its receiver. A message lost on arrival ends on the line of its receiver.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ ARROWS: dict[str, Any] = {
 }
 """Style of an arrow between two points in data coordinates; shaft width in inches, size of the head in shaft widths."""
 LOSS_GAP = 0.25
-"""Distance between the end of a message lost at transmission and the line of its receiver, in line spacings."""
+"""Distance, in line spacings, between the receiver's line and the end of a message that has no arrival time."""
 PALE = "#8c8c8c"
 """Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
 MAX_SHOWN = 10
@@ -127,8 +127,8 @@ def _window(
 ) -> tuple[Interval, list[Delivery]]:
     """Return the time window (ns), and the deliveries in flight in it from and to the pursuers shown.
 
-    Without a given end, the window ends so early that it has at most about `most` / 2 messages; messages transmitted at
-    the same time stay together.
+    If no end is given, the window ends with the run or, if it would then have more than `most` / 2 messages, after
+    about this number of messages. Messages transmitted at the same time stay together.
 
     Raises:
         ValueError: if there are more than `most` deliveries, the number that can be told apart.

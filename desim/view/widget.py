@@ -44,19 +44,20 @@ export default {
   },
 };
 """
-"""The script that connects the page to the kernel: a request has a number, and so have its answers.
+"""The script that connects the page to the notebook's kernel. A request and its answers have the same number.
 
-The frame of the replay is not sandboxed, because the page reads and sets its time. All text in it is escaped.
+The frame of the replay is not sandboxed, because the page reads and sets the time of the replay. All text in the replay
+is escaped.
 """
 
 
 class PlayWidget(anywidget.AnyWidget):
-    """A widget with which the keys of a scenario are changed, and each run is seen beside the one that is pinned.
+    """A widget in which the user changes keys of a scenario, and compares each run with a pinned run.
 
     Args:
         scenario: the scenario before any change.
         timeout: the wall time after which a run is ended, s.
-        workers: they perform the runs; by default, one process per core.
+        workers: they perform the runs; None = one process per core.
     """
 
     _esm = files("desim.view").joinpath("play.js").read_text(encoding="utf-8") + GLUE
