@@ -1,8 +1,9 @@
 """Draw the figures of Lee & Bakolas: initial configuration, trajectories, and individual utilities over time.
 
-The figures show the configurations of Table I, N = 20 and 40: decentralised (Algorithm 2) for three slots delta, and,
-except for the utilities, centralised (Algorithm 3). Each figure shows the run of the first seed; the table has
-means over all seeds.
+There are these three figures for each configuration of Table I (N = 20 and 40). Trajectories are drawn for the
+decentralised Algorithm 2 with three slots delta and for the centralised Algorithm 3, utilities only for Algorithm 2.
+Each figure shows the run of the first seed; the table has means over all seeds.
+
 The utility of a pursuer i is its wonderful-life utility U_E(S) - U_E(S without i). S is the true set of active pursuers
 and U_E the global utility (`desim.pursuit.game`). The utility of an inactive pursuer is 0.
 """
@@ -63,7 +64,10 @@ def run_metrics(result: Result) -> RunMetrics:
 
 
 def panels(count: int) -> dict[str, Scenario]:
-    """Return the scenario of each panel: centralised, and decentralised for each slot, with positions recorded."""
+    """Return the scenario of each panel by title: centralised with the shortest slot, and decentralised with each slot.
+
+    Positions are recorded.
+    """
     base = configuration(count).model_copy(update={"record": Recording(trajectory=SAMPLING)})
     found = {"centralised": centralised(base, min(DELTAS))}
     return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
@@ -165,7 +169,10 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
 
 
 def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: IndividualUtilities) -> None:
-    """Label the beginning of each bold line with the id of its pursuer."""
+    """Write the id of each pursuer of `chain` where it begins to chase alone, which is where a bold line begins.
+
+    `chain` has the return value of `desim.analysis.activity.relays`.
+    """
     from desim.analysis import palette
     from desim.view.labels import label_points
 

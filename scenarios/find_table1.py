@@ -1,11 +1,13 @@
 """Find initial configurations that fit Table I, since the paper prints none; write table1_20.toml and table1_40.toml.
 
-Configurations are drawn at random from the paper's boxes (pursuers in [0, 20]^2, evader in [8, 12]^2, rounded to mm). A
-candidate is a configuration for which the active time of the *centralised* Algorithm 3 is within 0.5 % of the published
-time for each of the three slots delta. The first candidates, at most `--most`, are compared by their decentralised
-active times, with all pursuers initially active. The one with the least sum of squared log ratios to the published
-times is chosen. The choice takes several rounds, each with fewer candidates and more runs. Its seeds are not those of
-`scenarios.table1`. Nothing else is fitted: no parameter of the game, the protocol or the simulator.
+Configurations are drawn at random from the paper's boxes (all coordinates of the pursuers in [0, 20] m, those of the
+evader in [8, 12] m, rounded to mm). A candidate is a configuration for which the active time of the *centralised*
+Algorithm 3 is within 0.5 % of the published time for each of the three slots delta. The first candidates, at most
+`--most`, are compared by their mean decentralised active times, with all pursuers initially active. The misfit of a
+candidate is the sum over delta of (ln(mean active time / published time))^2; the candidate of least misfit is chosen.
+The choice takes three rounds, each with fewer candidates and more runs per candidate than the one before; the first
+leaves out delta = 0.001 s. The seeds of these runs are not those of `scenarios.table1`. Nothing else is fitted: no
+parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -38,7 +40,7 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
     """Return the (M,) active times, s, of M configurations under the centralised Algorithm 3.
 
     All configurations are simulated together, in steps of delta. The active time is the time to capture, because one
-    pursuer is active at a time. It is inf if there is no capture by the horizon.
+    pursuer is active at a time. A configuration without capture by the horizon gets inf.
 
     Args:
         pursuers: (M, N) positions x + iy, m.
@@ -66,7 +68,10 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
 
 
 def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int) -> list[Scenario]:
-    """Draw configurations (`draws`, rounded up to whole batches), and return the candidates among them."""
+    """Draw configurations (`draws`, rounded up to whole batches), and return the candidates among them.
+
+    `published` has the published centralised active time, s, for each delta (s).
+    """
     rng = np.random.default_rng(seed)
     count, kept = base.team.count, []
     for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
@@ -90,9 +95,10 @@ def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Sce
 
 
 def misfits(candidates: list[Scenario], published: dict[float, float], runs: dict[float, int]) -> list[float]:
-    """Run the candidates; return for each the sum of squared log ratios of decentralised to published active times.
+    """Run the candidates under the decentralised Algorithm 2 and return the misfit of each; see the top of this module.
 
-    `runs` is the number of runs for each delta (s).
+    `published` has the published decentralised active time, s, and `runs` the number of runs, for each delta (s). The
+    misfit is summed over the delta in `runs`.
     """
     cells = [(c, delta) for c in candidates for delta in runs]
     tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(FIRST_SEED, runs[delta])]
@@ -102,7 +108,7 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
-    """Find the candidate of best decentralised fit, in rounds with fewer candidates and more runs per candidate."""
+    """Find the candidate of least misfit in rounds, each with fewer candidates and more runs of each of them."""
     for keep, runs in (
         (12, {0.1: 100, 0.01: 20}),
         (4, {0.1: 400, 0.01: 100, 0.001: 20}),

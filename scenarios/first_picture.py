@@ -51,7 +51,7 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
         right.axhline(1.0, color=palette.GREY, lw=0.8, ls=":")
         right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
         right.set_yticks(range(0, 21, 5))
-        right.legend(title="one-way latency", handlelength=3, reverse=True)  # in the order of the lines
+        right.legend(title="one-way latency", handlelength=3, reverse=True)  # top to bottom as the lines
     return figure
 
 

@@ -2,10 +2,11 @@
 
 With one evader the game has one equilibrium. With several it often has many, some of them poor: if two pursuers should
 swap their evaders, neither gains by changing first. Cooling, a temperature that falls during log-linear learning, can
-help to leave poor profiles. Its value is measured in the static game at t = 0, in which no player moves. The study
-gives the welfare (global utility) of the final profile divided by that of the best assignment, and the share of games
-that end in the best assignment, by protocol, number of negotiation slots and constant temperature. In a second
-experiment all players move, and the time until all evaders are captured is measured.
+help to leave poor profiles. Its benefit is measured in the static game at t = 0, in which no player moves. There, slow
+cooling takes 90 % of the slots; fast cooling halves the temperature in every slot. The study gives the welfare (global
+utility) of the final profile divided by that of the best assignment, and the share of games that end in the best
+assignment, by protocol, number of negotiation slots and constant temperature. In a second experiment all players move,
+and the time until all evaders are captured is measured.
 """
 
 from collections.abc import Sequence
@@ -117,7 +118,7 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
 
 
 def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
-    """Draw the share of games that end in the best assignment over the number of slots."""
+    """Draw, over the number of slots, the share of games that end in the best assignment."""
     from desim.analysis import palette
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
@@ -138,7 +139,7 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
 
 
 def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
-    """Draw the welfare over constant temperatures, a line per protocol."""
+    """Draw, over the constant temperature, the welfare divided by its optimum, a line per protocol."""
     from desim.analysis import palette
 
     kinds = {

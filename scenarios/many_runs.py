@@ -22,7 +22,7 @@ from scenarios.study import Options
 SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
 """Numbers of pursuers N and evaders M."""
 HARD = (4, 4)
-"""N and M of the games that compare temperatures: with M = N no spare pursuer can correct a poor assignment."""
+"""N and M of the games for the comparison of temperatures; as M = N, no spare pursuer can correct a poor assignment."""
 HORIZON = 15.0
 """Horizon t_f, s. In the static game the reward r, the time left, is always t_f."""
 BOX = (0.0, 20.0)
@@ -34,17 +34,20 @@ GAMES_PER_RUN = 3
 BUDGETS = (30, 100, 300, 1000)
 """Numbers of slots for negotiation in a static game."""
 BUDGET = 300
+"""Number of slots in all static games but those for the comparison of `BUDGETS`."""
 TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Constant temperatures, s."""
 HOT, COLD = 5.0, 0.05
-"""First and last temperature of cooling, s: about the utility of a chase, and a typical difference of utilities."""
+"""First and last temperature of cooling, s. `HOT` is about the utility of a chase, `COLD` a typical difference between
+utilities."""
 SETTLING = 0.1
 """Share of the slots that remains after slow cooling has reached `COLD`."""
 COOLING = 100
-"""Number of slots given to `slow` if the players move: one second."""
+"""Number of slots for slow cooling and the settling after it, if the players move: together one second."""
 SLOT = 0.01
 """Length of a slot if the players move, s."""
 FAST = GeometricTau(first=HOT, ratio=0.5, floor=COLD)
+"""Fast cooling: the temperature halves in every slot and is `COLD` from slot 7 on."""
 CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
     {
         "SAP, slow": ("sap", "slow"),
@@ -57,12 +60,13 @@ CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
         "centralised": ("centralised", None),
     }
 )
-"""By name of a contender: the kind of protocol and its cooling, if any."""
+"""By name of a contender: the kind of protocol, and its cooling. "slow" stands for `slow` and "fast" for `FAST`; None
+for a protocol without a temperature."""
 COOLED = tuple(name for name, (_, cooling) in CONTENDERS.items() if cooling)
 REFERENCE = "SAP, slow"
 Key = tuple[tuple[int, int], str, int, float | None]
-"""Identifies a set of static games: (N, M), name in `CONTENDERS` or kind of protocol, number of slots, and the
-temperature, s, if it is constant."""
+"""Identifies a set of static games: (N, M); name in `CONTENDERS` or, if the temperature is constant, kind of protocol;
+number of slots; constant temperature, s, or None for a contender."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class NegotiationSummary:
     protocol: str
     slots: int
     temperature: float | None
-    """The temperature, s, if it is constant."""
+    """The constant temperature, s; None for a contender of `CONTENDERS`."""
     share: float
     """Mean of welfare / optimum over the games."""
     half_width: float
@@ -145,7 +149,10 @@ def cooled(name: str, slots: int) -> Temperature | None:
 
 
 def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
-    """Return a protocol of a kind with slots of `slot` seconds; if it has a schedule, one pursuer decides per slot."""
+    """Return a protocol of a kind with slots of `slot` seconds; if it has a schedule, one pursuer decides per slot.
+
+    If `tau` is None, the protocol has its default temperature, if any.
+    """
     fields = PROTOCOLS.choices()[kind].model_fields
     settings: dict[str, Any] = {"slot": slot} if "slot" in fields else {}
     if "schedule" in fields:
@@ -159,7 +166,7 @@ def moving_game(pursuers: int, evaders: int, kind: str, tau: Temperature | None 
 
 
 def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
-    """Return the game of `moving_game` with all players at rest and a number of slots for negotiation."""
+    """Return the game of `moving_game` with all players at rest; the number of slots until the horizon is `slots`."""
     return _game(pursuers, evaders, kind, protocol(kind, HORIZON / slots, tau), Motion(static=True))
 
 
@@ -202,7 +209,11 @@ def chase(result: Result) -> Chase:
 
 
 def run_static_games(options: Options) -> list[NegotiationSummary]:
-    """Run the static games: all contenders at each size; at size `HARD`, the SAP variants by slots and temperature."""
+    """Run the static games.
+
+    All contenders are run at each size of `SIZES`. Spatial Adaptive Play (SAP) and Selective SAP are also run at the
+    size `HARD`, with each cooling and number of slots, and with each constant temperature.
+    """
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
@@ -237,7 +248,7 @@ def summarize_negotiations(key: Key, outcomes: Sequence[Outcome]) -> Negotiation
 
 
 def run_pursuits(options: Options) -> list[PursuitSummary]:
-    """Run pursuits in which all players move: each protocol at each size."""
+    """Run pursuits in which all players move: each contender at each size of `SIZES`."""
     keys = [(size, name) for size in SIZES for name in CONTENDERS]
     scenarios = [moving_game(*size, protocol_kind(name), cooled(name, COOLING)) for size, name in keys]
     runs = dict(zip(keys, options.measure(scenarios, "pursuits", chase), strict=True))

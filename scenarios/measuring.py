@@ -1,7 +1,7 @@
 """Functions that measure time and memory, and a table of the results.
 
-`per_unit` compares variants in alternating laps, `apart` calls a function in a new process, and `command` times a
-Python command.
+`per_unit` runs variants of a function in turn and returns their CPU times, `memory` returns the memory of this process,
+`apart` calls a function in a new process, and `command` times a Python command.
 """
 
 import gc
@@ -24,7 +24,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class Cost:
-    """A measured cost and its limit."""
+    """A measured cost and its upper limit; without a limit, `limit` is None."""
 
     what: str
     measured: float
@@ -33,7 +33,10 @@ class Cost:
 
 
 def table(found: Mapping[str, Sequence[Cost]]) -> str:
-    """Return all costs as text, one section per part; a cost with a limit is marked if it is above the limit or nan."""
+    """Return all costs as text, a section per key of `found`.
+
+    A cost with a limit is marked if it is above the limit or nan.
+    """
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():
         rows.append((part, "", "", "", ""))
@@ -78,7 +81,7 @@ def command(*arguments: str) -> float:
     """Run Python with these arguments and return the wall time, s.
 
     Raises:
-        CalledProcessError: if its exit code is not 0.
+        CalledProcessError: if the exit code of Python is not 0.
     """
     begin = time.perf_counter()
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True)

@@ -2,8 +2,9 @@
 
 A pursuer receives announcements from the pursuers within range R. The study compares five rules. Three are Spatial
 Adaptive Play with different utilities: `local mean` is the paper's utility over the active neighbours only; `component`
-is the paper's utility over the whole network component, and needs flooding; `edge penalty` subtracts a penalty for
-each active neighbour. The other two are the heuristics `local min` and, with flooding, `argmin known`.
+is the paper's utility over the whole network component, and needs flooding; `edge penalty` is the time left minus the
+pursuer's own capture time, minus a penalty for each active neighbour. The other two are the heuristics `local min` and,
+with flooding, `argmin known`.
 
 For the games at t = 0, the study also gives the number of network components, the size of the greedy maximal
 independent set, and the share of games without a pure equilibrium under the utility `local mean`. This share is found

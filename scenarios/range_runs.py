@@ -45,6 +45,7 @@ PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
         "argmin known": (ArgminKnown(schedule=CLOCKS), Flooding(hops=N)),
     }
 )
+"""By name of a rule: the protocol, and the dissemination of its announcements (None: the default, one hop)."""
 REFERENCE = "component"
 
 
@@ -68,7 +69,7 @@ class Games:
 
 @dataclass(frozen=True)
 class Pursuits:
-    """The results of the pursuits of one team under one protocol at one range."""
+    """The results of the pursuits of one team under one protocol at one range, means over the runs."""
 
     team: str
     range: float

@@ -30,6 +30,11 @@ WORLDS: Mapping[str, Scenario] = MappingProxyType(
         "paper, unseen": Scenario(name="paper, unseen", team=Team(count=N), announce=Announcements(payload="state")),
     }
 )
+"""The scenarios of the study (worlds) by name, before `scenario` sets the protocol, the latency and the times.
+
+In "relay stress" all pursuers are equally fast, so the relay pursuer, which has the least capture time, may change
+often. In "paper, unseen" the positions of teammates are not sensed but announced.
+"""
 SILENT = "nobody talks"
 """Name of the team without announcements, in tables and figures."""
 REFERENCE = "sap"
@@ -37,7 +42,10 @@ REFERENCE = "sap"
 
 @dataclass(frozen=True)
 class Cell:
-    """The results of one protocol in one scenario at one latency, means over the runs."""
+    """The results of one protocol in one scenario at one latency.
+
+    They are means over the runs, except rates and savings, which are quotients of totals over the runs.
+    """
 
     world: str
     protocol: str
@@ -53,10 +61,10 @@ class Cell:
     relayed: float
     """Share of the runs in which the relay pursuer chased alone for at least 2 (L + `PERIOD`) or until the end."""
     time_to_relay: float | None
-    """Mean, over the runs that `relayed` counts, of the time at which this began, s; None if there are none."""
+    """Mean time, s, at which the relay pursuer began this chase, over the runs that `relayed` counts; None if none."""
     misassigned_time: float
     network_regret: float
-    """Mean increase of the potential gap compared with zero latency, s^2."""
+    """Mean increase of the potential gap compared with the same protocol at zero latency, s^2."""
     handovers: float
     transmissions: float
     """Transmissions per second."""
@@ -69,7 +77,7 @@ class Cell:
 
 
 def contender(kind: str) -> object:
-    """Return a protocol of a kind with slot or period `PERIOD`, or with a Poisson schedule of this mean time."""
+    """Return a protocol of a kind with `PERIOD` as its slot or period, or as the mean wait of its Poisson schedule."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings = {key: PERIOD for key in ("slot", "period") if key in fields}
     schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
@@ -77,7 +85,10 @@ def contender(kind: str) -> object:
 
 
 def scenario(world: str, protocol: str, latency: float) -> Scenario:
-    """Return a scenario of `WORLDS` with a protocol (or `SILENT`) and a latency, s."""
+    """Return a scenario of `WORLDS` with a protocol and a latency, s.
+
+    `SILENT` stands for Spatial Adaptive Play without announcements, in which the initial actions are unknown, too.
+    """
     sending = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
     announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | sending)
     return WORLDS[world].model_copy(
@@ -111,7 +122,8 @@ def measure(options: Options) -> list[Cell]:
 def measured(result: Result) -> tuple[Summary, float | None]:
     """Return the summary of a run and its time to relay, s.
 
-    The relay pursuer must chase alone for a window of 2 (L + `PERIOD`), the same for every protocol.
+    The time to relay is the first time from which the relay pursuer chases alone for a window of 2 (L + `PERIOD`), or
+    until the end of the run; None if there is no such time. The window is the same for every protocol.
     """
     latency = result.scenario.network.latency
     assert isinstance(latency, Constant)

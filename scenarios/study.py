@@ -45,10 +45,10 @@ class Options:
         return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
-        """Print the table, or the document as JSON if requested; write both and the figure to the folder `out`.
+        """Print the table, or the document as JSON if requested; write both, and any figure, to the folder `out`.
 
         NAME.run.json, where NAME is the name of the study, records the provenance of these files. Studies can share a
-        folder, because all their files have such names.
+        folder, because the names of all files of a study begin with NAME.
         """
         text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
         click.echo(text if self.as_json else table)

@@ -51,7 +51,7 @@ PUBLISHED = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of the table, measured: the mean over the runs of the sum of active times, s."""
+    """One cell of the table: the mean over the runs of the sum of active times, s; `ratio` is measured / published."""
 
     algorithm: str
     pursuers: int

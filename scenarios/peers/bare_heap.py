@@ -1,9 +1,9 @@
 """Deliver the broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and no simulator.
 
-Each pass of the loop is one turn: it delivers the messages that have arrived since the previous turn, and then sends
-the broadcast of this turn. Nodes read only at turns. The loop therefore takes the broadcast at the top of the heap and
-writes all its arrivals until now at once. If latencies differ, the broadcast then goes back into the heap with the time
-of its next arrival.
+Each pass of the loop is one turn, except the last, which is at the end of the run. A pass delivers the messages that
+have arrived since the previous pass, and then sends the broadcast of its turn. Nodes read only at turns. A pass
+therefore takes the broadcast at the top of the heap and writes all its arrivals until now at once. If later arrivals of
+this broadcast remain, it goes back into the heap with the time of the next one.
 """
 
 from heapq import heappop, heappush, heapreplace
@@ -31,7 +31,7 @@ class BareHeap:
             self.one_by_one()
 
     def together(self, latency: float) -> None:
-        """Deliver broadcasts with one constant latency (s), so that messages cannot overtake each other."""
+        """Deliver broadcasts that all have the same latency, s; their messages cannot overtake each other."""
         heap: list[tuple[float, int, list[Table]]] = []
         size, reached, delivered = self.work.size, self.reached, 0
         for turn, now in enumerate(self.times):
@@ -41,7 +41,7 @@ class BareHeap:
                 for table in tables:
                     table[src] = number
                 delivered += len(tables)
-            heappush(heap, (now + latency, turn, reached[turn % size]))  # that of the last pass stays in flight
+            heappush(heap, (now + latency, turn, reached[turn % size]))  # the last broadcast stays in flight
         self.delivered = delivered
 
     def one_by_one(self) -> None:

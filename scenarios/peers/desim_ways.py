@@ -19,8 +19,8 @@ class Desim:
         self.env = Clock()
         links = workload.links or Links(latency=workload.latency)
         rng = np.random.default_rng(workload.seed)
-        places, headings = rng.random((workload.size, 2)), rng.uniform(0.0, 2.0 * np.pi, workload.size)
-        velocities = workload.speed * np.column_stack((np.cos(headings), np.sin(headings)))
+        places = rng.random((workload.size, 2))
+        velocities = rng.uniform(-workload.speed, workload.speed, (workload.size, 2))
 
         def positions() -> Floats:
             return places + velocities * (self.env.now / SECOND) if workload.speed else places

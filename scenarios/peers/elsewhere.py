@@ -3,7 +3,8 @@
 The programs for these simulators (peer_*) are standalone and read a workload as text from stdin. The first line has
 the number of turns, the time between two turns (s), the mean latency (s), the coefficient of variation of the latency
 (0: constant) and a seed. Then a line per node, in order of the ids, lists its neighbours. Each program draws its own
-latencies, runs until all messages are delivered, and prints the number of deliveries and the CPU time (s) as JSON.
+latencies and runs until all messages are delivered. The last line that it prints has the number of deliveries and the
+CPU time (s) as JSON.
 """
 
 import json
@@ -60,7 +61,8 @@ class Peer:
             _run_command(["dpkg", "-x", str(package), "."], folder)
         found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
         where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
-        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # RPATH: for dependencies, too
+        # RPATH, unlike RUNPATH, is also searched for the dependencies of the libraries.
+        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]
         what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
         _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
         return [str(folder / "program")]

@@ -41,7 +41,7 @@ class Medium(CommunicationHandler):  # type: ignore[misc]
 
 
 class Talker(IProtocol):  # type: ignore[misc]
-    """A node that broadcasts the number of its turn at each turn, and keeps the newest number from every other."""
+    """A node that broadcasts the number of each of its turns, and keeps the newest number from each other node."""
 
     def initialize(self) -> None:
         self.table: dict[int, int] = {}

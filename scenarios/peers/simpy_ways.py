@@ -1,4 +1,8 @@
-"""Deliver the broadcasts of a workload in plain SimPy: as documented, by one event per message or per broadcast."""
+"""Ways to deliver the broadcasts of a workload in plain SimPy.
+
+`Documented` uses a process per message, as the documentation of SimPy does. `PerMessage` and `PerMessageDrawnAtOnce`
+use one event per message, and `PerBroadcast` uses one event per broadcast.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial

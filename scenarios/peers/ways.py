@@ -1,6 +1,6 @@
-"""The ways, by name, to deliver the broadcasts of a workload in this process.
+"""The ways by name; a way is an implementation that delivers the broadcasts of a workload in this process.
 
-`scenarios.peers.elsewhere` delivers them in other simulators.
+`scenarios.peers.elsewhere` delivers the broadcasts in other simulators.
 """
 
 from collections.abc import Callable, Mapping

@@ -40,7 +40,7 @@ class Workload:
     faults: tuple[Fault, ...] = ()
     """Planned faults; in desim only."""
     speed: float = 0.0
-    """Speed of all nodes, m/s; in desim only."""
+    """The largest component of the nodes' velocities, m/s; in desim only."""
     seed: int = 0
 
     @property
