@@ -154,9 +154,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _body(self) -> Answer | None:
         """Return the body of a request, a JSON object; if the body is invalid, answer with an error and return None."""
         length = self.headers.get("Content-Length", "")
-        if length.isdecimal() and len(length) < 10 and int(length) <= MAX_BODY:
+        if length.isdecimal() and len(length) < 10:
+            body = self.rfile.read(min(int(length), MAX_BODY))
+            left = int(length) - len(body)
+            while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):  # else the client may miss the answer
+                left -= len(rest)
             try:
-                found = json.loads(self.rfile.read(int(length)))
+                found = json.loads(body) if int(length) <= MAX_BODY else None
             except (ValueError, RecursionError):
                 found = None
             if is_request(found):
