@@ -160,7 +160,7 @@ class _Handler(BaseHTTPRequestHandler):
             while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):  # else the client may miss the answer
                 left -= len(rest)
             try:
-                found = json.loads(body) if int(length) <= MAX_BODY else None
+                found: Any = json.loads(body) if int(length) <= MAX_BODY else None
             except (ValueError, RecursionError):
                 found = None
             if is_request(found):
