@@ -42,6 +42,7 @@ def inject(
             raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
 
     def begin(fault: Fault, _: simpy.Event) -> None:
+        network.settle()
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
         end = _start(fault, network, crashed, recovered)
@@ -50,6 +51,7 @@ def inject(
         network.fault_state.changed()
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
+        network.settle()
         if trace is not None:
             trace.append(FaultEnded(env.now, fault))
         end()

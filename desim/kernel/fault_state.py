@@ -3,11 +3,11 @@
 from bisect import insort
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from itertools import compress
 from math import inf
 
 import numpy as np
 
+from desim.config.arrays import Bools, Integers
 from desim.kernel.positions import PositionFunction, as_position_source
 
 Cut = Mapping[int, int]
@@ -51,6 +51,11 @@ class FaultState:
         return self._planned[0] if self._planned else inf
 
     @property
+    def looks_back(self) -> bool:
+        """Whether the outcome of an arrival may be decided later, before the next change of the faults."""
+        return self._planned is not None and (self._positions is None or self._positions.looks_back)
+
+    @property
     def down_nodes(self) -> Mapping[int, int]:
         """The nodes whose radio is down, each with the number of its crashes."""
         return self._down
@@ -59,19 +64,30 @@ class FaultState:
         """Return whether the radio of a node is down."""
         return self._down[node] > 0
 
-    def cut_off(self, src: int, nodes: list[int]) -> list[int]:
-        """Return those of some nodes that an active partition separates from a node."""
-        if not self._cuts:
-            return []
-        return [node for node in nodes if any(groups.get(src, -1) != groups.get(node, -1) for groups in self._cuts)]
+    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> Bools | None:
+        """Return (k,) booleans: whether an active partition separates each node from its sender, (k,) or one for all.
 
-    def jammed(self, nodes: list[int]) -> list[int]:
-        """Return those of some nodes that are within a jamming disc."""
-        if not self._jams or self._positions is None or not nodes:
-            return []
-        x, y = self._positions.of(np.array(nodes)).T
+        None stands for k times False.
+        """
+        found = None
+        for groups in self._cuts:
+            first, second = (
+                np.array([groups.get(node, -1) for node in np.ravel(each).tolist()]) for each in (src, nodes)
+            )
+            found = first != second if found is None else found | (first != second)
+        return found
+
+    def jammed(self, nodes: Integers, times: int | Integers) -> Bools | None:
+        """Return (k,) booleans: whether each node was within a jammed disc at a time, ns, (k,) or one for all.
+
+        The times are as in `PositionSource.at`. None stands for k times False.
+        """
+        if not self._jams or self._positions is None:
+            return None
+        x, y = self._positions.at(nodes, times).T
         within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
-        return list(compress(nodes, np.any(within, axis=0).tolist()))
+        inside: Bools = np.any(within, axis=0)
+        return inside
 
     def crash(self, node: int) -> None:
         """Take the radio of a node down; overlapping crashes of a node are counted."""

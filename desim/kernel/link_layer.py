@@ -2,18 +2,16 @@
 
 A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled.
 Records and messages whose arrival is certain are stored at once, with their arrival times. Faults, a range check on
-arrival and half duplex can still cause losses on arrival; then a SimPy event at each arrival time decides between
-delivery and loss. Planned faults need no event for what arrives before the next of them begins or ends, at a node that
-is up.
+arrival and half duplex can still cause losses on arrival; `desim.kernel.arrivals` decides these arrivals. If faults are
+planned, an arrival at a node that is up is certain up to the time at which the next of them begins or ends.
 """
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from itertools import compress, count
-from typing import TYPE_CHECKING, NamedTuple
 
-from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.arrivals import Arrivals, Transmission
+from desim.kernel.clock import Clock
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
@@ -25,30 +23,9 @@ from desim.kernel.records import Arrival, Record, Records, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 
-if TYPE_CHECKING:
-    import simpy
-
 Listener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
-
-
-class Transmission(NamedTuple):
-    """One transmission: a record or a message, with its receivers."""
-
-    number: int
-    src: int
-    created: int
-    """Time of the call of `publish` or `send`, ns."""
-    size: int
-    """Bytes."""
-    receivers: list[int]
-    content: Record | Message
-    port: str
-    """Port of the inbox, for a message."""
-    reachable: bool
-    """False if the receiver of a `send` to one node was not linked or, with a range check at transmission, out of range
-    when `send` was called; else True."""
 
 
 class LinkLayer:
@@ -63,6 +40,9 @@ class LinkLayer:
         inboxes: receive the messages that arrive.
         fault_state: the active faults; None: the network has no faults.
         trace: receives the message events; None if they are not needed.
+
+    Attributes:
+        arrivals: the arrivals whose outcome is not certain at transmission.
     """
 
     def __init__(
@@ -78,18 +58,29 @@ class LinkLayer:
     ):
         self._env, self._topology, self._sampler = env, topology, sampler
         self._records, self._inboxes, self._fault_state, self._trace = records, inboxes, fault_state, trace
-        self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
-        self._settles_on_arrival = self._checks_arrival or links.medium.half_duplex
+        self._checks_departure, checks_arrival = links.range_check != "delivery", links.range_check != "send"
+        self._settles_on_arrival = checks_arrival or links.medium.half_duplex
         self._transmitter: Transmitter[Transmission] | None = None
         if not isinstance(links.medium, Unlimited):
             self._transmitter = Transmitter(
                 env, links.medium, topology.size, self._leave, self._wait, self._overflow, sampler.processing
             )
         self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
+        self.arrivals = Arrivals(
+            env,
+            topology,
+            records,
+            inboxes,
+            fault_state,
+            self._transmitter,
+            processing=sampler.processing,
+            checks_range=checks_arrival,
+            at_once=trace is not None,
+            lose=self._lose,
+        )
         self._listeners: list[Listener] = []
         self._numbers = count()
-        self._crashes: dict[int, list[int]] = {}
-        self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
+        self._sent = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
 
     def overhear(self, listener: Listener) -> None:
@@ -101,15 +92,18 @@ class LinkLayer:
 
         A transmission that is on the air now is lost on arrival. What the node misses, the other nodes still share.
         """
-        self._crashes.setdefault(node, []).append(self._env.now)
+        self.arrivals.crash(node)
         self._records.separate(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             self._lose(transmission, dict.fromkeys(transmission.receivers, "crash"))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
-        now, lost = self._env.now, self._lost.total()
-        in_flight = self._arriving + self._records.in_flight() + self._inboxes.in_flight()
+        now = self._env.now
+        self.arrivals.settle(now)
+        self.arrivals.count_losses()
+        lost = self._lost.total()
+        in_flight = self.arrivals.in_flight() + self._records.in_flight() + self._inboxes.in_flight()
         busy = 0.0
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
@@ -183,7 +177,7 @@ class LinkLayer:
         if causes:
             self._lose(transmission, causes)
         if self._settles_on_arrival:
-            self._schedule_arrivals(transmission, reached, arrival, airtime)
+            self.arrivals.schedule(transmission, reached, arrival, airtime)
             return
         if self._fault_state is not None:
             reached, arrival = self._settled(transmission, reached, arrival, airtime)
@@ -206,9 +200,13 @@ class LinkLayer:
         last = arrival if isinstance(arrival, int) else max(arrival, default=0)
         if last < until and not down:
             return reached, arrival
-        sure, when, others, later = _split(reached, arrival, until, down)
-        self._schedule_arrivals(transmission, others, later, airtime)
-        return sure, when
+        if last >= until:
+            reached, arrival, others, later = _split(reached, arrival, lambda _, when: when < until)
+            self.arrivals.schedule(transmission, others, later, airtime)
+        if down:
+            reached, arrival, others, later = _split(reached, arrival, lambda node, _: node not in down)
+            self.arrivals.lose_at(transmission, others, later)
+        return reached, arrival
 
     def _losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
@@ -216,63 +214,14 @@ class LinkLayer:
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
-        if self._fault_state is not None and (cut_off := self._fault_state.cut_off(src, receivers)):
-            causes |= dict.fromkeys(cut_off, "partition")
+        faults = self._fault_state
+        if faults is not None and (apart := faults.separated(src, receivers)) is not None:
+            causes |= dict.fromkeys(compress(receivers, apart.tolist()), "partition")
         has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
         if has_waited and self._checks_departure:
             reaches = self._topology.reaches(src, receivers, transmission.number)
             causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
         return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
-
-    def _schedule_arrivals(
-        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
-    ) -> None:
-        """Schedule an event at each arrival time of a transmission; it decides between delivery and loss on arrival."""
-        self._arriving += len(reached)
-        nodes_by_arrival: dict[int, list[int]] = {}
-        if isinstance(arrival, int):
-            nodes_by_arrival = {arrival: reached} if reached else {}
-        else:
-            for node, when in zip(reached, arrival, strict=True):
-                nodes_by_arrival.setdefault(when, []).append(node)
-        for when, nodes in nodes_by_arrival.items():
-            Instant(self._env, when, Phase.DELIVERY).callbacks.append(
-                partial(self._land, transmission, nodes, (self._env.now, self._env.now + airtime))
-            )
-
-    def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
-        """Deliver or lose a transmission at each node now; `interval` is the (start, end) of its airtime, ns."""
-        self._arriving -= len(nodes)
-        causes, reached = self._obstacles(transmission, nodes, interval), nodes
-        if causes:
-            reached = [node for node in nodes if node not in causes]
-            self._lose(transmission, {node: causes[node] for node in nodes if node in causes})
-        if isinstance(transmission.content, Record):
-            self._records.insert(reached, transmission.content)
-        else:
-            inboxes = self._inboxes.at(transmission.port)
-            deliver(transmission.content, inboxes, reached, self._env.now, transmission.number)
-
-    def _obstacles(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int]) -> dict[int, Cause]:
-        """Return the cause of the loss of a message that arrives now, by receiver; those that get it are left out.
-
-        If there are several causes, the first counts: crash, partition, jamming, out_of_range, half_duplex.
-        """
-        (begin, end), causes = interval, dict[int, Cause]()
-        if self._transmitter is not None:
-            received = self._env.now - self._sampler.processing
-            transmitting = self._transmitter.transmitting(received, end - begin)
-            causes |= dict.fromkeys(filter(transmitting.__contains__, nodes), "half_duplex")
-        if self._checks_arrival:
-            reaches = self._topology.reaches(transmission.src, nodes, transmission.number)
-            causes |= {node: "out_of_range" for node, reached in zip(nodes, reaches, strict=True) if not reached}
-        if (faults := self._fault_state) is not None:
-            causes |= dict.fromkeys(faults.jammed(nodes), "jamming")
-            causes |= dict.fromkeys(faults.cut_off(transmission.src, nodes), "partition")
-            if any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
-                return dict.fromkeys(nodes, "crash")
-            causes |= {node: "crash" for node in nodes if node in faults.down_nodes}
-        return causes
 
     def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Count and record the losses of a transmission now, by receiver."""
@@ -298,14 +247,12 @@ def _events(transmission: Transmission, causes: Mapping[int, Cause], arrival: Ar
 
 
 def _split(
-    reached: list[int], arrival: Arrival, until: float, down: Mapping[int, int]
+    nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
 ) -> tuple[list[int], Arrival, list[int], Arrival]:
-    """Return the receivers that are up and reached before `until` (ns), and the others, with their arrival times."""
-    if isinstance(arrival, int) and arrival < until:
-        up = [node for node in reached if node not in down]
-        return up, arrival, [node for node in reached if node in down], arrival
-    sure, later = list[tuple[int, int]](), list[tuple[int, int]]()
-    for node, when in zip(reached, per_receiver(arrival, len(reached)), strict=True):
-        (sure if when < until and node not in down else later).append((node, when))
-    nodes, others = ([node for node, _ in each] for each in (sure, later))
-    return nodes, [when for _, when in sure], others, [when for _, when in later]
+    """Return the nodes for which a predicate of node and arrival time holds, and the others, each with its times."""
+    holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
+    others = [not each for each in holding]
+    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
+    if isinstance(arrival, int):
+        return parts[0], arrival, parts[1], arrival
+    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))

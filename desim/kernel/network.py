@@ -87,7 +87,7 @@ class Network:
             fault_state,
             trace if trace is not None and trace.wants_messages else None,
         )
-        self._transmit = self._link_layer.transmit
+        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
         self._seq = [count(1) for _ in range(self._size)]
 
     # Operations of nodes.
@@ -171,6 +171,8 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
+        if self._arrivals.first <= self._env.now:
+            self._arrivals.settle(self._env.now)
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
@@ -181,6 +183,8 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
+        if self._arrivals.first <= self._env.now:
+            self._arrivals.settle(self._env.now)
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
@@ -268,6 +272,10 @@ class Network:
         if self._fault_state is None:
             raise ValueError("a network with faults should be created with a fault_state")
         return self._fault_state
+
+    def settle(self) -> None:
+        """Decide the outcome of all messages that arrive before this instant; call it before a fault begins or ends."""
+        self._arrivals.settle()
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""

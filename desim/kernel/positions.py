@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arrays import Floats
+from desim.config.arrays import Floats, Integers
 
 Nodes = NDArray[np.intp]
 PositionFunction = Callable[[], Floats]
@@ -24,9 +24,27 @@ class PositionSource:
         """Return the positions of all nodes, (n, 2) m."""
         raise NotImplementedError
 
+    looks_back = False
+    """Whether `at` also returns positions of the past."""
+
     def of(self, nodes: Nodes) -> Floats:
         """Return the positions of some nodes, (k, 2) m; a subclass may override this method with one of cost O(k)."""
         return self().take(nodes, axis=0)
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        """Return the positions of some nodes, each at a time, (k, 2) m.
+
+        A subclass that overrides this method and `before_change`, and sets `looks_back`, lets the network decide
+        together which of several messages were within range when they arrived. All others return present positions.
+
+        Args:
+            nodes: (k,) the nodes.
+            times: one time or (k,) times, ns; from the last change of the motion of a node up to now.
+        """
+        return self.of(nodes)
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a node changes, so that `at` would no longer be valid."""
 
 
 class _FunctionSource(PositionSource):

@@ -6,7 +6,7 @@ arrives (`Records.insert`).
 """
 
 from bisect import insort
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, repeat
 from typing import Any, NamedTuple
 
@@ -134,7 +134,7 @@ class Records:
             self._shared.schedule((arrival, record))
             if not self._apart:
                 return
-            receivers = self._apart_among(receivers)
+            receivers = [node for node in self._apart if node in receivers]
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
@@ -151,9 +151,19 @@ class Records:
         now, waiting = self._env.now, self._waiting
         if self._reaches_all_others(record.src, nodes):
             self._shared.schedule((now, record))
-            nodes = self._apart_among(nodes)
+            nodes = [node for node in self._apart if node in nodes]
         for node in nodes:
             waiting[node] += now, record
+        self._out_of_order.update(nodes)
+        self._note_unread()
+
+    def receive(self, nodes: list[int], times: list[int], records: Sequence[Record]) -> None:
+        """Store transmitted records, each at a node that it reached at a time (ns); as `insert`, in any order."""
+        waiting = self._waiting
+        for node, when, record in zip(nodes, times, records, strict=True):
+            pending = waiting[node]
+            pending.append(when)
+            pending.append(record)
         self._out_of_order.update(nodes)
         self._note_unread()
 
@@ -219,11 +229,8 @@ class Records:
             return True
         if not self._apart or len(receivers) < self._size - 1 - len(self._apart):
             return False
-        return len(receivers) - len(self._apart.intersection(receivers)) == self._size - len(self._apart | {src})
-
-    def _apart_among(self, nodes: list[int]) -> list[int]:
-        """Return those of some nodes that have their own copies of the shared records."""
-        return sorted(self._apart.intersection(nodes))
+        apart = sum(node in receivers for node in self._apart)
+        return len(receivers) - apart == self._size - len(self._apart | {src})
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""
@@ -242,9 +249,11 @@ class Records:
         now, table, matching, fresh = self._env.now, self._tables[node], self._matching[node], self._waiting[node]
         predicate = self._predicate
         still_in_flight = self._still_in_flight.pop(node, [])
-        if node in self._out_of_order or node in self._relayed:
+        if node in self._relayed:
             still_in_flight, fresh = self._move_in_any_order(node, _pairs(still_in_flight + fresh)), []
-            self._out_of_order.discard(node)  # what is transmitted from now on is newer than what was transmitted
+        elif node in self._out_of_order:
+            still_in_flight, fresh = self._move_newer(node, _pairs(still_in_flight + fresh)), []
+            self._out_of_order.remove(node)  # what is transmitted from now on is newer than what was transmitted
         elif still_in_flight:
             still_in_flight = self._move_newer(node, _pairs(still_in_flight))
         for arrival, record in _pairs(fresh):
@@ -272,7 +281,10 @@ class Records:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
-                _store((arrival, record), table, matching, predicate)
+                if predicate is None:
+                    table[record[0]] = arrival, record
+                else:
+                    _store((arrival, record), table, matching, predicate)
         return still_in_flight
 
     def _move_in_any_order(self, node: int, pending: Iterable[TimedRecord]) -> list[Any]:

@@ -10,6 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Integers
+
 ROOM = 2**22
 """Maximum number of values in a cache with one value per pair of nodes; further values are computed at each use."""
 
@@ -20,7 +22,13 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
 
 
 def pair_uniform(
-    seed: int, name: str, src: int, dst: NDArray[np.intp], number: int = 0, *, symmetric: bool = True
+    seed: int,
+    name: str,
+    src: int | Integers,
+    dst: Integers,
+    number: int | Integers = 0,
+    *,
+    symmetric: bool = True,
 ) -> NDArray[np.float64]:
     """Return (k,) uniform draws in (0, 1), one per pair (src, dst[k]), the same in every call with equal arguments.
 
@@ -30,15 +38,15 @@ def pair_uniform(
     Args:
         seed: the seed of the run.
         name: the name of the random quantity.
-        src: the first node of all pairs.
+        src: the first node of the pairs, one for all or (k,).
         dst: (k,) the second node of each pair.
-        number: the index of the draw of a pair, for instance the number of a message.
+        number: the index of the draw of a pair, for instance the number of a message; one for all or (k,).
         symmetric: whether (i, j) and (j, i) have the same draw.
     """
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
-    increment = np.uint64(0x9E3779B97F4A7C15 * (number + 1) % 2**64)
+    increment = (np.atleast_1d(number).astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed = _mix(_mix(pair + _key(seed, name)) + increment)
     # With 53 bits the largest draw would be rounded to 1, where most quantiles are infinite.
     return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52

@@ -8,7 +8,7 @@ from math import inf
 import networkx as nx
 import numpy as np
 
-from desim.config.arrays import Bools, Floats
+from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.graphs import node_names
 from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.positions import Nodes, PositionFunction, as_position_source, distances
@@ -110,6 +110,38 @@ class Topology:
         received: list[bool] = self._received(src, nodes[1:], apart[1:], message).tolist()
         return received
 
+    def reached(
+        self, src: int | Integers, dst: Integers, message: int | Integers, times: int | Integers
+    ) -> Bools | None:
+        """Return (k,) booleans: whether each message reaches a node at a time, regardless of the graph.
+
+        None stands for k times True.
+
+        Args:
+            src: the sender, one for all or (k,).
+            dst: (k,) the receivers.
+            message: the number of the message, one for all or (k,).
+            times: ns, one for all or (k,); see `PositionSource.at`.
+        """
+        if self._positions is None:
+            return None
+        if isinstance(src, int):
+            apart = distances(self._positions.at(np.append(src, dst), times), 0)[1:]
+        else:
+            x, y = (self._positions.at(dst, times) - self._positions.at(src, times)).T
+            apart = np.hypot(x, y)
+        return self._received(src, dst, apart, message)
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether `reached` is valid for times of the past."""
+        return self._positions is None or self._positions.looks_back
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a node changes."""
+        if self._positions is not None:
+            self._positions.before_change(act)
+
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.
 
@@ -177,23 +209,26 @@ class Topology:
         received[own] = False
         return candidates[received]
 
-    def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
-        """Return (k,) booleans: which of the nodes `dst` receive a message; `message` as in `_uniforms`."""
+    def _received(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+        """Return (k,) booleans: which of the nodes `dst` receive a message; `src` and `message` as in `_uniforms`."""
         if self._certain:
             return apart <= self._range
         probability = self._reception(apart, self._range)
         received: Bools = self._uniforms(src, dst, message) <= probability
         return received
 
-    def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
-        """Return the (k,) uniform draws in (0, 1) of the pairs (src, dst[k]).
+    def _uniforms(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
+        """Return the (k,) uniform draws in (0, 1) of the pairs of a sender, one for all or (k,), and a receiver.
 
-        With fading per message, the number `message` selects the draws; if it is None, each draw is replaced by 0.5.
+        With fading per message, the number of the message, one for all or (k,), selects the draws; if it is None, each
+        draw is replaced by 0.5.
         """
         if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
             return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)
+        if not isinstance(src, int):
+            return pair_uniform(self._seed, "fading", src, dst)
         if src not in self._uniform and (len(self._uniform) + 1) * self.size <= ROOM:
             self._uniform[src] = pair_uniform(self._seed, "fading", src, self._all)
         kept = self._uniform.get(src)

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Generic, Protocol, TypeVar
 
+from desim.config.arrays import Bools, Integers
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.medium import Medium
 
@@ -97,14 +98,26 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def transmitting(self, received: int, airtime: int) -> set[int]:
-        """Return the nodes that transmitted during a reception, from `received - airtime` to `received` (ns).
+    def transmitting(self, nodes: Integers, starts: int | Integers, ends: int | Integers) -> Bools | None:
+        """Return (k,) booleans: whether each of some nodes transmitted between a start and an end, (k,) or one for all.
 
-        `received` is the end of the reception; the method is called `lag` after that. The cost is O(transmissions
-        that started within two airtimes and `lag`).
+        The times (ns) must not be before the last time given to `forget`. None stands for k times False.
         """
-        start = received - airtime
-        return {node for begin, end, node in self._recent if begin < received and end > start}
+        if not self._recent:
+            return None
+        first = starts if isinstance(starts, int) else starts.min()
+        last = ends if isinstance(ends, int) else ends.max()
+        found = None
+        for begin, end, node in self._recent:
+            if begin < last and end > first:
+                also: Bools = (nodes == node) & (starts < end) & (ends > begin)
+                found = also if found is None else found | also
+        return found
+
+    def forget(self, before: float) -> None:
+        """Forget the transmissions that are not needed to decide arrivals after a time (ns)."""
+        while self._recent and self._recent[0][0] < before - 2 * self._longest - self._lag:
+            self._recent.popleft()
 
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))
@@ -113,8 +126,6 @@ class Transmitter(Generic[Item]):
         if self._medium.half_duplex and not self._medium.shared:
             self._longest = max(self._longest, airtime)
             self._recent.append((now, now + airtime, item.src))
-            while self._recent[0][0] < now - 2 * self._longest - self._lag:
-                self._recent.popleft()
         self._leave(item, airtime)
 
     def _await_turn(self, channel: int) -> None:

@@ -4,12 +4,12 @@ A position is given in closed form, origin + velocity * (t - since), without num
 player is computed without those of the others.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arrays import Points
+from desim.config.arrays import Integers, Points
 from desim.kernel.clock import SECOND, Clock
 
 
@@ -30,6 +30,7 @@ class Kinematics:
         self.velocities: Points = np.zeros_like(start)
         self._origins, self._since = start, env.now
         self._positions, self._cached_at = start, env.now
+        self._before_change: list[Callable[[], object]] = []
         start.setflags(write=False)
 
     @property
@@ -70,7 +71,19 @@ class Kinematics:
             return self._positions[players]
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
+    def positions_at(self, players: NDArray[np.intp], times: int | Integers) -> Points:
+        """Return the (k,) positions of some players, each at a time of the present piece, one or (k,), ns."""
+        if self._static:
+            return self._positions[players]
+        return self._origins[players] + self.velocities[players] * ((times - self._since) / SECOND)
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before a new piece begins."""
+        self._before_change.append(act)
+
     def set_velocities(self, velocities: Points) -> None:
         """Begin a new straight piece of each path, at the present position and instant, with (K,) velocities, m/s."""
+        for act in self._before_change:
+            act()
         self._origins, self._since = self.positions(), self._env.now
         self.velocities = velocities

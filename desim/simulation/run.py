@@ -4,7 +4,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from desim.config.arrays import Floats
+from desim.config.arrays import Floats, Integers
 from desim.config.html import html_properties
 from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
@@ -28,7 +28,7 @@ from desim.simulation.watchdog import TimedOut, stuck
 from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import simpy
     from matplotlib.figure import Figure
@@ -208,6 +208,14 @@ class _PursuerPositions(PositionSource):
 
     def of(self, nodes: Nodes) -> Floats:
         return coordinates(self._state.players.positions_of(nodes))
+
+    looks_back = True
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        return coordinates(self._state.players.positions_at(nodes, times))
+
+    def before_change(self, act: "Callable[[], object]") -> None:
+        self._state.players.before_change(act)
 
 
 def _sensor(

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from desim.config.arrays import Floats
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.config.arrays import Floats, Integers
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.positions import Nodes, PositionSource
 from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
 
 
@@ -18,13 +19,7 @@ class Desim:
         self.work = workload
         self.env = Clock()
         links = workload.links or Links(latency=workload.latency)
-        rng = np.random.default_rng(workload.seed)
-        places = rng.random((workload.size, 2))
-        velocities = rng.uniform(-workload.speed, workload.speed, (workload.size, 2))
-
-        def positions() -> Floats:
-            return places + velocities * (self.env.now / SECOND) if workload.speed else places
-
+        positions = _Moving(self.env, workload)
         faults = FaultState(positions) if workload.faults else None
         self.network = Network(
             self.env, workload.graph, links, seed=workload.seed, positions=positions, fault_state=faults
@@ -60,6 +55,26 @@ class Desim:
     def table(self, node: int) -> Table:
         """Return the newest number that a node has received from each other node."""
         raise NotImplementedError
+
+
+class _Moving(PositionSource):
+    """Nodes that start in a unit square and move straight on."""
+
+    looks_back = True
+
+    def __init__(self, env: Clock, workload: Workload):
+        rng = np.random.default_rng(workload.seed)
+        self._env, self._start = env, rng.random((workload.size, 2))
+        self._velocity = rng.uniform(-workload.speed, workload.speed, (workload.size, 2))
+
+    def __call__(self) -> Floats:
+        return self._start + self._velocity * seconds(self._env.now)
+
+    def of(self, nodes: Nodes) -> Floats:
+        return self.at(nodes, self._env.now)
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        return self._start[nodes] + self._velocity[nodes] * (np.atleast_1d(times) / SECOND)[:, np.newaxis]
 
 
 class Publish(Desim):

@@ -3,7 +3,7 @@
 Forty nodes on a complete graph. A model whose draws do not depend on the hop is drawn in blocks; what it costs beside
 the ideal is a time of arrival per receiver. Slower are those that ask numpy anew for each broadcast: for distances
 (propagation, by_distance, any finite range), for a jitter on top of what belongs to a pair (per_pair) or for the memory
-of each link (gilbert_elliott); and those under which every arrival is an event (reach judged at delivery, faults).
+of each link (gilbert_elliott); and those under which a message may be lost on arrival (range checked at delivery).
 """
 
 import gc

@@ -38,6 +38,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.kernel.arrivals import Arrivals
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Lost, Trace
 from desim.kernel.fault_injection import inject
@@ -45,10 +46,12 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, Jamming, Partition
 from desim.kernel.latency import Constant
 from desim.kernel.link_layer import LinkLayer
-from desim.kernel.links import Links
+from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
+from desim.kernel.positions import PositionSource
+from desim.kernel.reception import Disk, QuasiUnitDisk
 from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 
@@ -335,14 +338,35 @@ def histories(draw):
     return graph, links, acts, seed
 
 
-def observe(make, graph, links, acts, seed, faults=None, **options):
+class Swinging(PositionSource):
+    """Nodes swing about the origin; every 7 ms they go on with another amplitude, so that no position jumps."""
+
+    looks_back = True
+
+    def __init__(self, clock, places):
+        self.clock, self.places, self.since, self.acts = clock, places, 0, []
+        for k in range(1, 30):
+            Instant(clock, k * 7 * SECOND // 1000, Phase.MOTION).callbacks.append(self.turn)
+
+    def turn(self, _):
+        for act in self.acts:
+            act()
+        self.places, self.since = self(), self.clock.now
+
+    def __call__(self):
+        return self.at(np.arange(len(self.places)), np.array(self.clock.now))
+
+    def at(self, nodes, times):
+        return self.places[nodes] * np.cos(np.atleast_1d(times - self.since) / 1e7)[:, np.newaxis]
+
+    def before_change(self, act):
+        self.acts.append(act)
+
+
+def observe(make, graph, links, acts, seed, faults=None, traced=True, **options):
     """Return all that is read in a history, when a listener is woken, what is counted and what is traced."""
-    clock, trace = Clock(), Trace()
-    places = np.random.default_rng(seed).random((len(graph), 2))
-
-    def positions():
-        return places * np.cos(clock.now / 1e7)
-
+    clock, trace = Clock(), Trace(messages=traced)
+    positions = Swinging(clock, np.random.default_rng(seed).random((len(graph), 2)))
     if faults is not None:
         options["fault_state"] = FaultState(positions)
     network = make(clock, graph, links, seed=seed, positions=positions, trace=trace, **options)
@@ -392,10 +416,10 @@ def test_delivery_by_events_is_observationally_equal_to_delivery_without_events(
 def test_the_comparison_detects_a_delivery_one_nanosecond_late():
     """The control of the property above, for records and for mail."""
 
-    class Late(LinkLayer):
-        def _land(self, transmission, nodes, airtime, event):
+    class Late(Arrivals):
+        def _land(self, *given):
             later = Instant(self._env, self._env.now + 1, Phase.DELIVERY)
-            later.callbacks.append(lambda _: super(Late, self)._land(transmission, nodes, airtime, event))
+            later.callbacks.append(lambda _: super(Late, self)._land(*given))
 
     for speak, read in [("publish", "read"), ("send", "drain"), ("send to all", "tally")]:
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]
@@ -404,15 +428,23 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
         assert observe(Network, *history) != observe(network_over(Late), *history, fault_state=FaultState())
 
 
-# What the planned faults cannot change is settled at transmission, and the rest by events.
+# What the planned faults cannot change is settled at transmission, and the rest on arrival. Without a trace, the
+# arrivals of records are decided together, later.
 
 
-class ByEvents(LinkLayer):
-    """All is settled on arrival."""
+class OnArrival(LinkLayer):
+    """Every outcome is decided on arrival."""
 
     def _settled(self, transmission, reached, arrival, airtime):
-        self._schedule_arrivals(transmission, reached, arrival, airtime)
+        self.arrivals.schedule(transmission, reached, arrival, airtime)
         return [], []
+
+
+class ByEvents(Arrivals):
+    """Every outcome is decided by an event at the time of the arrival."""
+
+    def _can_wait(self, transmission):
+        return False
 
 
 @st.composite
@@ -435,22 +467,57 @@ def plans(draw, size):
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.data(), histories())
-def test_planned_faults_are_observationally_equal_to_one_event_per_arrival(data, history):
+def test_planned_faults_are_observationally_equal_to_decisions_on_arrival(data, history):
     faults = data.draw(plans(len(history[0])))
-    assert observe(Network, *history, faults=faults) == observe(network_over(ByEvents), *history, faults=faults)
+    assert observe(Network, *history, faults=faults) == observe(network_over(OnArrival), *history, faults=faults)
+
+
+def with_losses_on_arrival(data, history):
+    """Return a history in which the range or half duplex may prevent arrivals."""
+    graph, links, acts, seed = history
+    medium = data.draw(st.sampled_from([links.medium, Bitrate(bitrate=24 * 8 * 500.0, half_duplex=True)]))
+    changes = {
+        "medium": medium,
+        "range": 0.5,
+        "range_check": data.draw(st.sampled_from(["send", "delivery", "both"])),
+        "processing": Processing(receiver=data.draw(st.sampled_from([0.0, 0.003]))),
+        "reception": data.draw(st.sampled_from([Disk(), QuasiUnitDisk()])),
+        "fading": data.draw(st.sampled_from(["per_link", "per_message"])),
+    }
+    return graph, links.model_copy(update=changes), acts, seed
+
+
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None)
+@given(st.data(), histories())
+def test_arrivals_decided_together_are_observationally_equal_to_one_event_each(data, history):
+    history, faults = with_losses_on_arrival(data, history), data.draw(st.one_of(st.none(), plans(len(history[0]))))
+    for layer in (Arrivals, OnArrival):
+        together = observe(network_over(layer), *history, faults=faults, traced=False)
+        assert together == observe(network_over(ByEvents), *history, faults=faults, traced=False)
+
+
+class Careless(OnArrival):
+    """It takes every arrival for certain."""
+
+    def _settled(self, transmission, reached, arrival, airtime):
+        return reached, arrival
+
+
+class Forgetful(Arrivals):
+    """It decides nothing before a change."""
+
+    def settle(self, until=None):
+        if until is not None:
+            super().settle(until)
 
 
 @pytest.mark.own_trace
-def test_the_comparison_detects_a_crash_that_is_overlooked():
-    """The control: what leaves before a crash arrives after it, at a node that is then down."""
-
-    class Careless(LinkLayer):
-        def _settled(self, transmission, reached, arrival, airtime):
-            return reached, arrival
-
-    for speak in ("publish", "send", "send to all"):
-        history = (nx.complete_graph(2), Links(latency=Constant(value=0.02)), [(0, 0, 1, speak)], 0)
-        crash_in_flight = [Crash(node=1, start=0.01)]
-        settled = [observe(make, *history, faults=crash_in_flight) for make in (Network, network_over(ByEvents))]
-        assert settled[0] == settled[1]
-        assert observe(network_over(Careless), *history, faults=crash_in_flight) != settled[0]
+@pytest.mark.parametrize("broken", [Careless, Forgetful])
+def test_the_comparisons_detect_a_crash_that_is_overlooked(broken):
+    """The control: the record leaves before a crash, arrives during it, and is read after it."""
+    links, crash_in_flight = Links(latency=Uniform(0.02)), [Crash(node=1, start=0.0001, end=0.03)]
+    history = (nx.complete_graph(3), links, [(0, 0, 1, "publish"), (SECOND // 25, 1, 1, "read")], 0)
+    layers = (Arrivals, OnArrival, ByEvents, broken)
+    *right, wrong = [observe(network_over(each), *history, faults=crash_in_flight, traced=False) for each in layers]
+    assert right[0] == right[1] == right[2] != wrong

@@ -341,8 +341,10 @@ def test_a_random_plan_is_possible_among_few(size):
     network = Network(clock, nx.complete_graph(size), fault_state=FaultState(lambda: np.zeros((size, 2))))
     inject(draw_faults([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
-    assert not any(network.fault_state.down(node) or network.fault_state.jammed([node]) for node in range(size))
-    assert network.fault_state.cut_off(0, [size - 1]) == []
+    nodes = np.arange(size)
+    assert not any(network.fault_state.down(node) for node in range(size))
+    assert network.fault_state.jammed(nodes, clock.now) is None
+    assert network.fault_state.separated(0, nodes) is None
 
 
 @pytest.mark.parametrize(

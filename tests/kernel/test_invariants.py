@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.kernel.arrivals import Arrivals
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_injection import inject
@@ -265,11 +266,11 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
     live(seed, links=links, faults=faults, fifo=order == "fifo")
 
 
-class SilentLoss(LinkLayer):
+class SilentLoss(Arrivals):
     """It loses an arriving message and does not record it."""
 
-    def _land(self, transmission, nodes, airtime, event):
-        super()._land(transmission, nodes[1:], airtime, event)
+    def _land(self, transmission, nodes, *rest):
+        super()._land(transmission, nodes[1:], *rest)
 
 
 class SendsWhenDown(LinkLayer):
@@ -282,11 +283,11 @@ class SendsWhenDown(LinkLayer):
             self._fault_state._down[src] = down
 
 
-class Unbreakable(LinkLayer):
+class Unbreakable(Arrivals):
     """Nothing keeps a message from arriving."""
 
-    def _obstacles(self, transmission, nodes, interval):
-        return {}
+    def _causes(self, batch):
+        return None
 
 
 class Leaky(LinkLayer):

@@ -62,8 +62,9 @@ def test_a_jamming_disc_asks_only_for_the_position_of_the_receiver():
     some = OfSome()
     fault_state = FaultState(some)
     fault_state.jam(((3.0, 3.0), 1.0))
-    assert [fault_state.jammed([node]) for node in range(4)] == [[], [1], [], []]
-    assert fault_state.jammed([3, 1]) == [1]
+    now = 0
+    assert [bool(fault_state.jammed(np.array([node]), now)[0]) for node in range(4)] == [False, True, False, False]
+    assert fault_state.jammed(np.array([3, 1]), now).tolist() == [False, True]
     assert some.asked == [1, 1, 1, 1, 2]
 
 

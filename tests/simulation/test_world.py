@@ -5,16 +5,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim import Scenario, run, summary
+from desim import Scenario, load, run, summary
 from desim.analysis.invariants import watched
 from desim.analysis.metrics import active_time
+from desim.kernel.events import MessageCounts
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.records import Records
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from scenarios.study import SCENARIOS
 
 
 def orders(*plan):
@@ -324,3 +327,29 @@ def test_no_law_of_guidance_leads_faster_than_a_pursuer_can():
         scenario = still((0.5, 0, True), team=Team(positions=[(0.0, 0.0), (9.0, 0.0)], speeds=1.0, guidance=law))
         with pytest.raises(ValueError, match="velocities should be within the speeds"):
             run(scenario)
+
+
+LOST_ON_ARRIVAL = {
+    "relay": ['network.range_check = "delivery"', "announce.warm_start = false", 'announce.payload = "time"'],
+    "faults": ["network.range_check = 'both'"],
+}
+
+
+@pytest.mark.own_trace
+@pytest.mark.parametrize("name", LOST_ON_ARRIVAL)
+def test_recording_the_messages_changes_no_decision(name, monkeypatch):
+    """With messages recorded, each arrival is decided by an event; without, arrivals are decided together."""
+    links = ["network.range = 6.0", "network.latency = { kind = 'lognormal', mean = 0.1, cv = 0.8 }", "horizon = 4.0"]
+    scenario = load(SCENARIOS / f"{name}.toml", [each.replace(" = ", "=", 1) for each in links + LOST_ON_ARRIVAL[name]])
+    together = []
+    receive = Records.receive
+    monkeypatch.setattr(Records, "receive", lambda *given: (together.append(len(given[1])), receive(*given)))
+    runs = []
+    for messages in (False, True):
+        record = scenario.record.model_copy(update={"messages": messages})
+        result = run(scenario.model_copy(update={"record": record}), 3)
+        runs.append([list(result.trace.of(kind)) for kind in (Decided, Captured, MessageCounts)])
+        assert (sum(together) > 0) == (not messages)
+        together.clear()
+    assert runs[0] == runs[1]
+    assert runs[0][2][-1].lost_by["out_of_range"] > 0

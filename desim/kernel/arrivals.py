@@ -1,0 +1,282 @@
+"""Arrivals whose outcome is not certain at transmission, because faults, distance or half duplex may prevent them.
+
+The arrivals of a transmission at one instant have one SimPy event, which decides their outcomes together.
+
+Records that reach their receivers at different times need no event, because they wake no process. Their arrivals are
+kept, and the outcomes are decided together before the next read, the next change of the faults, or the next change of
+the motion of a node. Until then, nothing changes on which an outcome depends. With 40 nodes and lognormal latencies
+this is 5 times as fast as an event per arrival. It is not possible if a trace needs each loss at its time, if faults
+are not planned, or if the source of the positions does not know those of the past (`PositionSource.looks_back`).
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import compress
+from math import inf
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.arrays import Bools, Integers
+from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.events import Cause
+from desim.kernel.fault_state import FaultState
+from desim.kernel.inbox import Inboxes, Message, deliver
+from desim.kernel.records import Arrival, Record, Records, per_receiver
+from desim.kernel.topology import Topology
+from desim.kernel.transmitter import Transmitter
+
+if TYPE_CHECKING:
+    import simpy
+
+CAUSES: tuple[Cause, ...] = ("half_duplex", "out_of_range", "jamming", "partition", "crash")
+"""The causes of a loss on arrival; if there are several, the last of them counts."""
+MAX_KEPT = 256
+"""Number of transmissions after which the arrivals that are kept are decided even if nobody reads."""
+
+
+class Transmission(NamedTuple):
+    """One transmission: a record or a message, with its receivers."""
+
+    number: int
+    src: int
+    created: int
+    """Time of the call of `publish` or `send`, ns."""
+    size: int
+    """Bytes."""
+    receivers: list[int]
+    content: Record | Message
+    port: str
+    """Port of the inbox, for a message."""
+    reachable: bool
+    """False if the receiver of a `send` to one node was not linked or, with a range check at transmission, out of range
+    when `send` was called; else True."""
+
+
+Lose = Callable[[Transmission, Mapping[int, Cause]], object]
+"""A function that counts the losses of a transmission, given their causes by receiver."""
+
+
+Whole = int | Integers
+"""One integer for all arrivals, or one for each."""
+
+
+class _Batch(NamedTuple):
+    """k arrivals; times in ns."""
+
+    node: Integers
+    """(k,) the receivers."""
+    time: Whole
+    """The time of the arrival."""
+    src: Whole
+    """The sender."""
+    number: Whole
+    """The number of the transmission."""
+    begin: Whole
+    """The start of the airtime."""
+    end: Whole
+    """The end of the airtime."""
+
+
+class Arrivals:
+    """Decides which uncertain arrivals succeed, and stores what has arrived.
+
+    Args:
+        env: the clock of the simulation.
+        topology: decides whether a receiver is within range.
+        records: receives the records that arrive.
+        inboxes: receive the messages that arrive.
+        fault_state: the active faults; None: the network has no faults.
+        transmitter: knows which nodes transmit; None: nodes transmit without airtime.
+        processing: processing delay of a message at sender and receiver together, ns.
+        checks_range: whether a receiver must be within range on arrival.
+        at_once: whether each outcome is needed at the time of the arrival, for a trace.
+        lose: counts and records losses.
+
+    Attributes:
+        first: the time of the first arrival that is kept, ns; inf if none is.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        topology: Topology,
+        records: Records,
+        inboxes: Inboxes,
+        fault_state: FaultState | None,
+        transmitter: Transmitter[Transmission] | None,
+        *,
+        processing: int,
+        checks_range: bool,
+        at_once: bool,
+        lose: Lose,
+    ):
+        self._env, self._topology, self._records, self._inboxes = env, topology, records, inboxes
+        self._fault_state, self._transmitter, self._processing = fault_state, transmitter, processing
+        self._checks_range, self._lose = checks_range, lose
+        self._at_once = at_once or (checks_range and not topology.looks_back)
+        if not self._at_once:
+            topology.before_change(self.settle)
+        self._crashes: dict[int, list[int]] = {}
+        self._with_events = 0
+        self._fresh: list[tuple[Transmission, list[int], list[int], int, int]] = []
+        self._flights: list[Transmission] = []
+        self._of_flight = np.empty((4, 0), dtype=np.int64)
+        """Of each transmission in `_flights`: sender, number, start and end of the airtime."""
+        self._kept = np.empty((3, 0), dtype=np.int64)
+        """Of each arrival that is kept: index in `_flights`, receiver, time."""
+        self._at_downed: list[tuple[int, Transmission, int]] = []
+        """Losses that are certain, at nodes that are down: time, transmission and receiver."""
+        self.first: float = inf
+
+    def crash(self, node: int) -> None:
+        """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
+        self._crashes.setdefault(node, []).append(self._env.now)
+
+    def in_flight(self) -> int:
+        """Return the number of arrivals that are not decided yet."""
+        fresh = sum(len(nodes) for _, nodes, *_ in self._fresh)
+        return self._with_events + self._kept.shape[1] + fresh + len(self._at_downed)
+
+    def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
+        """Schedule the arrivals of a transmission that starts now at some nodes, given their times and airtime (ns)."""
+        begin, end = self._env.now, self._env.now + airtime
+        if isinstance(arrival, int) or not self._can_wait(transmission):
+            nodes_by_time: dict[int, list[int]] = {}
+            if isinstance(arrival, int):
+                nodes_by_time = {arrival: nodes} if nodes else {}
+            else:
+                for node, when in zip(nodes, arrival, strict=True):
+                    nodes_by_time.setdefault(when, []).append(node)
+            self._with_events += len(nodes)
+            for when, here in nodes_by_time.items():
+                callback = partial(self._land, transmission, here, begin, end)
+                Instant(self._env, when, Phase.DELIVERY).callbacks.append(callback)
+        elif nodes:
+            self._fresh.append((transmission, nodes, arrival, begin, end))
+            self.first = min(self.first, *arrival)
+            if len(self._fresh) > MAX_KEPT:
+                self.settle()
+
+    def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
+        """Lose a transmission at its arrival times (ns) at some nodes, which will still be down."""
+        if self._at_once:
+            self.schedule(transmission, nodes, arrival, 0)
+            return
+        times = per_receiver(arrival, len(nodes))
+        self._at_downed += [(when, transmission, node) for node, when in zip(nodes, times, strict=True)]
+        if len(self._at_downed) > 16 * MAX_KEPT:
+            self.count_losses()
+
+    def count_losses(self) -> None:
+        """Count the certain losses up to now."""
+        now = self._env.now
+        for when, transmission, node in self._at_downed:
+            if when <= now:
+                self._lose(transmission, {node: "crash"})
+        self._at_downed = [each for each in self._at_downed if each[0] > now]
+
+    def settle(self, until: int | None = None) -> None:
+        """Decide the arrivals that are kept, up to a time (ns), by default all before this instant."""
+        until = self._env.now - 1 if until is None else until
+        if until < self.first:
+            return
+        kept = self._with_fresh()
+        due = kept[2] <= until
+        now, self._kept = kept[:, due], kept[:, ~due]
+        flights, nodes, times = now.tolist()
+        causes = self._causes(_Batch(now[1], now[2], *self._of_flight[:, now[0]]))
+        self.first = int(self._kept[2].min()) if self._kept.size else inf
+        if causes is not None:
+            fates = causes.tolist()
+            for flight, node, cause in zip(flights, nodes, fates, strict=True):
+                if cause:
+                    self._lose(self._flights[flight], {node: CAUSES[cause - 1]})
+            arrived = [not cause for cause in fates]
+            flights, nodes, times = (list(compress(each, arrived)) for each in (flights, nodes, times))
+        self._records.receive(nodes, times, [self._flights[flight].content for flight in flights])
+        if len(self._flights) > 4 * MAX_KEPT:
+            used, self._kept[0] = np.unique(self._kept[0], return_inverse=True)
+            self._flights = [self._flights[flight] for flight in used.tolist()]
+            self._of_flight = self._of_flight[:, used]
+
+    def _can_wait(self, transmission: Transmission) -> bool:
+        """Return whether the outcome of a transmission may be decided after its arrival."""
+        faults = self._fault_state
+        return not self._at_once and isinstance(transmission.content, Record) and (faults is None or faults.looks_back)
+
+    def _with_fresh(self) -> Integers:
+        """Return all arrivals that are kept, with those of the transmissions in `_fresh`, which is empty afterwards."""
+        if not self._fresh:
+            return self._kept
+        columns: tuple[list[int], list[int], list[int]] = [], [], []
+        of_flight = []
+        for transmission, nodes, arrival, begin, end in self._fresh:
+            columns[0].extend([len(self._flights)] * len(nodes))
+            columns[1].extend(nodes)
+            columns[2].extend(arrival)
+            self._flights.append(transmission)
+            of_flight.append((transmission.src, transmission.number, begin, end))
+        self._fresh = []
+        self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
+        return np.concatenate((self._kept, np.array(columns)), axis=1)
+
+    def _land(self, transmission: Transmission, nodes: list[int], begin: int, end: int, _: "simpy.Event") -> None:
+        """Deliver or lose a transmission at each of some nodes now."""
+        now, reached = self._env.now, nodes
+        self._with_events -= len(nodes)
+        receivers = np.array(nodes, dtype=np.int64)
+        causes = self._causes(_Batch(receivers, now, transmission.src, transmission.number, begin, end))
+        if causes is not None:
+            fates = list(zip(nodes, causes.tolist(), strict=True))
+            self._lose(transmission, {node: CAUSES[cause - 1] for node, cause in fates if cause})
+            reached = [node for node, cause in fates if not cause]
+        if isinstance(transmission.content, Record):
+            self._records.insert(reached, transmission.content)
+        else:
+            deliver(transmission.content, self._inboxes.at(transmission.port), reached, now, transmission.number)
+
+    def _causes(self, batch: _Batch) -> NDArray[np.int8] | None:
+        """Return (k,) causes of losses: 1 + the index in `CAUSES`, or 0 for an arrival that succeeds.
+
+        None stands for k zeros.
+        """
+        losses = dict[Cause, Bools | None]()
+        if self._transmitter is not None:
+            self._transmitter.forget(min(self.first, _least(batch.time)))
+            received = batch.time - self._processing
+            start = received - (batch.end - batch.begin)
+            losses["half_duplex"] = self._transmitter.transmitting(batch.node, start, received)
+        if self._checks_range:
+            reached = self._topology.reached(batch.src, batch.node, batch.number, batch.time)
+            losses["out_of_range"] = None if reached is None else ~reached
+        if (faults := self._fault_state) is not None:
+            losses["jamming"] = faults.jammed(batch.node, batch.time)
+            losses["partition"] = faults.separated(batch.src, batch.node)
+            losses["crash"] = self._crash_losses(batch)
+        causes = None
+        for cause, lost in losses.items():
+            if lost is not None and lost.any():
+                causes = np.zeros(len(batch.node), dtype=np.int8) if causes is None else causes
+                causes[lost] = 1 + CAUSES.index(cause)
+        return causes
+
+    def _crash_losses(self, batch: _Batch) -> Bools | None:
+        """Return (k,) booleans: whether the receiver is down, or the sender crashed while it transmitted.
+
+        None stands for k times False.
+        """
+        assert self._fault_state is not None
+        lost, down = None, self._fault_state.down_nodes
+        if down:
+            lost = np.array([node in down for node in batch.node.tolist()])
+        if self._crashes and self._transmitter is not None:
+            spans = np.broadcast(batch.src, batch.begin, batch.end, batch.node)
+            cut = [any(begin <= t < end for t in self._crashes.get(src, ())) for src, begin, end, _ in spans]
+            lost = np.array(cut) if lost is None else lost | cut
+        return lost
+
+
+def _least(whole: Whole) -> int:
+    return whole if isinstance(whole, int) else int(whole.min())
