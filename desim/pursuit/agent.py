@@ -6,6 +6,7 @@ positions of its teammates. It learns the actions of teammates only from deliver
 """
 
 from collections.abc import Callable, Generator, Iterable
+from functools import cached_property
 from itertools import count
 from typing import Any
 
@@ -35,7 +36,6 @@ class Agent(Knowledge):
     agent waits by itself.
 
     Attributes:
-        rng: random stream of the decisions of the pursuer.
         restarts: number of restarts without memory after a crash.
         global_state: the true state of the world and the actions of all pursuers, bypassing sensing and network; for
             omniscient benchmarks only.
@@ -64,7 +64,6 @@ class Agent(Knowledge):
     ):
         beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement)
         super().__init__(pursuer, view, network, clock, beliefs)
-        self.rng = stream(seed, "decisions", pursuer)
         self.global_state = global_state
         self.restarts = 0
         self._env, self._seed, self._announcements = env, seed, announcements
@@ -93,6 +92,11 @@ class Agent(Knowledge):
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """The random stream of the decisions of this pursuer."""
+        return self.stream("decisions")
 
     def shared_stream(self, name: str) -> np.random.Generator:
         """Create a random stream that yields the same draws for every pursuer that uses this name."""
