@@ -41,7 +41,12 @@ if TYPE_CHECKING:
     "--from", "repeated", type=click.Path(path_type=Path), metavar="RUN.JSON", help="Repeat the runs of a run.json."
 )
 @SEED
-@click.option("-n", "--runs", type=click.IntRange(min=1), help="Number of runs, with seeds s, s + 1, ...; default: 1.")
+@click.option(
+    "-n",
+    "--runs",
+    type=click.IntRange(min=1),
+    help="Number of runs, with seeds s, s + 1, ...; default: 1, or with --from the recorded number.",
+)
 @JOBS
 @click.option(
     "-o",
