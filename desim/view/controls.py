@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import OneOf, choices_of, definition_of, import_name
 from desim.config.model import fields_of, markers_of, models_in
 from desim.scenario.key_index import unit_in
+from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 
 Form = Literal["kind", "choice", "flag", "integer", "number", "text"]
@@ -98,7 +99,9 @@ def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str
             continue
         default = None if field.is_required() else field.get_default(call_default_factory=True)
         value = given.get(name, default)
-        tables = isinstance(value, list | tuple) and value and all(isinstance(each, BaseModel | dict) for each in value)
+        if isinstance(value, list | tuple):
+            value = [each.given if isinstance(each, NamedMetric) else each for each in value]
+        tables = isinstance(value, list) and value and all(isinstance(each, BaseModel | dict) for each in value)
         for k, each in enumerate(value) if tables else [(None, value)]:
             place = (*above, name) if k is None else (*above, name, str(k))
             yield from _of_value(field, each, place)

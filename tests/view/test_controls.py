@@ -80,3 +80,13 @@ def test_models_made_in_python_have_the_controls_of_their_tables():
     scenario = Scenario(team=Team(count=8, speeds=1.2), network=Links(latency=Gamma(shape=2.0, scale=0.05)))
     assert by_key(scenario)["network.latency.shape"].value == "2"
     assert by_key(Source.of(scenario).tables)["network.latency"].value == "gamma"
+
+
+def closest(result):
+    return 1.0
+
+
+def test_metrics_that_a_scenario_names_have_one_control():
+    found = by_key(Scenario(record={"metrics": [closest]}))
+    assert found["record.metrics"].value == f'["{__name__}:closest"]'
+    assert not any(key.startswith("record.metrics.") for key in found)
