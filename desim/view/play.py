@@ -372,7 +372,7 @@ def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
         if value is None and other is None:
             continue
         row = _row(name, now) | {"value": _formatted(value)}
-        if value is not None and other is not None:
+        if value is not None and other is not None and value != other:  # inf - inf is nan
             difference = float(value) - float(other)
             text = _formatted(difference, "+")
             if float(text.replace(",", "")):

@@ -109,6 +109,37 @@ def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
     assert "--set team.count=60" in found["texts"]["command"]
 
 
+OWN_METRICS = """
+from desim.analysis.metrics import Metric
+
+def endless(result):
+    return float("inf")
+
+def _first(result):
+    return float(result.seed)
+
+gain = Metric(_first, "s", more_is="better")
+"""
+
+
+@pytest.fixture
+def measured(tmp_path, monkeypatch):
+    """Return a playground whose scenario names metrics of a user."""
+    (tmp_path / "metrics_of_play.py").write_text(OWN_METRICS)
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "measured.toml"
+    own = '["metrics_of_play:endless", "metrics_of_play:gain"]'
+    file.write_text(f"team.count = 2\nhorizon = 0.2\nrecord.metrics = {own}\n")
+    return Playground(read(file, allow_import=True), file)
+
+
+def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
+    found = measured.answer(["evader.speed=0.3"], [])
+    (shown,) = (row for row in found["metrics"] if row["name"] == "endless")
+    assert shown["value"] == "inf"
+    assert "difference" not in shown
+
+
 def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
     (tmp_path / "rule_that_fails.py").write_text(
         "def rule(me):\n    yield me.sleep(0.1)\n    raise ValueError('mine')\n"
