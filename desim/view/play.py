@@ -7,7 +7,7 @@ functions here return. Each answer to a request of a page is a JSON object.
 import re
 import shlex
 import traceback
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
@@ -18,7 +18,7 @@ import cloudpickle
 import tomli_w
 
 from desim.analysis import palette
-from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
+from desim.analysis.metrics import METRICS, Metric, Summary, more_is, summary, unit_of, users_metrics, words
 from desim.analysis.statistics import mean, paired
 from desim.analysis.tables import with_half_width
 from desim.config.file_names import folder_name
@@ -134,12 +134,13 @@ class Playground:
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
             is_other = pinned is not None and sorted(pinned) != sorted(now)
+            own = _own_metrics(scenario)
             with within(self.timeout):
                 return _json(
                     shown
                     | {
                         "page": replay(result, other if is_other else None),
-                        "metrics": list(_compared(summary(result), None if other is None else summary(other))),
+                        "metrics": list(_compared(summary(result), None if other is None else summary(other), own)),
                         "seeds": [result.seed, None if other is None else other.seed],
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
@@ -271,11 +272,11 @@ class Session:
         Raises:
             ScenarioError: if a scenario is not valid.
         """
-        first = self.playground.scenario(now).seed
+        scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
         self.cancel()
         own = self._comparison
-        waiting = list(seeds_from(first, count))[::-1]
+        waiting = list(seeds_from(scenario.seed, count))[::-1]
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
@@ -290,7 +291,7 @@ class Session:
                     except Exception as error:
                         found = f"{type(error).__name__}: {error}"
                     (failures if isinstance(found, str) else pairs).append(found)
-                    yield _differences(pairs, failures, count)
+                    yield _differences(pairs, failures, count, _own_metrics(scenario))
         finally:
             for future in pending:
                 future.cancel()
@@ -338,8 +339,18 @@ def is_request(body: Any) -> bool:
     return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
-def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int) -> Answer:
-    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval."""
+def _own_metrics(scenario: Scenario) -> Mapping[str, Metric]:
+    """Return the metrics that a scenario names, by name."""
+    return dict(users_metrics(scenario.record.metrics))
+
+
+def _differences(
+    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, own: Mapping[str, Metric]
+) -> Answer:
+    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
+
+    `own` are the user's metrics by name.
+    """
     rows = []
     for name in _ordered(pairs[0][0]) if pairs else []:
         complete = [
@@ -351,7 +362,7 @@ def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[st
             values, others = map(list, zip(*complete, strict=True))
             found = paired(values, others)
             rows.append(
-                _row(name, pairs[0][0])
+                _row(name, pairs[0][0], own)
                 | {
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(others).mean),
@@ -365,13 +376,16 @@ def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[st
     return _json({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
-def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
-    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run."""
+def _compared(now: Summary, pinned: Summary | None, own: Mapping[str, Metric]) -> Iterator[Answer]:
+    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run.
+
+    `own` are the user's metrics by name.
+    """
     for name in _ordered(now):
         value, other = now[name], None if pinned is None else pinned.get(name)
         if value is None and other is None:
             continue
-        row = _row(name, now) | {"value": _formatted(value)}
+        row = _row(name, now, own) | {"value": _formatted(value)}
         if value is not None and other is not None and value != other:  # inf - inf is nan
             difference = float(value) - float(other)
             text = _formatted(difference, "+")
@@ -380,10 +394,10 @@ def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
         yield row
 
 
-def _row(name: str, found: Summary) -> Answer:
+def _row(name: str, found: Summary, own: Mapping[str, Metric]) -> Answer:
     """Return the name of a metric, its unit and whether more of it is better or worse."""
-    more_is = METRICS[name].more_is if name in METRICS else None
-    return {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is, "first": name in FIRST}
+    row = {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is(name, own)}
+    return row | {"first": name in FIRST}
 
 
 def _ordered(found: Summary) -> list[str]:

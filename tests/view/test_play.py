@@ -140,6 +140,15 @@ def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
     assert "difference" not in shown
 
 
+def test_a_users_metric_says_whether_more_of_it_is_better(measured):
+    found = measured.answer(["seed=1"], [])
+    (shown,) = (row for row in found["metrics"] if row["name"] == "gain")
+    assert (shown["more_is"], shown["difference"]) == ("better", "+1")
+    one = ['record.metrics=["metrics_of_play:gain"]']
+    *_, last = Session(measured, InProcess()).compare([*one, "evader.speed=0.3"], one, 2)
+    assert {row["name"]: row["more_is"] for row in last["metrics"]}["gain"] == "better"
+
+
 def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
     (tmp_path / "rule_that_fails.py").write_text(
         "def rule(me):\n    yield me.sleep(0.1)\n    raise ValueError('mine')\n"
@@ -239,7 +248,7 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
         ({"active_time": a}, {"active_time": b}) for a, b in [(10.0, 8.0), (None, 100.0), (30.0, None), (20.0, 16.0)]
     ]
     summaries = [(Summary(now), Summary(pinned)) for now, pinned in pairs]
-    (row,) = _differences(summaries, [], 4)["metrics"]
+    (row,) = _differences(summaries, [], 4, {})["metrics"]
     assert (row["now"], row["pinned"], row["count"]) == ("15", "12", 2)
     assert row["difference"].startswith("+3.000 +- ")
 
