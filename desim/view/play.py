@@ -7,6 +7,7 @@ functions here return. Each answer to a request of a page is a JSON object.
 import re
 import shlex
 import traceback
+from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -224,6 +225,8 @@ class Playground:
 class Session:
     """A playground and the workers that perform its runs, for one user with one page or several.
 
+    Each page has a name of its own, the argument `page`. A request cancels earlier ones of the same page only.
+
     Args:
         playground: the scenario to play with.
         workers: they perform the runs.
@@ -231,21 +234,21 @@ class Session:
 
     def __init__(self, playground: Playground, workers: Workers):
         self.playground, self.workers = playground, workers
-        self._last: Future[Any] | None = None
-        self._comparison = 0
+        self._last: dict[str, Future[Any]] = {}
+        self._comparisons = Counter[str]()
 
     def warm_up(self) -> None:
         """Let the workers import what a run needs, without waiting for it."""
         for _ in range(self.workers.count):
             self._submit(partial(self.playground.answer, self.playground.start, None))
 
-    def run(self, now: Changes, pinned: Changes | None) -> Answer:
-        """Let a worker compute `Playground.answer`, and return it; cancel an earlier request that has not begun."""
-        if self._last is not None:
-            self._last.cancel()
-        self._last = self._submit(partial(self.playground.answer, now, pinned))
+    def run(self, now: Changes, pinned: Changes | None, page: str = "") -> Answer:
+        """Let a worker compute `Playground.answer`; cancel the last request of the page if it has not begun."""
+        if page in self._last:
+            self._last[page].cancel()
+        future = self._last[page] = self._submit(partial(self.playground.answer, now, pinned))
         try:
-            return dict(self._result(self._last))
+            return dict(self._result(future))
         except Exception as error:  # the worker died, or the request was cancelled
             return {"controls": self.playground.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
 
@@ -259,29 +262,29 @@ class Session:
         except Exception as error:
             return {"error": f"{type(error).__name__}: {error}"}
 
-    def cancel(self) -> None:
-        """End a comparison: runs that have not begun are left out."""
-        self._comparison += 1
+    def cancel(self, page: str = "") -> None:
+        """End the comparison of a page: runs that have not begun are left out."""
+        self._comparisons[page] += 1
 
-    def compare(self, now: Changes, pinned: Changes, count: int) -> Generator[Answer, None, None]:
+    def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
         """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
 
         The first seed is that of the scenario with the changes `now`, and each later one is greater by 1. An earlier
-        comparison is cancelled.
+        comparison of the same page is cancelled.
 
         Raises:
             ScenarioError: if a scenario is not valid.
         """
         scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
-        self.cancel()
-        own = self._comparison
+        self.cancel(page)
+        own = self._comparisons[page]
         waiting = list(seeds_from(scenario.seed, count))[::-1]
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
         try:
-            while (waiting or pending) and own == self._comparison:
+            while (waiting or pending) and own == self._comparisons[page]:
                 while waiting and len(pending) < self.workers.count:
                     pending.add(self._submit(partial(self.playground.pair, now, pinned, waiting.pop())))
                 for future in self.workers.done(pending):
@@ -327,16 +330,17 @@ def style() -> str:
 
 
 def is_request(body: Any) -> bool:
-    """Return whether a value has the form of a request: changes `now` and `pinned`, and a `count` of seeds.
+    """Return whether a value has the form of a request: changes `now` and `pinned`, a `count` of seeds, and its `page`.
 
-    A request without `pinned` or `count` gets their defaults.
+    A request without `pinned`, `count` or `page` gets their defaults.
     """
     if not isinstance(body, dict):
         return False
     now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
+    is_of_page = isinstance(body.setdefault("page", ""), str)
     changes = [now] if pinned is None else [now, pinned]
     has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
-    return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
+    return has_changes and is_of_page and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
 def _own_metrics(scenario: Scenario) -> Mapping[str, Metric]:

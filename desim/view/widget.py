@@ -35,7 +35,7 @@ export default {
       run: (body, signal) => ask("run", body, signal),
       seeds: (body, show, signal) => ask("seeds", body, signal, show),
       save: body => ask("save", body),
-      cancel: () => ask("cancel", { now: [] }),
+      cancel: body => ask("cancel", body),
     };
     const options = { name: model.get("name"), changes: [], values: model.get("values"), hasAddress: false };
     const play = start(el, transport, options);
@@ -79,14 +79,14 @@ class PlayWidget(anywidget.AnyWidget):
     def _answer(self, number: str, what: str, body: Answer) -> None:
         session, last = self._session, Answer()
         if what == "run":
-            last = session.run(body["now"], body["pinned"])
+            last = session.run(body["now"], body["pinned"], body["page"])
         elif what == "save":
             last = session.save(body["now"])
         elif what == "cancel":
-            session.cancel()
+            session.cancel(body["page"])
         elif what == "seeds":
             try:
-                for each in session.compare(body["now"], body["pinned"], body["count"]):
+                for each in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
                     self.send({"number": number, "answer": each, "isLast": False})
             except Exception as error:
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})

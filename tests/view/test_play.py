@@ -271,7 +271,18 @@ def test_a_worker_that_died_is_replaced(small):
         workers.stop()
 
 
-def test_an_earlier_request_that_has_not_begun_is_cancelled(small):
+def test_a_comparison_goes_on_while_another_page_compares_or_cancels(small, monkeypatch):
+    monkeypatch.setattr(Playground, "pair", lambda self, now, pinned, seed: "no result")
+    session = Session(small, InProcess())
+    first = session.compare(SMALL, SMALL, 3, "first")
+    assert next(first)["done"] == 1
+    assert list(session.compare(SMALL, SMALL, 1, "second"))[-1]["done"] == 1
+    session.cancel("second")
+    assert [each["done"] for each in first] == [2, 3]
+
+
+@pytest.mark.parametrize(("pages", "cancelled"), [(("one", "one"), True), (("one", "another"), False)])
+def test_an_earlier_request_of_a_page_that_has_not_begun_is_cancelled(small, pages, cancelled):
     class Slow(InProcess):
         def submit(self, call):
             self.futures.append(Future())
@@ -279,14 +290,17 @@ def test_an_earlier_request_that_has_not_begun_is_cancelled(small):
 
         futures: ClassVar = []
 
+    Slow.futures = []
     session = Session(small, Slow())
-    threads = [Thread(target=session.run, args=(SMALL, None), daemon=True) for _ in range(2)]
+    threads = [Thread(target=session.run, args=(SMALL, None, page), daemon=True) for page in pages]
     for k, each in enumerate(threads, start=1):
         each.start()
         while len(Slow.futures) < k:
             time.sleep(0.01)
-    assert [each.cancelled() for each in Slow.futures] == [True, False]
-    Slow.futures[1].set_result({})
+    assert [each.cancelled() for each in Slow.futures] == [cancelled, False]
+    for each in Slow.futures:
+        if not each.cancelled():
+            each.set_result({})
     threads[0].join(30)
 
 
@@ -353,6 +367,7 @@ def test_other_hosts_and_other_origins_are_refused(server):
         {"now": "a"},
         {"now": [1]},
         {"now": [], "pinned": 3},
+        {"now": [], "page": 3},
         {"now": [], "count": 10**6},
         {"now": ["x" * 10**6]},
     ],

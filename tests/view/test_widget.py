@@ -62,6 +62,15 @@ def test_a_comparison_is_told_pair_by_pair_and_can_be_cancelled(widget):
     assert len(sent) < 1000
 
 
+def test_two_views_of_a_widget_compare_independently(widget):
+    made, sent = widget
+    asked(made, 1, "seeds", now=["team.count=4"], pinned=[], count=10, page="first")
+    until(lambda: sent)
+    asked(made, 2, "cancel", now=[], page="second")
+    until(lambda: any(each["isLast"] and each["number"] == 1 for each in sent))
+    assert sum(each["number"] == 1 for each in sent) == 11
+
+
 def test_requests_of_another_form_have_no_answer_and_wrong_ones_an_error(widget):
     made, sent = widget
     asked(made, 1, "run", now="team.count=4")
