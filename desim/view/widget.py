@@ -17,14 +17,15 @@ GLUE = """
 export default {
   render({ model, el }) {
     const asked = new Map();
-    const hear = ({ number, answer, isLast }) => {
+    const hear = ({ number, answer, isLast, error }) => {
       const own = asked.get(number);
-      if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
+      if (error) { asked.delete(number); own?.fail(new Error(error)); }
+      else if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
     };
     model.on("msg:custom", hear);
     const ask = (what, body, signal, show) => new Promise((done, fail) => {
       const number = `${Math.random()}`;  // another view of the widget hears the same answers
-      asked.set(number, { done, show });
+      asked.set(number, { done, fail, show });
       signal?.addEventListener("abort", () => {
         if (!asked.delete(number)) return;
         fail(new DOMException("aborted", "AbortError"));
@@ -75,6 +76,8 @@ class PlayWidget(anywidget.AnyWidget):
         """Answer a request of the page in a thread of its own, so that other cells can run."""
         if is_request(request["body"]):
             Thread(target=self._answer, args=(request["number"], request["what"], request["body"]), daemon=True).start()
+        else:
+            self.send({"number": request["number"], "error": "the request is malformed"})
 
     def _answer(self, number: str, what: str, body: Answer) -> None:
         session, last = self._session, Answer()
