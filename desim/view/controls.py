@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, isinf
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
@@ -177,6 +177,8 @@ def _types(annotation: Any) -> list[Any]:
     """Return the types that the value of an annotation may have, without the item types of tuples, lists and dicts."""
     if get_origin(annotation) in {None, tuple, list, dict, Literal}:
         return [annotation]
+    if get_origin(annotation) is Annotated:
+        return _types(get_args(annotation)[0])
     return [each for inner in get_args(annotation) for each in _types(inner)]
 
 

@@ -1,5 +1,7 @@
 """The controls follow from the models: each key of a scenario has one, and its value can be set as it is."""
 
+from math import pi
+
 import pytest
 
 from desim import Announcements, Links, Scenario, Team, load
@@ -57,6 +59,19 @@ def test_a_control_has_the_bounds_unit_help_and_kinds_of_its_key():
     assert found["fault"].value == "[]"
     assert found["team.box"].value == "[0.0, 20.0]"
     assert by_key(load(SCENARIOS / "voronoi.toml"))["team.speeds"].form == "text"
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "form", "low", "high"),
+    [
+        ({}, "capture.captures_to_end", "integer", 1.0, None),
+        ({"evader": {"strategy": {"kind": "constant_heading"}}}, "evader.strategy.angle", "number", -2 * pi, 2 * pi),
+        ({"network": {"graph": {"kind": "edges"}}}, "network.graph.nodes", "integer", 1.0, None),
+    ],
+)
+def test_an_optional_number_has_its_bounds(tables, key, form, low, high):
+    found = by_key(tables)[key]
+    assert (found.form, found.low, found.high, found.value, found.options) == (form, low, high, "", ())
 
 
 def test_a_value_beyond_the_ends_of_its_slider_has_none():
