@@ -32,6 +32,8 @@ TOLERANCE = 0.005
 """Largest relative deviation of a candidate's centralised active times from the published ones."""
 BATCH = 20_000
 """Configurations per batch; another size gives other draws from the same seed."""
+SIZES = sorted({count for _, count, _ in PUBLISHED})
+"""Team sizes N of Table I."""
 FIRST_SEED = 1_000_000
 """First seed of the runs for the choice, far from the seeds of the Table I study."""
 
@@ -122,10 +124,30 @@ def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
 
 
 @click.command(help=__doc__, cls=Program)
-@click.option("--draws", default=1_000_000, show_default=True, help=f"Configurations per N, in batches of {BATCH}.")
-@click.option("--most", default=100, show_default=True, help="Number of candidates compared for each N, at most.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the draws.")
-@click.option("--team", "teams", type=int, multiple=True, default=(20, 40), show_default=True, help="Team sizes N.")
+@click.option(
+    "--draws",
+    type=click.IntRange(min=1),
+    default=1_000_000,
+    show_default=True,
+    help=f"Configurations per N, in batches of {BATCH}.",
+)
+@click.option(
+    "--most",
+    type=click.IntRange(min=1),
+    default=100,
+    show_default=True,
+    help="Number of candidates compared for each N, at most.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws.")
+@click.option(
+    "--team",
+    "teams",
+    type=click.Choice(SIZES),
+    multiple=True,
+    default=SIZES,
+    show_default=True,
+    help="Team sizes N.",
+)
 def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
     """Find and write the configurations."""
     for count in teams:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from desim.cli.program import Program
+from desim.config.json_numbers import to_json
 from desim.results import provenance
 from desim.results.run_folder import can_plot
 from desim.study.batch import run_many, seeds_from
@@ -50,7 +51,8 @@ class Options:
         NAME.run.json, where NAME is the name of the study, records the provenance of these files. Studies can share a
         folder, because the names of all files of a study begin with NAME.
         """
-        text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
+        whole = {"study": self.name, "runs": self.runs, "seed": self.seed} | document
+        text = json.dumps(to_json(whole), indent=2, allow_nan=False)
         click.echo(text if self.as_json else table)
         self.out.mkdir(parents=True, exist_ok=True)
         stem = self.out / self.name

@@ -130,6 +130,10 @@ def test_an_override_in_two_words_is_refused_before_they_count_as_arguments(file
             "network.latency = { kind = 'constant', low = 1.0 }",
             "network.latency.low: unknown key, it is one of the kind uni",
         ),
+        (
+            "protocol = { kind = 'sap', schedule = { kind = 'poisson', participation = 0.5 } }",
+            "protocol.schedule.participation: unknown key, it is one of the kind rounds; allowed",
+        ),
         ("protocol = { kind = 'voronoi', tau = 1.0 }", "protocol.tau: unknown key, it is one of the kind bi"),
         ("zzz = 1", "zzz: unknown key; "),
     ],

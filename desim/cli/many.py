@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -137,12 +138,11 @@ def sweep(
             raise click.BadParameter(f"{PRECISION}: {error}", param_hint="'--until'") from error
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
-    jobs_of_plan = plan.shard(*(shard or (1, 1)))
     start = time.perf_counter()
     if dry_run:
         with storing(folder), Store(path if path.exists() else None) as store:
             plan.check(store)
-            text = _plan_text(plan, jobs_of_plan, plan.done(store, shown), until)
+            text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
         echo(text)
         return
     with storing(folder), Store(path) as store:
@@ -251,10 +251,12 @@ def _plan_text(
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
     done = [each for each in wanted if each in there]
+    counts = [Counter(key for key, _ in each) for each in (wanted, done)]
     rows = [("runs", "stored", *plan.configurations[0].settings)]
-    for configuration in plan.configurations:
-        counts = (sum(key == configuration.key for key, _ in each) for each in (wanted, done))
-        rows.append((*map(str, counts), *map(str, configuration.columns.values())))
+    rows += [
+        (*(str(each[configuration.key]) for each in counts), *map(str, configuration.columns.values()))
+        for configuration in plan.configurations
+    ]
     least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
     head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"

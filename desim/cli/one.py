@@ -41,7 +41,12 @@ if TYPE_CHECKING:
     "--from", "repeated", type=click.Path(path_type=Path), metavar="RUN.JSON", help="Repeat the runs of a run.json."
 )
 @SEED
-@click.option("-n", "--runs", type=click.IntRange(min=1), help="Number of runs, with seeds s, s + 1, ...; default: 1.")
+@click.option(
+    "-n",
+    "--runs",
+    type=click.IntRange(min=1),
+    help="Number of runs, with seeds s, s + 1, ...; default: 1, or with --from the recorded number.",
+)
 @JOBS
 @click.option(
     "-o",
@@ -69,6 +74,7 @@ def run(
     """Run a scenario FILE, or repeat the runs of a run.json, and print the metrics."""
     from desim.analysis.metrics import MetricError, plain
     from desim.analysis.tables import batch_table, run_table
+    from desim.results.run_folder import WriteError
     from desim.simulation.watchdog import within
 
     whole_command = click.get_current_context().with_resource(ExitStack())
@@ -90,7 +96,7 @@ def run(
         else:
             results = _run_several(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
-    except OSError as error:
+    except WriteError as error:
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     except MetricError as error:
         _fail_in(error)
@@ -152,7 +158,8 @@ def _run_several(
     simulate = simulation(timeout, partial(run_folder.simulate_below, out))
     results = run_many(tasks, jobs, scenario.name, measure, simulate)
     run_folder.clear(out)
-    provenance.write(out, made)
+    with run_folder.writing():
+        provenance.write(out, made)
     return results
 
 

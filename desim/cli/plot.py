@@ -269,6 +269,6 @@ def _write(make: Callable[[], object], paths: Sequence[Path]) -> None:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except OSError as error:
-        fail(f"--out {paths[0]}: cannot be written: {error.strerror}")
+        fail(f"{paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
         echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")

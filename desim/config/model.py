@@ -137,13 +137,15 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def markers_of(field: FieldInfo) -> list[Any]:
-    """Return the metadata of a field and of all types inside its annotation."""
+    """Return the metadata of a field and of all types inside its annotation, including the bounds in a `Field(...)`."""
     return [*field.metadata, *_metadata(field.annotation)]
 
 
 def _metadata(annotation: Any) -> Iterator[Any]:
     if get_origin(annotation) is Annotated:
-        yield from annotation.__metadata__
+        for each in annotation.__metadata__:
+            yield each
+            yield from each.metadata if isinstance(each, FieldInfo) else ()
     for inner in get_args(annotation):
         yield from _metadata(inner)
 

@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Container, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -26,17 +27,52 @@ EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, Mess
 """The types of events in a trace."""
 
 
+class WriteError(OSError):
+    """Raised when the files of a run cannot be written, unlike an OSError of the code of a scenario."""
+
+
+@contextmanager
+def writing() -> Iterator[None]:
+    """Raise a WriteError in place of an OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(error.errno, error.strerror, error.filename) from error
+
+
+class _RunTrace(TraceFile):
+    """The trace file of a run; a failure to write it, even during the run, is a WriteError."""
+
+    @writing()
+    def __enter__(self) -> Self:
+        return super().__enter__()
+
+    def __call__(self, event: Event) -> None:
+        try:
+            super().__call__(event)
+        except OSError as error:
+            raise WriteError(error.errno, error.strerror, error.filename) from error
+
+    @writing()
+    def __exit__(self, error: type[BaseException] | None, *others: object) -> None:
+        super().__exit__(error, *others)
+
+
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
     """Run a scenario and return the result.
 
     With `record.messages = "file"` the trace is written to the folder during the run. The folder is then created if
     missing, and the files of an earlier run in it are removed; see `clear`.
+
+    Raises:
+        WriteError: if a file cannot be written.
     """
     if scenario.record.messages != "file":
         return run(scenario, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    without_symlink(folder / f"{TRACE}.part")
-    with TraceFile(folder / TRACE) as trace:
+    with writing():
+        folder.mkdir(parents=True, exist_ok=True)
+        without_symlink(folder / f"{TRACE}.part")
+    with _RunTrace(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
         clear(folder)  # before `TraceFile` renames its .part, so that a new trace is never beside an old run.json
         return result
@@ -47,6 +83,7 @@ def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
     return simulate(_below(parent, seed), scenario, seed)
 
 
+@writing()
 def write(
     result: Result, folder: Path, made: provenance.Document | None = None, *, simulated_there: bool = False
 ) -> Summary:
@@ -62,6 +99,9 @@ def write(
         made: the provenance of the run, or of several runs that include it; if None, it is made from the scenario and
             the running program.
         simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
+
+    Raises:
+        WriteError: if a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     numbers = summary(result)
@@ -84,11 +124,12 @@ def write(
     return numbers
 
 
+@writing()
 def clear(folder: Path, kept: Container[str] = ()) -> None:
     """Remove the files of a run from its folder, except those in `kept`; other files and subfolders stay.
 
     Raises:
-        OSError: if a file cannot be removed.
+        WriteError: if a file cannot be removed.
     """
     for name in RUN_FILES:
         if name not in kept:
@@ -102,6 +143,7 @@ def write_below(
     return write(result, _below(parent, result.seed), made, simulated_there=simulated_there)
 
 
+@writing()
 def _below(parent: Path, seed: int) -> Path:
     return without_symlink(parent / f"seed-{seed}")
 

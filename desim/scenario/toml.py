@@ -329,7 +329,8 @@ def _other_key(place: KeyPath, allowed: Sequence[str]) -> str:
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
     here = [each for each in place if isinstance(each, str)]
-    if kinds := [key.owner for key in homes if key.owner and [each for each in key.place if each != "0"] == here]:
+    same = [key for key in homes if [each for each in key.place if each != "0"] == here]
+    if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):
         return f", it is one of the kind {' or '.join(kinds)}"
     places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in homes)
     found = [*map(repr, close), *list(places)[:MAX_HOMES]]

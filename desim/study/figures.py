@@ -92,6 +92,8 @@ def means(
     if unknown := [each for each in labels if each not in values and each not in result.keys and kinds[each] != 1]:
         what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
         raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+    of_kinds = {each: labels[kind] for each in values if (kind := kind_of(each)) in labels and kind not in values}
+    labels = {**of_kinds, **labels}
     abscissa = _abscissa(result, x, keys)
     rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
     panels: dict[str, list[Point]] = {}
@@ -280,10 +282,10 @@ def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) 
 
 
 def _cell_text(value: float) -> str:
-    """Return a mean as the text of a cell: three significant digits, or all integer digits from 1000 on."""
+    """Return a mean as the text of a cell: three significant digits, or all integer digits if there are more."""
     if not isfinite(value):
         return "-"
-    return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+    return f"{value:,.0f}" if abs(value) >= 999.5 else f"{value:.3g}"
 
 
 def swept_numbers(result: SweepRuns) -> list[str]:
@@ -354,9 +356,8 @@ def _lines(
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
     """Return the label of a setting; if it has none, its value, preceded by the key if several keys name a line."""
     value = text(group.settings[key])
-    for name in (value, kind_of(value)):
-        if name in labels:
-            return escaped(labels[name])
+    if value in labels:
+        return escaped(labels[value])
     return _literal(f"{key} = {value}" if is_one_of_several else value)
 
 

@@ -56,7 +56,7 @@ def contents(folder: Path) -> str:
     where = shlex.quote(str(folder))
     if parts := _names(each.name for each in folder.glob(STORE_PARTS)):
         return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
-    if below := _names(each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")):
+    if below := _names({each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")}):
         return f"has no result itself, but its folders have ({below}): give one of them"
     if (folder / provenance.FILE).exists():
         what = provenance.read(folder / provenance.FILE)["what"]

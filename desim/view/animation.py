@@ -120,7 +120,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
     canvas.draw()
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
     found: list[Image.Image] = []
-    before = -1
+    before = times[0] - 1
     with progress(len(times), "frames", "frame") as bar:
         for t in times:
             canvas.restore_region(background)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, isinf
 from types import NoneType
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import OneOf, choices_of, definition_of, import_name
 from desim.config.model import fields_of, markers_of, models_in
 from desim.scenario.key_index import unit_in
+from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 
 Form = Literal["kind", "choice", "flag", "integer", "number", "text"]
@@ -98,7 +99,9 @@ def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str
             continue
         default = None if field.is_required() else field.get_default(call_default_factory=True)
         value = given.get(name, default)
-        tables = isinstance(value, list | tuple) and value and all(isinstance(each, BaseModel | dict) for each in value)
+        if isinstance(value, list | tuple):
+            value = [each.given if isinstance(each, NamedMetric) else each for each in value]
+        tables = isinstance(value, list) and value and all(isinstance(each, BaseModel | dict) for each in value)
         for k, each in enumerate(value) if tables else [(None, value)]:
             place = (*above, name) if k is None else (*above, name, str(k))
             yield from _of_value(field, each, place)
@@ -174,6 +177,8 @@ def _types(annotation: Any) -> list[Any]:
     """Return the types that the value of an annotation may have, without the item types of tuples, lists and dicts."""
     if get_origin(annotation) in {None, tuple, list, dict, Literal}:
         return [annotation]
+    if get_origin(annotation) is Annotated:
+        return _types(get_args(annotation)[0])
     return [each for inner in get_args(annotation) for each in _types(inner)]
 
 

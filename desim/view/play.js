@@ -16,7 +16,7 @@ let count = 0;  // for the ids of controls
 /**
  * Show a scenario to play with.
  *
- * transport: `run(body, signal)`, `seeds(body, show, signal)`, `save(body)` and `cancel()`, promises of the answers.
+ * transport: `run(body, signal)`, `seeds(body, show, signal)`, `save(body)` and `cancel(body)`, promises of the answers.
  * options: `name` of the scenario; `values`, of each key before any change; `changes`, KEY=VALUE, at the beginning;
  * `hasAddress`, whether the address keeps the state.
  */
@@ -25,6 +25,7 @@ export function start(root, transport, options) {
   let controls = [], rows = new Map(), layout = "";  // the controls of the last answer, their elements, and which there are
   let running = null, comparing = null, frame = null, waiting = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
   let instant = null;  // at which the next replay begins, if not at that of the present one, s
+  const page = `${Math.random()}`;  // the name of this page, as several may share a session
   const shown = { time: 0, playing: false };
 
   const split = text => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)];
@@ -239,7 +240,7 @@ export function start(root, transport, options) {
     alone.disabled = pinned === null;
     let answer;
     try {
-      answer = await transport.run({ now: joined(now), pinned }, own.signal);
+      answer = await transport.run({ now: joined(now), pinned, page }, own.signal);
     } catch (error) {
       if (own === running) { wrong.textContent = `No answer: ${error.message}`; status.textContent = ""; }
       return;
@@ -317,7 +318,7 @@ export function start(root, transport, options) {
   // Over seeds.
 
   function stopComparing() {
-    if (comparing) transport.cancel().catch(() => {});
+    if (comparing) transport.cancel({ now: [], page }).catch(() => {});
     comparing?.abort();
     comparing = null;
   }
@@ -329,7 +330,7 @@ export function start(root, transport, options) {
   }
   async function compare() {
     stopComparing();
-    const own = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30 };
+    const own = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30, page };
     const title = make("h2", {}, "30 seeds"), bar = make("progress", { max: 30, value: 0 }), table = make("table");
     bar.setAttribute("aria-label", "Pairs of runs that are done");
     const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent += ", cancelled"; cancel.hidden = true; });

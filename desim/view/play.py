@@ -7,7 +7,8 @@ functions here return. Each answer to a request of a page is a JSON object.
 import re
 import shlex
 import traceback
-from collections.abc import Generator, Iterator, Sequence
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
@@ -18,7 +19,7 @@ import cloudpickle
 import tomli_w
 
 from desim.analysis import palette
-from desim.analysis.metrics import METRICS, Summary, summary, unit_of, words
+from desim.analysis.metrics import METRICS, Metric, Summary, more_is, summary, unit_of, users_metrics, words
 from desim.analysis.statistics import mean, paired
 from desim.analysis.tables import with_half_width
 from desim.config.file_names import folder_name
@@ -134,12 +135,13 @@ class Playground:
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
             is_other = pinned is not None and sorted(pinned) != sorted(now)
+            own = _own_metrics(scenario)
             with within(self.timeout):
                 return _json(
                     shown
                     | {
                         "page": replay(result, other if is_other else None),
-                        "metrics": list(_compared(summary(result), None if other is None else summary(other))),
+                        "metrics": list(_compared(summary(result), None if other is None else summary(other), own)),
                         "seeds": [result.seed, None if other is None else other.seed],
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
@@ -223,6 +225,8 @@ class Playground:
 class Session:
     """A playground and the workers that perform its runs, for one user with one page or several.
 
+    Each page has a name of its own, the argument `page`. A request cancels earlier ones of the same page only.
+
     Args:
         playground: the scenario to play with.
         workers: they perform the runs.
@@ -230,21 +234,21 @@ class Session:
 
     def __init__(self, playground: Playground, workers: Workers):
         self.playground, self.workers = playground, workers
-        self._last: Future[Any] | None = None
-        self._comparison = 0
+        self._last: dict[str, Future[Any]] = {}
+        self._comparisons = Counter[str]()
 
     def warm_up(self) -> None:
         """Let the workers import what a run needs, without waiting for it."""
         for _ in range(self.workers.count):
             self._submit(partial(self.playground.answer, self.playground.start, None))
 
-    def run(self, now: Changes, pinned: Changes | None) -> Answer:
-        """Let a worker compute `Playground.answer`, and return it; cancel an earlier request that has not begun."""
-        if self._last is not None:
-            self._last.cancel()
-        self._last = self._submit(partial(self.playground.answer, now, pinned))
+    def run(self, now: Changes, pinned: Changes | None, page: str = "") -> Answer:
+        """Let a worker compute `Playground.answer`; cancel the last request of the page if it has not begun."""
+        if page in self._last:
+            self._last[page].cancel()
+        future = self._last[page] = self._submit(partial(self.playground.answer, now, pinned))
         try:
-            return dict(self._result(self._last))
+            return dict(self._result(future))
         except Exception as error:  # the worker died, or the request was cancelled
             return {"controls": self.playground.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
 
@@ -258,29 +262,29 @@ class Session:
         except Exception as error:
             return {"error": f"{type(error).__name__}: {error}"}
 
-    def cancel(self) -> None:
-        """End a comparison: runs that have not begun are left out."""
-        self._comparison += 1
+    def cancel(self, page: str = "") -> None:
+        """End the comparison of a page: runs that have not begun are left out."""
+        self._comparisons[page] += 1
 
-    def compare(self, now: Changes, pinned: Changes, count: int) -> Generator[Answer, None, None]:
+    def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
         """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
 
         The first seed is that of the scenario with the changes `now`, and each later one is greater by 1. An earlier
-        comparison is cancelled.
+        comparison of the same page is cancelled.
 
         Raises:
             ScenarioError: if a scenario is not valid.
         """
-        first = self.playground.scenario(now).seed
+        scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
-        self.cancel()
-        own = self._comparison
-        waiting = list(seeds_from(first, count))[::-1]
+        self.cancel(page)
+        own = self._comparisons[page]
+        waiting = list(seeds_from(scenario.seed, count))[::-1]
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
         try:
-            while (waiting or pending) and own == self._comparison:
+            while (waiting or pending) and own == self._comparisons[page]:
                 while waiting and len(pending) < self.workers.count:
                     pending.add(self._submit(partial(self.playground.pair, now, pinned, waiting.pop())))
                 for future in self.workers.done(pending):
@@ -290,7 +294,7 @@ class Session:
                     except Exception as error:
                         found = f"{type(error).__name__}: {error}"
                     (failures if isinstance(found, str) else pairs).append(found)
-                    yield _differences(pairs, failures, count)
+                    yield _differences(pairs, failures, count, _own_metrics(scenario))
         finally:
             for future in pending:
                 future.cancel()
@@ -326,20 +330,31 @@ def style() -> str:
 
 
 def is_request(body: Any) -> bool:
-    """Return whether a value has the form of a request: changes `now` and `pinned`, and a `count` of seeds.
+    """Return whether a value has the form of a request: changes `now` and `pinned`, a `count` of seeds, and its `page`.
 
-    A request without `pinned` or `count` gets their defaults.
+    A request without `pinned`, `count` or `page` gets their defaults.
     """
     if not isinstance(body, dict):
         return False
     now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
+    is_of_page = isinstance(body.setdefault("page", ""), str)
     changes = [now] if pinned is None else [now, pinned]
     has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
-    return has_changes and isinstance(count, int) and 1 <= count <= MAX_SEEDS
+    return has_changes and is_of_page and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
-def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int) -> Answer:
-    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval."""
+def _own_metrics(scenario: Scenario) -> Mapping[str, Metric]:
+    """Return the metrics that a scenario names, by name."""
+    return dict(users_metrics(scenario.record.metrics))
+
+
+def _differences(
+    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, own: Mapping[str, Metric]
+) -> Answer:
+    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
+
+    `own` are the user's metrics by name.
+    """
     rows = []
     for name in _ordered(pairs[0][0]) if pairs else []:
         complete = [
@@ -351,7 +366,7 @@ def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[st
             values, others = map(list, zip(*complete, strict=True))
             found = paired(values, others)
             rows.append(
-                _row(name, pairs[0][0])
+                _row(name, pairs[0][0], own)
                 | {
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(others).mean),
@@ -365,14 +380,17 @@ def _differences(pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[st
     return _json({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
-def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
-    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run."""
+def _compared(now: Summary, pinned: Summary | None, own: Mapping[str, Metric]) -> Iterator[Answer]:
+    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run.
+
+    `own` are the user's metrics by name.
+    """
     for name in _ordered(now):
         value, other = now[name], None if pinned is None else pinned.get(name)
         if value is None and other is None:
             continue
-        row = _row(name, now) | {"value": _formatted(value)}
-        if value is not None and other is not None:
+        row = _row(name, now, own) | {"value": _formatted(value)}
+        if value is not None and other is not None and value != other:  # inf - inf is nan
             difference = float(value) - float(other)
             text = _formatted(difference, "+")
             if float(text.replace(",", "")):
@@ -380,10 +398,10 @@ def _compared(now: Summary, pinned: Summary | None) -> Iterator[Answer]:
         yield row
 
 
-def _row(name: str, found: Summary) -> Answer:
+def _row(name: str, found: Summary, own: Mapping[str, Metric]) -> Answer:
     """Return the name of a metric, its unit and whether more of it is better or worse."""
-    more_is = METRICS[name].more_is if name in METRICS else None
-    return {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is, "first": name in FIRST}
+    row = {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is(name, own)}
+    return row | {"first": name in FIRST}
 
 
 def _ordered(found: Summary) -> list[str]:

@@ -204,13 +204,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _run(self) -> None:
         if (body := self._body()) is not None:
-            self._send_json(self._play.session.run(body["now"], body["pinned"]))
+            self._send_json(self._play.session.run(body["now"], body["pinned"], body["page"]))
 
     def _seeds(self) -> None:
         if (body := self._body()) is None:
             return
         self._begin("application/x-ndjson")
-        found = self._play.session.compare(body["now"], body["pinned"], body["count"])
+        found = self._play.session.compare(body["now"], body["pinned"], body["count"], body["page"])
         try:
             for line in _lines(found):
                 self.wfile.write(line)
@@ -222,8 +222,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(self._play.session.save(body["now"]))
 
     def _cancel(self) -> None:
-        if self._body() is not None:
-            self._play.session.cancel()
+        if (body := self._body()) is not None:
+            self._play.session.cancel(body["page"])
             self._send_json({})
 
 

@@ -17,14 +17,15 @@ GLUE = """
 export default {
   render({ model, el }) {
     const asked = new Map();
-    const hear = ({ number, answer, isLast }) => {
+    const hear = ({ number, answer, isLast, error }) => {
       const own = asked.get(number);
-      if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
+      if (error) { asked.delete(number); own?.fail(new Error(error)); }
+      else if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
     };
     model.on("msg:custom", hear);
     const ask = (what, body, signal, show) => new Promise((done, fail) => {
       const number = `${Math.random()}`;  // another view of the widget hears the same answers
-      asked.set(number, { done, show });
+      asked.set(number, { done, fail, show });
       signal?.addEventListener("abort", () => {
         if (!asked.delete(number)) return;
         fail(new DOMException("aborted", "AbortError"));
@@ -35,7 +36,7 @@ export default {
       run: (body, signal) => ask("run", body, signal),
       seeds: (body, show, signal) => ask("seeds", body, signal, show),
       save: body => ask("save", body),
-      cancel: () => ask("cancel", { now: [] }),
+      cancel: body => ask("cancel", body),
     };
     const options = { name: model.get("name"), changes: [], values: model.get("values"), hasAddress: false };
     const play = start(el, transport, options);
@@ -75,18 +76,20 @@ class PlayWidget(anywidget.AnyWidget):
         """Answer a request of the page in a thread of its own, so that other cells can run."""
         if is_request(request["body"]):
             Thread(target=self._answer, args=(request["number"], request["what"], request["body"]), daemon=True).start()
+        else:
+            self.send({"number": request["number"], "error": "the request is malformed"})
 
     def _answer(self, number: str, what: str, body: Answer) -> None:
         session, last = self._session, Answer()
         if what == "run":
-            last = session.run(body["now"], body["pinned"])
+            last = session.run(body["now"], body["pinned"], body["page"])
         elif what == "save":
             last = session.save(body["now"])
         elif what == "cancel":
-            session.cancel()
+            session.cancel(body["page"])
         elif what == "seeds":
             try:
-                for each in session.compare(body["now"], body["pinned"], body["count"]):
+                for each in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
                     self.send({"number": number, "answer": each, "isLast": False})
             except Exception as error:
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})

@@ -1,5 +1,6 @@
 """How commands end when they cannot print, are given what cannot be read, or run code that ends the program."""
 
+import errno
 import os
 import sys
 import warnings
@@ -10,6 +11,7 @@ from click.testing import CliRunner
 
 from desim.cli import main
 from desim.cli.program import Program
+from desim.kernel.trace_file import TraceFile
 from desim.scenario.toml import load
 from tests.command import desim
 
@@ -25,6 +27,10 @@ def leave(me):
 class Flee:
     def __call__(self, state, rng):
         sys.exit(0)
+
+def reads(me):
+    yield me.sleep(0.1)
+    open("no_such_map.csv")
 """
 METRICS = """\
 def divided(number):
@@ -81,6 +87,30 @@ def test_a_run_whose_code_calls_exit_has_failed(file, tmp_path, monkeypatch, key
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(RuntimeError, match=f"^{told}$"):
         desim("run", file(f"{key}\n"), "--allow-import", *runs)
+
+
+@pytest.mark.parametrize("runs", [(), ("-n", "2")])
+@pytest.mark.parametrize("recording", ["", 'record.messages = "file"\n'])
+@pytest.mark.parametrize("is_written", [False, True])
+def test_a_file_that_the_code_of_a_run_cannot_read_is_not_taken_for_the_output(
+    file, tmp_path, monkeypatch, runs, recording, is_written
+):
+    (tmp_path / "code_that_ends.py").write_text(CODE)
+    monkeypatch.syspath_prepend(tmp_path)
+    output = ("-o", tmp_path / "out") if is_written else ()
+    with pytest.raises(FileNotFoundError, match=r"no_such_map\.csv"):
+        desim("run", file(f'protocol.kind = "code_that_ends:reads"\n{recording}'), "--allow-import", *runs, *output)
+
+
+@pytest.mark.parametrize("runs", [(), ("-n", "2")])
+def test_a_disk_that_is_full_during_a_run_is_reported_as_such(file, tmp_path, monkeypatch, runs):
+    def write(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(TraceFile, "__call__", write)
+    done = desim("run", file('record.messages = "file"\n'), *runs, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert done.stderr.splitlines()[-1] == f"--out {tmp_path / 'out'}: cannot be written: No space left on device"
 
 
 @pytest.mark.parametrize("runs", [(), ("-n", "2")])

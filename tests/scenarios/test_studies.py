@@ -1,6 +1,7 @@
 """Studies: what they measure is what the simulator does, and what they print is what they measured."""
 
 import json
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -26,6 +27,8 @@ from scenarios import (
     two_clocks,
 )
 from scenarios import range as ranges
+from scenarios.study import Options
+from tests.command import strict_json
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed
 
@@ -139,6 +142,27 @@ def test_the_search_judges_configurations_as_the_simulator_does(delta):
     for points, point, time in zip(team.tolist(), evader.tolist(), fast, strict=True):
         scenario = table1.centralised(find_table1._placed(base, points, point), delta)
         assert summary(run(scenario)).active_time == pytest.approx(time, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "why"),
+    [
+        ("--team", "30", "'30' is not one of '20', '40'"),
+        ("--most", "0", "0 is not in the range x>=1"),
+        ("--draws", "0", "0 is not in the range x>=1"),
+        ("--seed", "-1", "-1 is not in the range x>=0"),
+    ],
+)
+def test_an_option_of_the_search_out_of_range_is_refused(option, value, why, monkeypatch):
+    monkeypatch.setattr(find_table1, "fitting", lambda *_: pytest.fail("it searched"))
+    done = CliRunner().invoke(find_table1.main, [option, value])
+    assert (done.exit_code, why in done.stderr) == (2, True), done.output
+
+
+def test_infinity_and_nan_are_strings_in_the_document_of_a_study(tmp_path, capsys):
+    Options("numbers", 1, 1, 0, tmp_path, as_json=True).show({"found": [inf, nan, 1.0]}, "table")
+    for text in (capsys.readouterr().out, (tmp_path / "numbers.json").read_text()):
+        assert strict_json(text)["found"] == ["Infinity", "NaN", 1.0]
 
 
 def test_a_found_configuration_is_written_as_it_was_found(tmp_path):

@@ -11,7 +11,7 @@ from desim.analysis.metrics import summary
 from desim.analysis.plots import save
 from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
-from desim.study.figures import INK, means, multiples, phase
+from desim.study.figures import INK, _cell_text, means, multiples, phase
 from desim.study.result import SweepResult
 from desim.study.runs import Group
 from desim.study.store import Row
@@ -415,6 +415,19 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
             means(both, "active_time", **options)
     with pytest.raises(ValueError, match="a reference should be a mapping"):
         both.differences("active_time", "protocol=sap")
+
+
+def test_the_label_of_a_value_is_not_that_of_other_values_of_its_kind():
+    found = result({"protocol": ["sap", "sap(tau=1)"], "x": [1.0, 2.0]})
+    (axes,) = means(found, "active_time", x="x", labels={"sap": "SAP"}).axes
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["SAP", "sap(tau=1)"]
+
+
+@pytest.mark.parametrize(
+    ("value", "cell"), [(998.9, "999"), (999.4, "999"), (999.7, "1,000"), (-999.9, "-1,000"), (1234.5, "1,234")]
+)
+def test_a_cell_has_three_digits_or_all_of_an_integer(value, cell):
+    assert _cell_text(value) == cell
 
 
 def test_a_configuration_without_a_reference_is_named():

@@ -45,6 +45,11 @@ def both(folder):
     sweep(SCENARIO, GRID, 1, store=folder / "sweep.sqlite")
 
 
+def both_below(folder):
+    (folder / "one").mkdir()
+    both(folder / "one")
+
+
 def parts(folder):
     for part in ("1-of-2", "2-of-2"):
         (folder / f"sweep.{part}.sqlite").touch()
@@ -60,6 +65,7 @@ def study(folder):
     [
         (lambda folder: None, "has no result of desim: neither trace.jsonl nor sweep.sqlite"),
         (runs_below, r"has no result itself, but its folders have (seed-1, seed-3): give one of them"),
+        (both_below, "has no result itself, but its folders have (one): give one of them"),
         (parts, "has parts of a sweep (sweep.1-of-2.sqlite, sweep.2-of-2.sqlite): merge them first: desim merge"),
         (both, "has a run and a sweep: give"),
         (study, "has the run.json of 'run', but neither trace.jsonl nor sweep.sqlite"),

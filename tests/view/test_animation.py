@@ -93,6 +93,12 @@ def test_a_frame_depends_on_the_one_before_only_by_what_ended_since():
     assert after.tobytes() == same.tobytes() != frames(history(), [200 * MS, 300 * MS])[1].tobytes()
 
 
+def test_the_first_frame_has_no_marks_of_messages_that_ended_earlier():
+    """The loss at 100 ms and the arrival at 200 ms precede the window."""
+    (first,), (_, later) = frames(history(), [300 * MS]), frames(history(), [290 * MS, 300 * MS])
+    assert first.tobytes() == later.tobytes()
+
+
 def test_frames_are_in_the_colours_of_one_palette_and_only_what_moves_changes():
     first, last = frames(history(), [0, 1000 * MS])
     assert first.getpalette() == last.getpalette()

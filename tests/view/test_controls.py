@@ -1,5 +1,7 @@
 """The controls follow from the models: each key of a scenario has one, and its value can be set as it is."""
 
+from math import pi
+
 import pytest
 
 from desim import Announcements, Links, Scenario, Team, load
@@ -59,6 +61,19 @@ def test_a_control_has_the_bounds_unit_help_and_kinds_of_its_key():
     assert by_key(load(SCENARIOS / "voronoi.toml"))["team.speeds"].form == "text"
 
 
+@pytest.mark.parametrize(
+    ("tables", "key", "form", "low", "high"),
+    [
+        ({}, "capture.captures_to_end", "integer", 1.0, None),
+        ({"evader": {"strategy": {"kind": "constant_heading"}}}, "evader.strategy.angle", "number", -2 * pi, 2 * pi),
+        ({"network": {"graph": {"kind": "edges"}}}, "network.graph.nodes", "integer", 1.0, None),
+    ],
+)
+def test_an_optional_number_has_its_bounds(tables, key, form, low, high):
+    found = by_key(tables)[key]
+    assert (found.form, found.low, found.high, found.value, found.options) == (form, low, high, "", ())
+
+
 def test_a_value_beyond_the_ends_of_its_slider_has_none():
     far = by_key(Scenario(network=Links(range=500.0), announce=Announcements(heartbeat=0.1)))
     assert far["network.range"].slider is None
@@ -80,3 +95,13 @@ def test_models_made_in_python_have_the_controls_of_their_tables():
     scenario = Scenario(team=Team(count=8, speeds=1.2), network=Links(latency=Gamma(shape=2.0, scale=0.05)))
     assert by_key(scenario)["network.latency.shape"].value == "2"
     assert by_key(Source.of(scenario).tables)["network.latency"].value == "gamma"
+
+
+def closest(result):
+    return 1.0
+
+
+def test_metrics_that_a_scenario_names_have_one_control():
+    found = by_key(Scenario(record={"metrics": [closest]}))
+    assert found["record.metrics"].value == f'["{__name__}:closest"]'
+    assert not any(key.startswith("record.metrics.") for key in found)

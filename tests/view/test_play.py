@@ -109,6 +109,46 @@ def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
     assert "--set team.count=60" in found["texts"]["command"]
 
 
+OWN_METRICS = """
+from desim.analysis.metrics import Metric
+
+def endless(result):
+    return float("inf")
+
+def _first(result):
+    return float(result.seed)
+
+gain = Metric(_first, "s", more_is="better")
+"""
+
+
+@pytest.fixture
+def measured(tmp_path, monkeypatch):
+    """Return a playground whose scenario names metrics of a user."""
+    (tmp_path / "metrics_of_play.py").write_text(OWN_METRICS)
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "measured.toml"
+    own = '["metrics_of_play:endless", "metrics_of_play:gain"]'
+    file.write_text(f"team.count = 2\nhorizon = 0.2\nrecord.metrics = {own}\n")
+    return Playground(read(file, allow_import=True), file)
+
+
+def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
+    found = measured.answer(["evader.speed=0.3"], [])
+    (shown,) = (row for row in found["metrics"] if row["name"] == "endless")
+    assert shown["value"] == "inf"
+    assert "difference" not in shown
+
+
+def test_a_users_metric_says_whether_more_of_it_is_better(measured):
+    found = measured.answer(["seed=1"], [])
+    (shown,) = (row for row in found["metrics"] if row["name"] == "gain")
+    assert (shown["more_is"], shown["difference"]) == ("better", "+1")
+    one = ['record.metrics=["metrics_of_play:gain"]']
+    *_, last = Session(measured, InProcess()).compare([*one, "evader.speed=0.3"], one, 2)
+    assert {row["name"]: row["more_is"] for row in last["metrics"]}["gain"] == "better"
+
+
 def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
     (tmp_path / "rule_that_fails.py").write_text(
         "def rule(me):\n    yield me.sleep(0.1)\n    raise ValueError('mine')\n"
@@ -208,7 +248,7 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
         ({"active_time": a}, {"active_time": b}) for a, b in [(10.0, 8.0), (None, 100.0), (30.0, None), (20.0, 16.0)]
     ]
     summaries = [(Summary(now), Summary(pinned)) for now, pinned in pairs]
-    (row,) = _differences(summaries, [], 4)["metrics"]
+    (row,) = _differences(summaries, [], 4, {})["metrics"]
     assert (row["now"], row["pinned"], row["count"]) == ("15", "12", 2)
     assert row["difference"].startswith("+3.000 +- ")
 
@@ -231,7 +271,18 @@ def test_a_worker_that_died_is_replaced(small):
         workers.stop()
 
 
-def test_an_earlier_request_that_has_not_begun_is_cancelled(small):
+def test_a_comparison_goes_on_while_another_page_compares_or_cancels(small, monkeypatch):
+    monkeypatch.setattr(Playground, "pair", lambda self, now, pinned, seed: "no result")
+    session = Session(small, InProcess())
+    first = session.compare(SMALL, SMALL, 3, "first")
+    assert next(first)["done"] == 1
+    assert list(session.compare(SMALL, SMALL, 1, "second"))[-1]["done"] == 1
+    session.cancel("second")
+    assert [each["done"] for each in first] == [2, 3]
+
+
+@pytest.mark.parametrize(("pages", "cancelled"), [(("one", "one"), True), (("one", "another"), False)])
+def test_an_earlier_request_of_a_page_that_has_not_begun_is_cancelled(small, pages, cancelled):
     class Slow(InProcess):
         def submit(self, call):
             self.futures.append(Future())
@@ -239,14 +290,17 @@ def test_an_earlier_request_that_has_not_begun_is_cancelled(small):
 
         futures: ClassVar = []
 
+    Slow.futures = []
     session = Session(small, Slow())
-    threads = [Thread(target=session.run, args=(SMALL, None), daemon=True) for _ in range(2)]
+    threads = [Thread(target=session.run, args=(SMALL, None, page), daemon=True) for page in pages]
     for k, each in enumerate(threads, start=1):
         each.start()
         while len(Slow.futures) < k:
             time.sleep(0.01)
-    assert [each.cancelled() for each in Slow.futures] == [True, False]
-    Slow.futures[1].set_result({})
+    assert [each.cancelled() for each in Slow.futures] == [cancelled, False]
+    for each in Slow.futures:
+        if not each.cancelled():
+            each.set_result({})
     threads[0].join(30)
 
 
@@ -313,6 +367,7 @@ def test_other_hosts_and_other_origins_are_refused(server):
         {"now": "a"},
         {"now": [1]},
         {"now": [], "pinned": 3},
+        {"now": [], "page": 3},
         {"now": [], "count": 10**6},
         {"now": ["x" * 10**6]},
     ],

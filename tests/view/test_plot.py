@@ -129,6 +129,12 @@ def test_a_run_that_cannot_be_drawn_is_reported_in_one_line(folder, words, says)
     assert says in call(*words, code=2)
 
 
+def test_a_picture_that_cannot_be_written_is_named_without_an_option_that_was_not_given(file, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.trajectory.svg").mkdir()
+    assert call("trajectory", file, code=2).startswith("small.trajectory.svg: cannot be written: ")
+
+
 @pytest.mark.slow
 def test_a_folder_without_messages_gives_an_error_that_explains_how_to_record_them(file, tmp_path):
     write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")

@@ -62,9 +62,20 @@ def test_a_comparison_is_told_pair_by_pair_and_can_be_cancelled(widget):
     assert len(sent) < 1000
 
 
-def test_requests_of_another_form_have_no_answer_and_wrong_ones_an_error(widget):
+def test_two_views_of_a_widget_compare_independently(widget):
+    made, sent = widget
+    asked(made, 1, "seeds", now=["team.count=4"], pinned=[], count=10, page="first")
+    until(lambda: sent)
+    asked(made, 2, "cancel", now=[], page="second")
+    until(lambda: any(each["isLast"] and each["number"] == 1 for each in sent))
+    assert sum(each["number"] == 1 for each in sent) == 11
+
+
+def test_requests_of_another_form_and_wrong_ones_have_an_error(widget):
     made, sent = widget
     asked(made, 1, "run", now="team.count=4")
+    assert sent == [{"number": 1, "error": "the request is malformed"}]
+    sent.clear()
     asked(made, 2, "seeds", now=["team.count=0"], pinned=[], count=1)
     until(lambda: sent and sent[-1]["isLast"])
     assert [each["number"] for each in sent] == [2, 2]
@@ -107,6 +118,11 @@ def test_the_page_in_a_cell_asks_the_kernel_and_shows_its_answers(widget, browse
     answer_all()
     browser.until("cell.play.runs === 2")
     assert browser.value("cell.play.replay.players.length") == 5  # four pursuers and the evader
+    browser.value("cell.play.change('team.count', '5')")
+    browser.until("sent.length > 0")
+    (request,) = browser.value("sent.splice(0)")
+    browser.value(f"tell({json.dumps({'number': request['number'], 'error': 'wrong form'})})")
+    browser.until("cell.querySelector('.wrong').textContent === 'No answer: wrong form'")
     browser.value("remove()")
     assert browser.value("cell.childElementCount") == 0
     assert browser.errors == []
