@@ -140,7 +140,9 @@ def _body_json(value: Any) -> str:
 
 
 def _nested(value: Any) -> str:
-    """Return a value as JSON, with named tuples as objects; a named tuple inside a dict is written as an array."""
+    """Return a value as JSON, with named tuples as objects."""
+    if isinstance(value, dict):
+        return f"{{{', '.join([f'{_key_json(key)}: {_nested(each)}' for key, each in value.items()])}}}"
     if isinstance(value, tuple | list):
         names = field_names(value.__class__)
         if names is None:
@@ -149,6 +151,13 @@ def _nested(value: Any) -> str:
     if value is True or value is False:
         return "true" if value else "false"
     return _number(value) if type(value) is float and isfinite(value) else _json(value)
+
+
+def _key_json(key: Any) -> str:
+    """Return the key of a dict as JSON, a string: a key without a JSON form is written as its `repr`."""
+    if isinstance(key, str):
+        return _json(key)
+    return _json(_json(key) if isinstance(key, int | float | None) else repr(key))
 
 
 def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
