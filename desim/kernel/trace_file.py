@@ -12,6 +12,7 @@ from math import isfinite
 from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+from unicodedata import is_normalized
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
@@ -199,9 +200,12 @@ def _with_named_tuples(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     fields = {name: _with_named_tuples(each) for name, each in value.items()}
-    if all(name.isidentifier() and not name.startswith("_") and not iskeyword(name) for name in fields):
-        return _body_type(tuple(fields))(**fields)
-    return fields
+    return _body_type(tuple(fields))(**fields) if all(map(_is_field_name, fields)) else fields
+
+
+def _is_field_name(name: str) -> bool:
+    """Return whether a key can be a field of a named tuple; Python reads a name that is not in NFKC as another one."""
+    return name.isidentifier() and not name.startswith("_") and not iskeyword(name) and is_normalized("NFKC", name)
 
 
 @cache

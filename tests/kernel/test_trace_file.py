@@ -255,7 +255,7 @@ def test_a_key_of_a_body_becomes_a_string(key, written):
     assert json.loads(line_of(Sent(0, 0, 0, 1, 5, 0, 24, [{key: {key: 1}}])))["body"] == [{written: {written: 1}}]
 
 
-@pytest.mark.parametrize("name", ["a b", "class", "_c"])
+@pytest.mark.parametrize("name", ["a b", "class", "_c", "\ufb01"])
 def test_a_table_with_a_key_that_is_no_name_stays_one(name):
     sent = Sent(0, 0, 0, 1, 5, 0, 24, {"a": 1, name: [3]})
     assert next(events_of([line_of(sent)], KINDS)).body == {"a": 1, name: (3,)}
