@@ -400,6 +400,8 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
             raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
+        if (other := next((each for each in found if each.lower() == low), name)) != name:
+            raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)
         if found.setdefault(name, metric) != metric:
             raise ValueError(f"metric {name!r} should have another name: another metric has it")
