@@ -154,6 +154,8 @@ class Source:
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
 
+        A bare string or number in place of a table becomes the table that it stands for.
+
         When the kind of a table changes, the keys that the new kind does not have are removed, except those that were
         overridden.
 
@@ -176,6 +178,8 @@ class Source:
                 node[key] = _replaced(node[key], parts[depth:], value)
                 self.origins[*place, key] = origin
                 return
+            if holds(node, key) and isinstance(node[key], str | int | float):
+                node[key] = self._as_table((*place, key))
             node = node[key] if holds(node, key) else None
             place += (key,)
         key = _key(last, node)
@@ -186,6 +190,12 @@ class Source:
         node[key] = value
         self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
+
+    def _as_table(self, place: KeyPath) -> Any:
+        """Return the table that a bare string or number at a place stands for; return any other value unchanged."""
+        info = _field_at(self.tables, place)
+        value = value_at(self.tables, place)
+        return reduce(lambda value, one_of: one_of.as_table(value), choices_of(info) if info else (), value)
 
     def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
         """Remove the keys of a table that a new kind does not have, except those that were overridden."""
