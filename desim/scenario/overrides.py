@@ -1,7 +1,7 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import getitem
@@ -117,6 +117,14 @@ class Source:
             else:
                 present[key] = _copied(value)
                 yield (*above, key)
+
+    def at(self, parts: Sequence[str]) -> Any:
+        """Return the value at a dotted key, given as its parts; None if there is none."""
+        node: Any = self.tables
+        for part in parts:
+            key = _key(part, node)
+            node = node[key] if holds(node, key) else None
+        return node
 
     def override(self, text: str) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.
