@@ -15,7 +15,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.presets import PRESETS
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, KeyPath
+from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key
 
 
 class ScenarioError(ValueError):
@@ -152,8 +152,8 @@ class Source:
         name, equals, value = text.partition("=")
         if not equals or not all(name.strip().split(".")):
             raise ScenarioError(f"{origin}: should be {form}")
-        if DEEP_KEY.search(text):
-            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than 100 parts")
+        if name.count(".") >= MAX_PARTS or deep_key(value) is not None:
+            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than {MAX_PARTS} parts")
         try:
             self.set(above + name.strip(), parse(value.strip()), origin)
         except ScenarioError as error:

@@ -20,7 +20,7 @@ from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
+from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, unreadable
 
 
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
@@ -132,9 +132,9 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         OSError: if the file cannot be read.
     """
     text = _read_text(file)
-    if deep := DEEP_KEY.search(text):
-        line = text.count("\n", 0, deep.start()) + 1
-        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
+    if (deep := deep_key(text)) is not None:
+        line = text.count("\n", 0, deep) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than {MAX_PARTS} parts")
     try:
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
