@@ -29,7 +29,7 @@ class Centralised(Value):
     announces: ClassVar[bool] = False
     """Pursuers do not announce their actions."""
     embodied: ClassVar[bool] = False
-    """The planner is not part of a robot and does not crash with pursuer 0."""
+    """The planner is not part of a robot: it does not crash with pursuer 0, and its clock has no error."""
     omniscient: ClassVar[bool] = True
     """The planner and the pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     kind: Literal["centralised"] = "centralised"

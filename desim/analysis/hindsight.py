@@ -34,14 +34,11 @@ from desim.analysis.timeline import Timeline, timeline
 from desim.analysis.trace_index import ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.propagation import TYPICAL_SIZE, LinkSampler
 from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
-ALIKE = 20
-"""The mean latency of a complete graph whose links share one model is estimated from at most this many nodes."""
 NO_PURSUER = -1
 
 
@@ -222,10 +219,7 @@ def settling_window(result: Result) -> float:
 
 def _latency(result: Result) -> float:
     links, places = result.scenario.network, np.array(started(result).pursuers)
-    size = len(places)
-    if isinstance(links.graph, Complete) and not links.link:
-        size = min(size, ALIKE)
-    sampler = LinkSampler(links, links.graph(size), result.seed, lambda: places)
+    sampler = LinkSampler(links, links.graph(len(places)), result.seed, lambda: places)
     return sampler.typical_latency() + links.medium(TYPICAL_SIZE)
 
 

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from keyword import iskeyword
 from math import isnan, nan
-from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -162,7 +161,7 @@ class Summary(Mapping[str, Any]):
 
     A metric is None if it is undefined, as a capture time without a capture, or if a recording that it needs is
     missing. The built-in metrics are attributes, too: `summary.active_time`. A run that was stored before a metric
-    existed lacks it: `summary.get(name)` is None.
+    existed lacks it: `summary.get(name)` is None, and there is no such attribute.
 
     `str` returns a line for each metric that is not None: its name, value and unit.
 
@@ -322,8 +321,21 @@ COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "tracebac
 UsersMetrics = tuple[tuple[str, Metric], ...]
 """A user's metrics, each with its name."""
 
+
+def _attribute(name: str) -> property:
+    """Return the attribute of summaries for a built-in metric; the summary of an older run may lack the metric."""
+
+    def value(numbers: Summary) -> Any:
+        try:
+            return numbers[name]
+        except KeyError:
+            raise AttributeError(f"the run has no {name!r}: it was stored before this metric existed") from None
+
+    return property(value)
+
+
 for _name in METRICS:
-    setattr(Summary, _name, property(itemgetter(_name)))
+    setattr(Summary, _name, _attribute(_name))
 
 
 class MetricError(RuntimeError):
@@ -388,6 +400,8 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
             raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
+        if (other := next((each for each in found if each.lower() == low), name)) != name:
+            raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)
         if found.setdefault(name, metric) != metric:
             raise ValueError(f"metric {name!r} should have another name: another metric has it")

@@ -151,7 +151,7 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-        value = self._as_table(value)
+        value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
         if not callable(value):
@@ -162,7 +162,7 @@ class OneOf:
         self.traits.check(value)
         return value
 
-    def _as_table(self, value: Any) -> Any:
+    def as_table(self, value: Any) -> Any:
         """Return the table that a bare string or number stands for; return any other value unchanged."""
         if isinstance(value, str):
             return {"kind": value}

@@ -43,8 +43,10 @@ class _HiddenModuleFinder:
 
     def find_spec(self, name: str, path: object = None, target: ModuleType | None = None, /) -> None:
         """Raise HiddenPackageError if the module belongs to a hidden package."""
-        package = name.partition(".")[0]
-        if package in PACKAGES and (_SITE / name.replace(".", "/")).with_suffix(".py").is_file():
+        package, _, module = name.partition(".")
+        path = _SITE / name.replace(".", "/")
+        ours = path.with_suffix(".py"), path / "__init__.py"
+        if package in PACKAGES and module and any(each.is_file() for each in ours):
             check_visible(package)
 
 

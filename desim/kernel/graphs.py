@@ -130,8 +130,8 @@ class Edges(Value):
     edges: tuple[Edge, ...] = ()
     """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
-    """Instead of edges: path of a node-link JSON (*.json) or GraphML (*.graphml) file, relative to the scenario file.
-    The file is read once, when the model is created."""
+    """Instead of edges, nodes and directed: path of a node-link JSON (*.json) or GraphML (*.graphml) file, relative to
+    the scenario file. The file is read once, when the model is created."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
@@ -142,8 +142,8 @@ class Edges(Value):
     def _read(cls, given: Any, info: ValidationInfo) -> Any:
         if not isinstance(given, dict) or given.get("file") is None:
             return given
-        if "edges" in given:
-            raise ValueError("should have edges or a file of edges, not both")
+        if beside := [name for name in ("edges", "nodes", "directed") if name in given]:
+            raise ValueError(f"should have either a file or {' and '.join(beside)}: a file gives all of them")
         return given | {"file": None} | _fields(_graph_in(resolve_path(given["file"], info)))
 
     @model_validator(mode="after")

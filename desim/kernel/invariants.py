@@ -13,7 +13,7 @@ from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCoun
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable
 
 MIN_BATCH = 64
 """Initial limit of the number of unchecked transmissions, above which deliveries are checked.
@@ -84,9 +84,8 @@ class Conservation:
             self._check_order(event, fates)
         self._sent += len(fates)
         if event.transmission in self._waiting:
-            waiting = self._waiting[event.transmission]
-            self._sent -= len(waiting & fates.keys())
-            waiting.difference_update(fates)
+            self._sent -= len(self._waiting[event.transmission] & fates.keys())
+            self._wait_no_more(event.transmission, fates)
         if event.transmission in self._flying:
             departure, flying = self._flying[event.transmission]
             _require(departure.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
@@ -107,11 +106,16 @@ class Conservation:
         self._sent += len(event.dst)
         self._waiting.setdefault(event.transmission, set()).update(event.dst)
 
+    def _wait_no_more(self, transmission: int, nodes: "Iterable[int]") -> None:
+        """Remove nodes from the remaining receivers of a waiting transmission."""
+        self._waiting[transmission].difference_update(nodes)
+        if not self._waiting[transmission]:
+            del self._waiting[transmission]
+
     def _lose(self, event: Lost) -> None:
         self._lost[event.cause] += 1
-        waiting = self._waiting.get(event.transmission, set())
-        if event.dst in waiting:
-            waiting.remove(event.dst)
+        if event.dst in self._waiting.get(event.transmission, ()):
+            self._wait_no_more(event.transmission, [event.dst])
         else:
             departure, flying = self._flying.get(event.transmission, (event, {}))
             arrival = flying.pop(event.dst, None)

@@ -62,4 +62,4 @@ def _size(body: Any) -> int:
         return sum(_size(key) + _size(each) for key, each in body.items())
     if isinstance(body, np.ndarray):
         return NUMBER * body.size * (2 if np.iscomplexobj(body) else 1)
-    return 2 * NUMBER if isinstance(body, complex) else NUMBER
+    return 2 * NUMBER if isinstance(body, complex | np.complexfloating) else NUMBER

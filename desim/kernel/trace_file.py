@@ -12,6 +12,7 @@ from math import isfinite
 from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+from unicodedata import is_normalized
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
@@ -140,7 +141,9 @@ def _body_json(value: Any) -> str:
 
 
 def _nested(value: Any) -> str:
-    """Return a value as JSON, with named tuples as objects; a named tuple inside a dict is written as an array."""
+    """Return a value as JSON, with named tuples as objects."""
+    if isinstance(value, dict):
+        return f"{{{', '.join([f'{_key_json(key)}: {_nested(each)}' for key, each in value.items()])}}}"
     if isinstance(value, tuple | list):
         names = field_names(value.__class__)
         if names is None:
@@ -149,6 +152,13 @@ def _nested(value: Any) -> str:
     if value is True or value is False:
         return "true" if value else "false"
     return _number(value) if type(value) is float and isfinite(value) else _json(value)
+
+
+def _key_json(key: Any) -> str:
+    """Return the key of a dict as JSON, a string: a key without a JSON form is written as its `repr`."""
+    if isinstance(key, str):
+        return _json(key)
+    return _json(_json(key) if isinstance(key, int | float | None) else repr(key))
 
 
 def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
@@ -190,9 +200,12 @@ def _with_named_tuples(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     fields = {name: _with_named_tuples(each) for name, each in value.items()}
-    if all(name.isidentifier() and not name.startswith("_") and not iskeyword(name) for name in fields):
-        return _body_type(tuple(fields))(**fields)
-    return fields
+    return _body_type(tuple(fields))(**fields) if all(map(_is_field_name, fields)) else fields
+
+
+def _is_field_name(name: str) -> bool:
+    """Return whether a key can be a field of a named tuple; Python reads a name that is not in NFKC as another one."""
+    return name.isidentifier() and not name.startswith("_") and not iskeyword(name) and is_normalized("NFKC", name)
 
 
 @cache

@@ -45,7 +45,8 @@ class ProtocolTraits(Assuming):
     omniscient: Flag = False
     """Whether pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     embodied: Flag = True
-    """Whether the process of a pursuer runs on its robot, and stops while the robot is broken down."""
+    """Whether the process of a pursuer runs on its robot: it stops while the robot is broken down, and uses its clock,
+    which may have an error."""
     reckons: Flag = False
     """Whether the protocol extrapolates announced positions, whatever `announce.payload` is."""
     claim_size: Callable[[int, int], int] | None = None

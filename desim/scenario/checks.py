@@ -102,7 +102,9 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     """
     known = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in known)
-    unread = [key for key in keys if key.startswith(("network.", "announce.")) and key != "announce.payload"]
+    reported = any(scenario.sensing.limited for scenario in scenarios)  # sightings are, by messages of their own
+    tables = ("announce.",) if reported else ("network.", "announce.")
+    unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
     if unread and all(map(_senses_instead, scenarios)):
         names = ", ".join(dict.fromkeys(scenario.protocol_name for scenario in scenarios))
         silent = f"positions are sensed, so nothing is announced (`announce.payload`) under {names}"
@@ -110,7 +112,7 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
 
 
 def _senses_instead(scenario: Scenario) -> bool:
-    """Return whether pursuers need no messages, because they sense what they would announce."""
+    """Return whether pursuers need no announcements, because they sense what they would announce."""
     needs_none = scenario.protocol_traits.announces == "unseen" and not scenario.announces
     return needs_none and scenario.schedule_traits.spreads_to is None
 

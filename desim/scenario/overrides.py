@@ -1,7 +1,7 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import getitem
@@ -15,7 +15,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.presets import PRESETS
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, KeyPath
+from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key
 
 
 class ScenarioError(ValueError):
@@ -118,6 +118,14 @@ class Source:
                 present[key] = _copied(value)
                 yield (*above, key)
 
+    def at(self, parts: Sequence[str]) -> Any:
+        """Return the value at a dotted key, given as its parts; None if there is none."""
+        node: Any = self.tables
+        for part in parts:
+            key = _key(part, node)
+            node = node[key] if holds(node, key) else None
+        return node
+
     def override(self, text: str) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.
 
@@ -144,8 +152,8 @@ class Source:
         name, equals, value = text.partition("=")
         if not equals or not all(name.strip().split(".")):
             raise ScenarioError(f"{origin}: should be {form}")
-        if DEEP_KEY.search(text):
-            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than 100 parts")
+        if name.count(".") >= MAX_PARTS or deep_key(value) is not None:
+            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than {MAX_PARTS} parts")
         try:
             self.set(above + name.strip(), parse(value.strip()), origin)
         except ScenarioError as error:
@@ -153,6 +161,8 @@ class Source:
 
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
+
+        A bare string or number in place of a table becomes the table that it stands for.
 
         When the kind of a table changes, the keys that the new kind does not have are removed, except those that were
         overridden.
@@ -176,6 +186,8 @@ class Source:
                 node[key] = _replaced(node[key], parts[depth:], value)
                 self.origins[*place, key] = origin
                 return
+            if holds(node, key) and isinstance(node[key], str | int | float):
+                node[key] = self._as_table((*place, key))
             node = node[key] if holds(node, key) else None
             place += (key,)
         key = _key(last, node)
@@ -186,6 +198,12 @@ class Source:
         node[key] = value
         self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
+
+    def _as_table(self, place: KeyPath) -> Any:
+        """Return the table that a bare string or number at a place stands for; return any other value unchanged."""
+        info = _field_at(self.tables, place)
+        value = value_at(self.tables, place)
+        return reduce(lambda value, one_of: one_of.as_table(value), choices_of(info) if info else (), value)
 
     def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
         """Remove the keys of a table that a new kind does not have, except those that were overridden."""

@@ -20,7 +20,7 @@ from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
+from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, unreadable
 
 
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
@@ -50,6 +50,7 @@ def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
     source = sources.pop()
     while sources:
         source = sources.pop().over(source)
+    _relocate(source, source.tables, ())
     for override in overrides:
         source.override(override)
     return source
@@ -71,7 +72,7 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         OSError: if the first file cannot be read.
     """
     source = _parsed(file, allow_import)
-    folder, seen = file.parent, {file.resolve()}
+    seen = {file.resolve()}
     while BASE in source.tables:
         where, given = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
         yield source
@@ -89,23 +90,38 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         if base.resolve() in seen:
             raise ScenarioError(f"{where}: {file} and {base} are bases of each other, directly or through others")
         seen.add(base.resolve())
-        if base.parent != folder:
-            _relocate(source.tables, Path(os.path.relpath(base.parent, folder)))
         file = base
     yield source
 
 
-def _relocate(tables: Any, folder: Path) -> None:
-    """Prefix the paths of data files in tables with a folder.
+def _relocate(source: Source, node: Any, above: KeyPath) -> None:
+    """Make the paths of data files that bases set relative to the folder of the file itself.
 
-    Such a path is the key `file` of a table with an installed kind. In a table of the kind "module:name", this key may
-    mean anything else.
+    Such a path is the key `file` of a table with an installed kind, or a value of such a key in the grid. In a table of
+    the kind "module:name", this key may mean anything else. The kind may be set in another file than the path.
+
+    Args:
+        source: the source of the file, merged with its bases.
+        node: a value in its tables.
+        above: the place of this value.
     """
-    inner = tables.values() if isinstance(tables, dict) else tables if isinstance(tables, list) else ()
-    for each in inner:
-        _relocate(each, folder)
-    if isinstance(tables, dict) and ":" not in str(tables.get("kind", ":")) and isinstance(tables.get("file"), str):
-        tables["file"] = str(folder / tables["file"])
+    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, each in inner:
+        place = (*above, key)
+        _relocate(source, each, place)
+        *parts, last = ".".join(map(str, place)).split(".")  # a key of the grid is dotted
+        if last != "file" or place not in source.files:
+            continue
+        folder = os.path.relpath(Path(source.files[place]).parent, Path(source.name).parent)
+        if isinstance(each, str) and _has_installed_kind(node):
+            node[key] = str(Path(folder, each))
+        elif isinstance(each, list) and parts[:2] == ["sweep", "grid"] and _has_installed_kind(source.at(parts[2:])):
+            node[key] = [str(Path(folder, path)) if isinstance(path, str) else path for path in each]
+
+
+def _has_installed_kind(table: Any) -> bool:
+    kind = table.get("kind") if isinstance(table, dict) else table  # a bare string stands for a kind
+    return isinstance(kind, str) and ":" not in kind
 
 
 def _parsed(file: Path, allow_import: bool) -> Source:
@@ -116,9 +132,9 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         OSError: if the file cannot be read.
     """
     text = _read_text(file)
-    if deep := DEEP_KEY.search(text):
-        line = text.count("\n", 0, deep.start()) + 1
-        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
+    if (deep := deep_key(text)) is not None:
+        line = text.count("\n", 0, deep) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than {MAX_PARTS} parts")
     try:
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply

@@ -42,19 +42,33 @@ def _is_readable(statement: str) -> bool:
     return True
 
 
-DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){100}""")
-"""Matches the start of a key of more than 100 parts.
+MAX_PARTS = 100
+"""The largest number of parts of a key.
 
 `tomllib` stores every prefix of a key, so it may run out of memory at a very long one.
 """
 
 
-# Tokens: the four kinds of strings, comments, brackets and line ends. Strings and comments are matched as a whole,
-# because a bracket or a line end within them has no meaning.
-_TOKEN = re.compile(
-    r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
-    re.DOTALL,
+def deep_key(text: str) -> int | None:
+    """Return the index at which the first key of more than `MAX_PARTS` parts starts in a TOML text; None without one.
+
+    Strings and comments may contain such a text.
+    """
+    return next((found.start() for found in _DEEP_KEY.finditer(text) if found["key"]), None)
+
+
+# The four kinds of strings, and comments. They are matched as a whole, because a dot, a bracket or a line end within
+# them has no meaning. `tomllib` stops at a string without an end, so this pattern takes the rest of the text with it;
+# otherwise the rest would be searched again from every quotation mark.
+_QUOTED = (
+    r'"""(?:(?:\\.|[^\\])*?"{3,5}(?!")|.*)|\'\'\'(?:.*?\'{3,5}(?!\')|.*)'
+    r'|"(?:\\.|[^"\\\n])*(?:"|.*)|\'[^\'\n]*\'|#[^\n]*'
 )
+_PART = r"""(?:[\w-]+|"(?:\\.|[^"\\\n])*"|'[^'\n]*')[ \t]*\.[ \t]*"""
+# A shorter key is matched as a whole, too, so that it is not searched again from each of its parts.
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:(?P<key>(?:{_PART}){{{MAX_PARTS}}})|(?:{_PART})+)|{_QUOTED}", re.DOTALL)
+# Tokens: strings, comments, brackets and line ends.
+_TOKEN = re.compile(_QUOTED + r"|[\[\]{}\n]", re.DOTALL)
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:

@@ -166,7 +166,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         fault_state=FaultState(positions) if faults else None,
         predicate=announces_chase,
     )
-    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, state.size, seed)]
+    skews = scenario.fault if scenario.protocol_traits.embodied else ()
+    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     sensor = _sensor(scenario, state, network, clocks)
     views = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)

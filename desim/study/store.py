@@ -319,8 +319,11 @@ def _differs(name: str, one: Any, other: Any) -> str:
 
 
 def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
-    """Return the values in nested tables and lists by dotted key; a node that `opens` rejects counts as one value."""
-    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
-    if inner is None or not opens(node):
+    """Return the values in nested tables and lists by dotted key.
+
+    A table or list that is empty, or that `opens` rejects, counts as one value.
+    """
+    if not (isinstance(node, dict | list) and node and opens(node)):
         return {above.removesuffix("."): node}
+    inner = node.items() if isinstance(node, dict) else enumerate(node)
     return {key: each for name, value in inner for key, each in flat(value, opens, f"{above}{name}.").items()}

@@ -17,6 +17,7 @@ from desim.analysis.hindsight import (
 )
 from desim.analysis.metrics import active_time, capture_time, summary
 from desim.analysis.timeline import timeline
+from desim.config.model import Value
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
@@ -168,15 +169,31 @@ def test_the_window_of_a_pursuer_that_decides_at_ticks_is_that_of_its_ticks(prot
     assert settling_window(Result(scenario, 0, result.trace)) == 2 * between
 
 
-def test_the_window_of_a_big_team_is_that_of_its_first_links_if_all_are_alike():
+class Tabled(Value):
+    """A latency from a table for 30 nodes: 0.25 s."""
+
+    def start_run(self, size):
+        assert size == 30
+        return lambda context, rng: 0.25
+
+    def __call__(self, context, rng):
+        raise NotImplementedError
+
+
+def test_the_window_of_a_big_team_is_that_of_all_its_links():
+    """At 1 .. 30 m the mean distance of two pursuers is 31 / 3 m."""
     team = tuple(1.0 + i for i in range(30))
     result = by_hand(team, (True,) * 30, [(1.0, 0, True)], 2.0)
-    links = Links(latency=Constant(value=0.25))
-    scenario = result.scenario.model_copy(update={"network": links})
-    assert settling_window(Result(scenario, 0, result.trace)) == 2 * (0.25 + 60.0)
-    far = links.model_copy(update={"link": (Link(src=28, dst=29, latency=Constant(value=100.0)),)})
-    scenario = result.scenario.model_copy(update={"network": far})
-    assert settling_window(Result(scenario, 0, result.trace)) > 2 * (0.25 + 60.0)
+
+    def latency(**links):
+        scenario = result.scenario.model_copy(update={"network": Links(**links)})
+        return settling_window(Result(scenario, 0, result.trace)) / 2 - 60.0
+
+    assert latency(latency=Constant(value=0.25)) == 0.25
+    assert latency(latency=Tabled()) == 0.25
+    assert latency(latency=Propagation(speed=1.0)) == pytest.approx(31 / 3)
+    far = (Link(src=28, dst=29, latency=Constant(value=100.0)),)
+    assert latency(latency=Constant(value=0.25), link=far) == pytest.approx(0.25 + 99.75 / 870)
 
 
 def test_a_run_without_decisions_has_settled_if_the_relay_chases_alone_to_the_end():

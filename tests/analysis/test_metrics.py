@@ -331,6 +331,13 @@ def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
     assert pickle.loads(pickle.dumps(numbers)) == numbers
 
 
+def test_a_metric_that_a_stored_run_lacks_is_no_attribute():
+    numbers = Summary({"seed": 3})
+    assert (numbers.seed, hasattr(numbers, "energy"), getattr(numbers, "energy", None)) == (3, False, None)
+    with pytest.raises(AttributeError, match="the run has no 'energy': it was stored before this metric existed"):
+        _ = numbers.energy
+
+
 def test_cached_values_are_derived_once_per_trace_index_and_again_for_a_result(relay):
     calls = []
 

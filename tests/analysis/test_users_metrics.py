@@ -93,6 +93,12 @@ def test_a_name_that_is_taken_or_no_identifier_is_refused(result, name, said):
         summary(result, {name: half})
 
 
+def test_names_that_differ_only_in_case_are_refused(result):
+    """SQL would not tell them apart."""
+    with pytest.raises(ValueError, match="'late' should have another name: it differs from 'Late' only in case"):
+        summary(result, {"Late": half, "late": half})
+
+
 @pytest.mark.parametrize("wrong", [3, Scenario, "half"])
 def test_what_is_no_function_is_refused(result, wrong):
     with pytest.raises(ValueError, match="metric 'x' should be a function of a result"):

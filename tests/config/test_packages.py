@@ -14,6 +14,7 @@ RULE = "from desim import Scenario\nfrom protocols.sap import SpatialAdaptivePla
 NAME = "from desim import Scenario\nfrom protocols import SpatialAdaptivePlay\n"
 SCENARIO = "from desim import Scenario\nScenario()\n"
 STUDY = "import desim\nfrom scenarios.study import study\n"
+SUBPACKAGE = "import desim\nimport scenarios.peers\n"
 
 
 def python(folder, *arguments):
@@ -33,6 +34,7 @@ ENVIRONMENT = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
         (NAME, "protocols", "protocols/__init__.py"),
         (SCENARIO, "protocols", "protocols.py"),
         (STUDY, "scenarios", "scenarios/__init__.py"),
+        (SUBPACKAGE, "scenarios", "scenarios/__init__.py"),
     ],
 )
 def test_what_hides_a_package_is_named(program, hidden, file, tmp_path):

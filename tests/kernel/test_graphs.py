@@ -157,6 +157,16 @@ def test_a_file_is_read_beside_the_scenario(tmp_path):
     assert links.graph == Edges.of(net())
 
 
+@pytest.mark.parametrize(
+    ("beside", "named"),
+    [({"edges": []}, "edges"), ({"nodes": 4}, "nodes"), ({"nodes": 4, "directed": False}, "nodes and directed")],
+)
+def test_keys_that_a_file_gives_are_refused_beside_it(tmp_path, beside, named):
+    file = write(net(), tmp_path, "json")
+    with pytest.raises(ValidationError, match=f"should have either a file or {named}: a file gives all of them"):
+        Edges.model_validate({"file": file.name} | beside, context={"folder": file.parent})
+
+
 @pytest.mark.parametrize("kind", ["json", "graphml"])
 @pytest.mark.parametrize("nodes", [[1, 2, 3], [0, 1, 3], [-1, 0, 1]])
 def test_nodes_that_are_not_numbered_from_0_are_refused(tmp_path, kind, nodes):

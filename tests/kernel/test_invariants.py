@@ -199,6 +199,20 @@ def test_a_message_long_in_flight_is_checked_when_it_arrives():
         watch([*events, message_counts(1100, 100, 200)])
 
 
+def test_transmissions_that_wait_no_more_are_forgotten():
+    """One that was delivered, one lost as it waited, and one of which either happened to a receiver."""
+    watcher = Conservation()
+    for event in [
+        *[queued(1), sent(2, 5, created=1)],
+        *[queued(3, transmission=1), lost(4, transmission=1)],
+        *[queued(5, transmission=2, dst=(1, 2)), lost(6, transmission=2)],
+        broadcast(7, (8,), transmission=2, dst=(2,), created=5),
+        message_counts(9, 2, loss=2),
+    ]:
+        watcher(event)
+    assert not watcher._waiting
+
+
 def test_overtaking_is_detected_on_fifo_links():
     watch(
         [

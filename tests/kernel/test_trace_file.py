@@ -107,6 +107,9 @@ class WithPlain(NamedTuple):
         return {"says": repr(self.content)}
 
 
+KEYS = st.text(max_size=3) | st.integers() | st.floats() | st.sampled_from([True, None, (1, "b"), b"x", np.int64(3)])
+PLAIN = str | int | float | None
+"""The types of the keys that JSON can represent."""
 NASTY = st.recursive(
     st.none()
     | st.booleans()
@@ -120,7 +123,7 @@ NASTY = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.lists(inner, max_size=3).map(tuple)
-        | st.dictionaries(st.text(max_size=3), inner, max_size=3)
+        | st.dictionaries(KEYS, inner, max_size=3)
         | st.builds(ForwardedPayloads, st.lists(inner, max_size=3).map(tuple))
         | st.builds(Record, NODES, NODES, TIMES, inner)
         | st.builds(WithPlain, inner, PAYLOADS)
@@ -144,6 +147,8 @@ def straightforward(event):
     def tabled(value):
         if hasattr(value, "_asdict"):
             return {name: tabled(each) for name, each in value._asdict().items()}
+        if isinstance(value, dict):
+            return {each if isinstance(each, PLAIN) else repr(each): tabled(value[each]) for each in value}
         return [tabled(each) for each in value] if isinstance(value, tuple | list) else value
 
     def in_seconds(time):
@@ -236,7 +241,21 @@ def test_the_fields_of_a_body_keep_their_names_at_every_depth():
     assert (record.body.active, record.body.place) == (True, (1.0, 2.0))
 
 
-@pytest.mark.parametrize("name", ["a b", "class", "_c"])
+def test_the_fields_of_a_body_keep_their_names_within_a_dict():
+    sent = Sent(0, 0, 0, 1, 5, 0, 24, {"to 3": [Payload(True, (1.0, 2.0))]})
+    (payload,) = next(events_of([line_of(sent)], KINDS)).body["to 3"]
+    assert (payload.active, payload.place) == (True, (1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("key", "written"),
+    [((1, "b"), "(1, 'b')"), (np.int64(3), "np.int64(3)"), (b"x", "b'x'"), (3, "3"), (0.5, "0.5"), (None, "null")],
+)
+def test_a_key_of_a_body_becomes_a_string(key, written):
+    assert json.loads(line_of(Sent(0, 0, 0, 1, 5, 0, 24, [{key: {key: 1}}])))["body"] == [{written: {written: 1}}]
+
+
+@pytest.mark.parametrize("name", ["a b", "class", "_c", "\ufb01"])
 def test_a_table_with_a_key_that_is_no_name_stays_one(name):
     sent = Sent(0, 0, 0, 1, 5, 0, 24, {"a": 1, name: [3]})
     assert next(events_of([line_of(sent)], KINDS)).body == {"a": 1, name: (3,)}

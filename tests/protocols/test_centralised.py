@@ -3,7 +3,7 @@
 import pytest
 
 from desim import Scenario, run, summary
-from desim.kernel.faults import Crash
+from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
@@ -30,6 +30,16 @@ def test_the_network_does_not_matter_to_it():
         for p in (0.0, 1.0)
     )
     assert ideal == deaf
+
+
+@pytest.mark.parametrize("skew", [{"offset": 29.0}, {"offset": -3.0}, {"drift": 50.0}])
+def test_the_clock_of_the_pursuer_that_runs_it_does_not_matter_to_it(skew):
+    right, skewed = (
+        run(Scenario(protocol=Centralised(), fault=fault), 3).trace.of(Decided)
+        for fault in ((), (ClockSkew(node=0, **skew),))
+    )
+    assert right
+    assert skewed == right
 
 
 @pytest.mark.parametrize("count", [2, 5])

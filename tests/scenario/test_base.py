@@ -46,7 +46,7 @@ def files(tmp_path):
     def write(**texts: str):
         for name, text in texts.items():
             path = tmp_path / f"{name.replace('__', '/')}.toml"
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
         return tmp_path / f"{next(iter(texts))}.toml"
 
@@ -155,14 +155,46 @@ def test_a_trusted_file_has_a_base_anywhere(files, tmp_path):
     assert load(inner, allow_import=True).team.count == 4
 
 
-def test_data_files_of_a_base_in_another_folder_lie_beside_it(files, tmp_path):
-    graph = {"nodes": [{"id": 0}, {"id": 1}], "edges": [{"source": 0, "target": 1}]}
-    path = files(
-        mine="base = 'sub/b.toml'\n", sub__b="team.count = 2\nnetwork.graph = { kind = 'edges', file = 'g.json' }"
-    )
-    (tmp_path / "sub" / "g.json").write_text(json.dumps(graph | {"directed": False, "multigraph": False, "graph": {}}))
-    assert load(path) == load(tmp_path / "sub" / "b.toml")
+GRAPH = {"directed": False, "multigraph": False, "graph": {}, "nodes": [{"id": 0}, {"id": 1}]}
+TWO = "team.count = 2\n"
+
+
+@pytest.mark.parametrize(
+    ("mine", "base", "deeper"),
+    [
+        ("", TWO + "network.graph = { kind = 'edges', file = 'g.json' }", ""),
+        ("", "base = 'deeper/c.toml'\nnetwork.graph.file = 'g.json'", TWO + "network.graph.kind = 'edges'"),
+        ("", "base = 'deeper/c.toml'\nnetwork.graph.kind = 'edges'", TWO + "network.graph.file = '../g.json'"),
+        ("network.graph.kind = 'edges'", TWO + "network.graph.file = 'g.json'", ""),
+        ("network.graph.file = 'sub/g.json'", TWO + "network.graph.kind = 'edges'", ""),
+        ("network.graph.file = 'sub/g.json'", TWO + "network.graph = { kind = 'edges', file = 'none.json' }", ""),
+    ],
+)
+def test_data_files_of_a_base_in_another_folder_lie_beside_it(mine, base, deeper, files, tmp_path):
+    """Whichever of the files sets the kind of the table."""
+    path = files(mine=f"base = 'sub/b.toml'\n{mine}\n", sub__b=base)
+    files(sub__deeper__c=deeper)
+    (tmp_path / "sub" / "g.json").write_text(json.dumps(GRAPH | {"edges": [{"source": 0, "target": 1}]}))
     assert len(load(path).network.graph.edges) == 1
+
+
+@pytest.mark.parametrize(
+    "table", ["graph.kind = 'edges'", "graph = 'edges'", "graph = { kind = 'edges', file = 'a.json' }"]
+)
+@pytest.mark.parametrize("grid", ["sweep.grid.'network.graph.file'", "sweep.grid.network.graph.file"])
+def test_data_files_in_the_grid_of_a_base_in_another_folder_lie_beside_it(table, grid, files, tmp_path):
+    path = files(mine="base = 'sub/b.toml'\n", sub__b=f"{TWO}{grid} = ['a.json', 'deeper/b.json']\nnetwork.{table}\n")
+    files(sub__deeper__c="")
+    for name, edges in (("a", []), ("deeper/b", [{"source": 0, "target": 1}])):
+        (tmp_path / f"sub/{name}.json").write_text(json.dumps(GRAPH | {"edges": edges}))
+    found = {each.settings["network.graph.file"]: each.scenario.network.graph for each in configurations(read(path))}
+    assert [(name, len(graph.edges)) for name, graph in found.items()] == [("sub/a.json", 0), ("sub/deeper/b.json", 1)]
+
+
+def test_a_key_file_of_a_users_own_table_stays_as_it_is(files):
+    base = "protocol = { kind = 'my:Rule', file = 'a' }\nsweep.grid.'protocol.file' = ['a', 'b']\n"
+    tables = read(files(mine="base = 'sub/b.toml'\n", sub__b=base)).tables
+    assert (tables["protocol"]["file"], tables["sweep"]["grid"]) == ("a", {"protocol.file": ["a", "b"]})
 
 
 def test_a_base_is_a_key_of_files_only(files):

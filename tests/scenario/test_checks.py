@@ -1,5 +1,7 @@
 """Warnings: each where it is due and where it just is not, and none for the default."""
 
+from math import inf
+
 import pytest
 
 from desim import Scenario, run
@@ -317,6 +319,8 @@ SENSED = (
     ("grid", "given", "warned_of"),
     [
         (GEOMETRIC, {}, {"network.latency.value": SENSED, "announce.heartbeat": SENSED}),
+        (GEOMETRIC, {"sensing": Sensing(radius=3.0)}, {"announce.heartbeat": SENSED}),
+        (GEOMETRIC | {"sensing.radius": [3.0, inf]}, {}, {"announce.heartbeat": SENSED}),
         (GEOMETRIC, {"announce": Announcements(payload="state")}, {}),
         (GEOMETRIC | {"announce.payload": ["action", "state"]}, {}, {}),
         (GEOMETRIC | {"protocol.kind": ["argmin", "sap"]}, {}, {}),

@@ -174,6 +174,37 @@ def test_a_key_of_a_function_is_refused():
         Source.of(Scenario(protocol=lambda me: iter(()))).set("protocol.gain", 1.0, "the test")
 
 
+@pytest.mark.parametrize(
+    ("text", "override", "same"),
+    [
+        ("network.latency = 0.1", "network.latency.value=0.2", "network.latency = 0.2"),
+        ("network.latency = 0.1", "network.latency.kind=gamma", "network.latency = 'gamma'"),
+        ("network.loss = 0.1", "network.loss.p=0", "network.loss = { kind = 'bernoulli', p = 0.0 }"),
+        ("network.latency = 'gamma'", "network.latency.scale=2.0", "network.latency = { kind='gamma', scale=2.0 }"),
+        (
+            "protocol = { kind = 'sap', tau = 3.0 }",
+            "protocol.tau.value=2.0",
+            "protocol = { kind = 'sap', tau = 2.0 }",
+        ),
+        (
+            "protocol = 'sap'",
+            "protocol.schedule.slot=0.5",
+            "protocol = { kind = 'sap', schedule = { kind = 'shared_seed', slot = 0.5 } }",
+        ),
+    ],
+)
+def test_a_key_of_what_a_bare_value_stands_for_is_set(text, override, same, tmp_path):
+    for name, each in (("short", text), ("long", same)):
+        (tmp_path / f"{name}.toml").write_text(f"{each}\n")
+    assert load(tmp_path / "short.toml", [override]) == load(tmp_path / "long.toml")
+
+
+def test_a_wrong_key_of_what_a_bare_value_stands_for_is_refused(tmp_path):
+    (tmp_path / "f.toml").write_text("network.latency = 0.1\n")
+    with pytest.raises(ScenarioError, match=r"^--set .*: network\.latency\.scale: unknown key"):
+        load(tmp_path / "f.toml", ["network.latency.scale=1.0"])
+
+
 def test_an_item_of_a_list_that_is_empty_is_refused():
     with pytest.raises(ScenarioError, match=r"^fault\.0\.start: the list fault is empty$"):
         Source.of(Scenario()).set("fault.0.start", 1.0, "the test")

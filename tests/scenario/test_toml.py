@@ -6,6 +6,7 @@ import sys
 import tomllib
 from math import inf
 from pathlib import Path
+from time import perf_counter
 
 import pytest
 import tomli_w
@@ -213,6 +214,61 @@ def written(tmp_path):
         return tmp_path / "scenario.toml"
 
     return write
+
+
+DOTTED = "a." * 100 + "b"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'name = "{DOTTED}"',
+        f"name = '{DOTTED}'",
+        f'name = """\n"{DOTTED}\n"""',
+        f"name = '''it's\n{DOTTED}''''",
+        f'name = "\\"{DOTTED}"',
+        f"# {DOTTED}",
+    ],
+)
+def test_a_text_with_many_dots_is_no_deep_key(text, tmp_path):
+    (tmp_path / "f.toml").write_text(f"{text}\n")
+    load(tmp_path / "f.toml")
+    load(tmp_path / "f.toml", [f'name="{DOTTED}"'])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{DOTTED} = 1",
+        f"[{DOTTED}]",
+        f"x = [1, {{ {DOTTED} = 1 }}]",
+        f'"x\\"" . \'y\' . {DOTTED} = 1',
+        f"x = \"it's\" # it's\n{DOTTED} = 1",
+        f'x = """\\"" \'\n"""\n{DOTTED} = \'\'',
+    ],
+)
+def test_a_deep_key_is_refused_wherever_it_is(text, tmp_path):
+    (tmp_path / "f.toml").write_text(f"seed = 1\n{text}\n")
+    line = 2 + text[: text.index(DOTTED)].count("\n")
+    with pytest.raises(ScenarioError, match=f":{line}: not TOML: a key of more than 100 parts"):
+        load(tmp_path / "f.toml")
+
+
+@pytest.mark.parametrize("text", [f"{DOTTED}=1", f"'={{ {DOTTED} = 1 }}'", f"horizon={{ {DOTTED} = 1 }}"])
+def test_a_deep_key_of_an_override_is_refused(text, tmp_path):
+    (tmp_path / "f.toml").write_text("")
+    with pytest.raises(ScenarioError, match="a key of more than 100 parts"):
+        load(tmp_path / "f.toml", [text])
+
+
+@pytest.mark.parametrize("text", ['"' + '\\"' * 200_000, '""\\"""\n' * 100_000, ('"' + "a" * 10_000 + '".') * 90])
+def test_a_file_without_deep_keys_is_refused_soon(text, tmp_path):
+    """Not in a time that grows with the square of its size."""
+    (tmp_path / "f.toml").write_text(text)
+    start = perf_counter()
+    with pytest.raises(ScenarioError, match="not TOML"):
+        load(tmp_path / "f.toml")
+    assert perf_counter() - start < 5.0
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ CHANGES = {
         "network.reception.kind": "disk",
         **below("network.reception", "certain", "p"),
     },
-    "faults": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.")},
+    "faults": {"fault": []} | {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.")},
     "serial decisions": {
         "protocol.schedule.kind": "synchronous",
         "protocol.schedule.schedule.kind": "token_ring",

@@ -9,6 +9,7 @@ from contextlib import closing, nullcontext
 from io import StringIO
 from math import inf, nan
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from desim import run, summary
 from desim import sweep as sweep_of_package
 from desim.analysis.statistics import estimate, paired, runs_needed
+from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.scenario.overrides import ScenarioError
@@ -394,6 +396,30 @@ def test_a_store_of_another_sweep_is_refused_with_the_differences(tmp_path, chan
         assert database.execute("SELECT count(*) FROM runs").fetchone() == (4,)
 
 
+class Tuned(Value):
+    """A protocol with a table that may be missing or empty."""
+
+    announces: ClassVar[bool] = False
+    table: dict[str, float] | None = None
+
+    def __call__(self, me):
+        return iter(())
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "why"),
+    [
+        (None, {}, r"protocol\.table was None, is \{\}"),
+        ({}, {"a": 1.0}, r"protocol\.table was \{\}, is not there; protocol\.table\.a was not there, is 1\.0"),
+    ],
+)
+def test_a_table_that_is_empty_in_one_scenario_is_a_difference(tmp_path, one, other, why):
+    first, second = (BASE.model_copy(update={"protocol": Tuned(table=each)}) for each in (one, other))
+    sweep(first, {"team.count": [2]}, 1, store=tmp_path / "s.sqlite")
+    with pytest.raises(StoreError, match=f"by another scenario: {why}; remove it"):
+        sweep(second, {"team.count": [2]}, 1, store=tmp_path / "s.sqlite")
+
+
 def test_values_of_swept_keys_in_the_scenario_do_not_matter(tmp_path):
     """They are replaced by those of the grid."""
     store = tmp_path / "s.sqlite"
@@ -426,6 +452,7 @@ DELAYS = """
 import json
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 import numpy as np
 from desim import open_data
 from desim.config.model import Value
