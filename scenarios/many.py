@@ -2,11 +2,13 @@
 
 With one evader the game has one equilibrium. With several it often has many, some of them poor: if two pursuers should
 swap their evaders, neither gains by changing first. Cooling, a temperature that falls during log-linear learning, can
-help to leave poor profiles. Its benefit is measured in the static game at t = 0, in which no player moves. There, slow
-cooling takes 90 % of the slots; fast cooling halves the temperature in every slot. The study gives the welfare (global
-utility) of the final profile divided by that of the best assignment, and the share of games that end in the best
-assignment, by protocol, number of negotiation slots and constant temperature. In a second experiment all players move,
-and the time until all evaders are captured is measured.
+help to leave poor profiles. Its benefit is measured in the static game at t = 0, in which no player moves. Slow cooling
+lowers the temperature during the first 90 % of the slots. Fast cooling halves the temperature in every slot until it
+has reached the same final temperature. The study compares protocols for several numbers of pursuers and evaders. It
+gives the welfare (global utility) of the final profile divided by that of the best assignment, and the share of games
+that end in the best assignment. For 4 pursuers and 4 evaders it also varies the number of slots, and it replaces
+cooling by constant temperatures. In a second experiment all players move, and the time until all evaders are captured
+is measured.
 """
 
 from collections.abc import Sequence

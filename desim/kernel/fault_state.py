@@ -31,7 +31,7 @@ class FaultState:
         self._jams: list[Disc] = []
 
     def plan(self, time: int) -> None:
-        """Announce the time, ns, of a change. From the first call on, the state changes at announced times only."""
+        """Announce the time, ns, of a change; after the first call, the caller makes no change at any other time."""
         self._planned = self._planned or []
         insort(self._planned, time)
 
@@ -52,12 +52,15 @@ class FaultState:
 
     @property
     def looks_back(self) -> bool:
-        """Whether the outcome of an arrival may be decided later, before the next change of the faults."""
+        """Whether an arrival may be decided after its time, provided that the faults have not changed in between.
+
+        This requires that changes are planned, and that the source of positions, if any, also returns past positions.
+        """
         return self._planned is not None and (self._positions is None or self._positions.looks_back)
 
     @property
     def down_nodes(self) -> Mapping[int, int]:
-        """The nodes whose radio is down, each with the number of its crashes."""
+        """The nodes whose radio is down, each with the number of its crashes that have not ended."""
         return self._down
 
     def down(self, node: int) -> bool:
@@ -65,9 +68,13 @@ class FaultState:
         return self._down[node] > 0
 
     def separated(self, src: int | Integers, nodes: list[int] | Integers) -> Bools | None:
-        """Return (k,) booleans: whether an active partition separates each node from its sender, (k,) or one for all.
+        """Return (k,) booleans: whether an active partition separates each of k nodes from its sender.
 
         None stands for k times False.
+
+        Args:
+            src: the sender, one for all nodes or (k,).
+            nodes: (k,) the nodes.
         """
         found = None
         for groups in self._cuts:
@@ -78,9 +85,13 @@ class FaultState:
         return found
 
     def jammed(self, nodes: Integers, times: int | Integers) -> Bools | None:
-        """Return (k,) booleans: whether each node was within a jammed disc at a time, ns, (k,) or one for all.
+        """Return (k,) booleans: whether each of k nodes was at its given time within a disc that is jammed now.
 
-        The times are as in `PositionSource.at`. None stands for k times False.
+        None stands for k times False.
+
+        Args:
+            nodes: (k,) the nodes.
+            times: ns, one for all nodes or (k,); `PositionSource.at` states which times are valid.
         """
         if not self._jams or self._positions is None:
             return None

@@ -1,7 +1,8 @@
 """The SQLite file of a store: its tables, its journal, and the checks of its content.
 
-Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store that was damaged or
-edited is refused. The checksums detect accidents; they do not protect against forgery.
+Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store with a damaged or
+edited row is refused. Deleted runs are not noticed. The checksums detect accidents; they do not protect against
+forgery.
 """
 
 import json
@@ -69,7 +70,7 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
         try:
             return method(*args, **kwargs)
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite may quote damaged text
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # a message of SQLite may quote invalid UTF-8
             raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
 
     return call
@@ -109,7 +110,9 @@ class StoreFile:
 
     def _prepare(self, path: Path | None, read_only: bool) -> None:
         """Check the content of the store, or create the tables in an empty file."""
-        self.database.execute("BEGIN")  # one snapshot: another process may add metrics, and so columns of the view
+        # One transaction reads the schema and the metrics, because another process may add a metric between two reads;
+        # the view has a column per metric.
+        self.database.execute("BEGIN")
         if there := _schema(self.database):
             _check_schema(path, there, self.database)
         self.database.commit()
@@ -212,9 +215,10 @@ def adapter_of(kind: Any) -> TypeAdapter[Any]:
 def _address(path: Path, read_only: bool) -> str:
     """Return the URI with which SQLite opens a file.
 
-    To read a file with a write-ahead log, SQLite needs write access to the file and to its folder. Without this access,
-    the file is opened as immutable. If its journal has content, it is opened read-only instead, because SQLite ignores
-    the journal of an immutable file.
+    To read a file with a write-ahead log, SQLite needs the index of the log, the file -shm. If this file is missing,
+    SQLite creates it, which requires write access. An immutable file is read without an index, so a file is opened as
+    immutable if it or its folder is not writable. SQLite ignores the journal of an immutable file. If the journal (-wal
+    or -journal) has content, the file is therefore opened read-only instead.
     """
     options = "rwc"
     if read_only:

@@ -34,8 +34,8 @@ POLICY = (
 )
 """The content security policy: the page loads nothing from elsewhere, and connects to this server only.
 
-The policy asks for no nonce of scripts: the frame of the replay inherits the policy, and the replay is the same page as
-in a file, where scripts have no nonce.
+The policy does not require a nonce for scripts. The frame of the replay inherits the policy, and the scripts of the
+replay have no nonce, because the same page is also written to files.
 """
 PATIENCE = 10.0
 """The time-out for a browser that does not send the rest of its request, s."""
@@ -87,7 +87,7 @@ class PlayServer(ThreadingHTTPServer):
         self.shutdown()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore an OSError: the browser has closed the connection, or left it waiting. Report any other error."""
+        """Ignore an OSError, because it occurs when the browser has closed the connection. Report any other error."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 

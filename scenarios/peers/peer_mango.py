@@ -30,7 +30,7 @@ def latency() -> float:
 
 
 class Talker(Agent):  # type: ignore[misc]
-    """A node that keeps the newest number from each other node."""
+    """A node that keeps the greatest turn number that it has received from each other node."""
 
     def __init__(self) -> None:
         super().__init__()
