@@ -1,11 +1,15 @@
 """The commands that added runs to a store, as text for a shell."""
 
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from desim.config.trust import escaped
 from desim.results.provenance import Document
+
+PATH = re.compile(r"""(^|^-[A-Za-z]|[="'\[, ])((?:[A-Za-z]:)?[/\\][^"',\]]+)""")
+"""An absolute path in a word of a command: the whole word, or after a short option, "=" or a mark of a TOML value."""
 
 
 def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
@@ -29,12 +33,13 @@ def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
 
 
 def _without_folder(word: str, folder: Path) -> str:
-    """Return a word of a command; an absolute path in it is replaced as `shell_lines` states."""
-    option, equals, last = word.rpartition("=")
-    path = Path(last)
-    if not path.is_absolute():
-        return word
-    return f"{option}{equals}{path.relative_to(folder) if path.is_relative_to(folder) else path.name}"
+    """Return a word of a command; each absolute path in it is replaced as `shell_lines` states."""
+
+    def shortened(found: re.Match[str]) -> str:
+        path = Path(found[2])
+        return found[1] + str(path.relative_to(folder) if path.is_relative_to(folder) else path.name)
+
+    return PATH.sub(shortened, word)
 
 
 def _command(argv: Sequence[str], folder: Path) -> str:

@@ -207,6 +207,8 @@ def test_a_swept_table_is_not_fixed(tmp_path):
         (["my.py", "--fast"], "my.py --fast"),
         (["/home/me/my.py", "/home/you/x.toml", "-o", "/a/out/x"], "my.py x.toml -o out/x"),
         (["/a/my.py", "--set", "network.graph.file=/home/me/g.json"], "my.py --set network.graph.file=g.json"),
+        (["my.py", "--set", 'file="/home/me/g.json"', "-o/home/me/x"], """my.py --set 'file="g.json"' -ox"""),
+        (["my.py", "-g", "file=['/home/a/g','/home/b/h']", "1/2"], """my.py -g 'file=['"'"'g'"'"','"'"'h'"'"']' 1/2"""),
         ([], "desim"),
     ],
 )
