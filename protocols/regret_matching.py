@@ -10,7 +10,8 @@ Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of c
 Assumes: announcements of all teammates; revisions in any order. With the default parameters, regret matching has no
     regret in the long run, and the empirical frequencies of profiles (joint actions) tend to the coarse correlated
     equilibria. In the game with one evader and constant capture times, the only coarse correlated equilibrium is the
-    relay profile (`desim.pursuit.game`). Generalised regret matching settles in a pure equilibrium.
+    relay profile, if the conditions in `desim.pursuit.game.relay_profile` hold. Generalised regret matching settles in
+    a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -36,7 +37,8 @@ class RegretMatching(LearningRule):
 
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
-    """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight."""
+    """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
+    0 it is the mean over all turns."""
     alpha: RevisionProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""
 
@@ -62,6 +64,7 @@ class GeneralisedRegretMatching(RegretMatching):
 
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
-    """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight."""
+    """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
+    0 it is the mean over all turns."""
     alpha: RevisionProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""

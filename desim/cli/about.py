@@ -85,7 +85,7 @@ def metrics() -> None:
 @click.argument("only", metavar="[KIND]", required=False, shell_complete=completion.protocols)
 @ALLOW_IMPORT
 def protocols(only: str | None) -> None:
-    """List the installed protocols with their parameters, or only one KIND (or module:name), also with its traits."""
+    """List the installed protocols with parameters; for a KIND (or module:name), print its parameters and traits."""
     from pydantic import BaseModel
 
     from desim.cli.description import described, described_traits, summary
@@ -107,7 +107,10 @@ def protocols(only: str | None) -> None:
 
 
 def _imported(kind: str) -> Any:
-    """Return the protocol module:name, installed or in the working folder; end the program if it is invalid."""
+    """Return the protocol that a kind "module:name" selects; end the program if it is invalid.
+
+    The module is an installed one, or lies in the working folder.
+    """
     from desim.scenario.overrides import ScenarioError, Source
     from desim.scenario.toml import validate
 

@@ -246,7 +246,14 @@ def _stores_in(folder: Path) -> list[Path]:
 def _plan_text(
     plan: "SweepPlan", jobs: "list[Job]", there: set[tuple[str, int]], until: tuple[str, float] | None
 ) -> str:
-    """Return as text how many runs of each configuration are planned, and how many of these are stored."""
+    """Return as text how many runs of each configuration are planned, and how many of these are in `there`.
+
+    Args:
+        plan: the plan of the sweep.
+        jobs: the planned runs.
+        there: the runs that are done; see `SweepPlan.done`.
+        until: the metric and the half width of --until.
+    """
     from desim.analysis.tables import aligned
 
     wanted = [(configuration.key, k) for configuration, k in jobs]

@@ -93,7 +93,7 @@ class Network:
     # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
-        """Give all nodes an initial record of `src` without a message, unless they have one; `stamp` as in `publish`.
+        """Give each node that has no record of `src` an initial one, without a message; `stamp` is as in `publish`.
 
         Raises:
             ValueError: if the node does not exist.
@@ -105,7 +105,8 @@ class Network:
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of `src` to its neighbours as a record; unlike `send`, it wakes no process.
 
-        The cost is O(1) if the record reaches all nodes at the same time, else O(neighbours).
+        The cost is O(1) in a complete graph with a constant latency, without a range, losses, active faults, a trace
+        and listeners. Otherwise the cost grows with the number of nodes linked to `src`.
 
         Args:
             src: the node that publishes.
@@ -243,8 +244,9 @@ class Network:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
         Raises:
-            ValueError: if the network was created without a `FaultState`, or its faults are planned and none begins or
-                ends now: what no planned fault can change has been delivered already.
+            ValueError: if the network was created without a `FaultState`, or if its faults are planned, no disc is
+                jammed and no planned fault begins or ends now. An arrival that no planned fault can prevent is stored
+                at transmission already, so an unplanned crash would come too late to prevent it.
         """
         if self.fault_state.constant_until > self._env.now:
             raise ValueError(f"node {node} cannot crash now: faults were injected, and none of them begins or ends now")
@@ -274,7 +276,10 @@ class Network:
         return self._fault_state
 
     def settle(self) -> None:
-        """Decide the outcome of all messages that arrive before this instant; call it before a fault begins or ends."""
+        """Decide whether each record that was due before this instant has arrived, if this has not been decided yet.
+
+        Call this method before a fault begins or ends.
+        """
         self._arrivals.settle()
 
     def message_counts(self) -> MessageCounts:

@@ -30,7 +30,8 @@ class CellList:
         positions: the positions of the nodes, with coordinates up to `MAX_COORDINATE`.
         radius: the radius of the search, m.
         now: returns the time, s. With it and a finite `positions.max_speed`, the movement of the nodes is bounded by
-            speed x time; otherwise each query compares the positions of all nodes with those that were hashed.
+            speed x time. Otherwise each query compares the positions of all nodes with those that were hashed, unless
+            `positions` returns the same read-only array as at the last query.
     """
 
     def __init__(self, positions: PositionSource, radius: float, now: Callable[[], float] | None = None):

@@ -32,8 +32,8 @@ RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 class Agent(Knowledge):
     """The interface of a protocol to one pursuer: its knowledge (`Knowledge`), its actions and its messages.
 
-    A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method of an
-    agent waits by itself.
+    A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method waits
+    when it is called. `repeat` returns a process, which a protocol runs with `yield from`.
 
     Attributes:
         restarts: number of restarts without memory after a crash.
@@ -69,7 +69,8 @@ class Agent(Knowledge):
         self._env, self._seed, self._announcements = env, seed, announcements
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
-        # The result of `_news` at the last announcement; None: an announcement is due in any case.
+        # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
+        # this result has changed, or is None. Other triggers do not use it.
         self._announced: Any = (self.action,) if announcements.warm_start else None
         self._streams: dict[str, np.random.Generator] = {}
 
@@ -130,10 +131,10 @@ class Agent(Knowledge):
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def set_payload(self, body: Any) -> None:
-        """Announce this body instead of the standard payload from now on.
+        """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.
 
-        `body.active` is the action. With the trigger "change" or "both", `announce` sends the body when `body.news` has
-        changed.
+        The attribute `active` of the body should be the action. With the trigger "change" or "both", the body should
+        also have an attribute `news`: `announce` sends the body if `news` differs from that of the last announcement.
         """
         self._payload = body
 
@@ -171,9 +172,9 @@ class Agent(Knowledge):
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
-        Use it for events: each message wakes a receiver that waits at this port (`arrival`, `mail`). A body that
-        contains a list, a dict or an array is copied at sending, so later changes have no effect on the message. All
-        receivers get the same object and must not change it.
+        Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
+        (`mail`). A body that contains a list, a dict or an array is copied at sending, so later changes have no effect
+        on the message. All receivers get the same object and must not change it.
 
         Raises:
             ValueError: if the receiver is the sender, or there is no such teammate.
@@ -234,7 +235,7 @@ class Agent(Knowledge):
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Run a process that calls a function once per period (s, local clock), after all decisions of the instant.
+        """Return a process that calls a function once per period (s, local clock), after all decisions of the instant.
 
         The first call happens after a random fraction of the period, drawn from the stream `name`.
         """

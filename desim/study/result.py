@@ -47,7 +47,8 @@ class SweepResult(SweepRuns):
             if each.keys() != set(grid):
                 raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
         chosen = settings if configurations is None else configurations
-        keys = tuple(next(iter(settings.values()), grid))  # in the order of the last sweep
+        # The first configuration belongs to the grid that was registered last; its keys are in the order of that grid.
+        keys = tuple(next(iter(settings.values()), grid))
         groups = tuple(
             Group(
                 {each: settings[key][each] for each in keys},
@@ -68,8 +69,8 @@ class SweepResult(SweepRuns):
 
         Args:
             y: the name of the metric.
-            kind: means: the mean by configuration, or the paired difference from a reference, over a key; phase: the
-                mean over two keys as a heat map.
+            kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
+                each configuration as a heat map, with a key on each axis.
             options: for means, the options of `desim.study.figures.means`: x, by, against, labels, xlabel, ylabel,
                 size; phase has none.
 
@@ -85,7 +86,11 @@ class SweepResult(SweepRuns):
         return draw[kind](self, y, **options)
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
-        """Return the means with half widths, then the differences along the first key with several values, as text."""
+        """Return the table of means, the table of paired differences and the notes (failed runs, warnings) as text.
+
+        The reference of a difference is the configuration that has the first value of the first key with several values
+        and is otherwise equal. If seeds are independent, there is no table of differences.
+        """
         parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
         return "\n\n".join([*parts, *sweep_tables.notes(self, each_name(metrics))])
 

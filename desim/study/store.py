@@ -75,7 +75,7 @@ class Store(StoreFile):
         read_only: whether the store is only read; its file must exist and need not be writable.
 
     Attributes:
-        added: number of runs that were added since the store was opened, repeated ones included.
+        added: number of runs added by `add` since the store was opened, repeated ones included, merged ones not.
 
     Raises:
         StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
@@ -272,7 +272,8 @@ class Store(StoreFile):
         self.register_metrics(metrics)
         for folder, argv in other.commands:
             self.note_command(folder, argv)
-        # Runs are read first: if `other` is being written meanwhile, the configuration of each run is read, too.
+        # Another process may be writing to `other`. It registers a configuration before it adds the first run of it.
+        # The runs are therefore read before the configurations, so that no run is read without its configuration.
         runs, configurations = list(other.rows("runs")), list(other.rows("configurations"))
         with self.writing() as database:
             database.executemany(
@@ -305,7 +306,13 @@ SETTINGS = Json[dict[str, bool | int | float | str]]
 
 
 def _differs(name: str, one: Any, other: Any) -> str:
-    """Return the difference between two sweeps, given a recorded property of each, as the end of an error message."""
+    """Return the end of the error message "was made ...", which tells how two sweeps differ.
+
+    Args:
+        name: the property in which they differ.
+        one: its value in the store.
+        other: its value in the other sweep.
+    """
     if name == "format":
         return "by another version of desim"
     if name == "scenario":
