@@ -74,7 +74,6 @@ def run(
     """Run a scenario FILE, or repeat the runs of a run.json, and print the metrics."""
     from desim.analysis.metrics import MetricError, plain
     from desim.analysis.tables import batch_table, run_table
-    from desim.results.run_folder import WriteError
     from desim.simulation.watchdog import within
 
     whole_command = click.get_current_context().with_resource(ExitStack())
@@ -96,7 +95,11 @@ def run(
         else:
             results = _run_several(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
-    except WriteError as error:
+    except OSError as error:
+        from desim.results.run_folder import WriteError  # slow to import
+
+        if not isinstance(error, WriteError):
+            raise
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     except MetricError as error:
         _fail_in(error)

@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 
 CAUSES: tuple[Cause, ...] = ("half_duplex", "out_of_range", "jamming", "partition", "crash")
 """The causes of a loss on arrival; if there are several, the last of them counts."""
-MAX_KEPT = 256
-"""Number of transmissions after which the arrivals that are kept are decided even if nobody reads."""
+MAX_FRESH = 100_000
+"""Number of new arrivals at which those that are due are decided, even if nobody reads."""
+MANY = 1000
+"""Number of items from which a list is searched for those that are no longer needed."""
 
 
 class Transmission(NamedTuple):
@@ -58,7 +60,7 @@ Lose = Callable[[Transmission, Mapping[int, Cause]], object]
 """A function that counts the losses of a transmission, given their causes by receiver."""
 
 
-Whole = int | Integers
+PerArrival = int | Integers
 """One integer for all arrivals, or one for each."""
 
 
@@ -67,15 +69,15 @@ class _Batch(NamedTuple):
 
     node: Integers
     """(k,) the receivers."""
-    time: Whole
+    time: PerArrival
     """The time of the arrival."""
-    src: Whole
+    src: PerArrival
     """The sender."""
-    number: Whole
+    number: PerArrival
     """The number of the transmission."""
-    begin: Whole
+    begin: PerArrival
     """The start of the airtime."""
-    end: Whole
+    end: PerArrival
     """The end of the airtime."""
 
 
@@ -118,7 +120,12 @@ class Arrivals:
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if not self._at_once:
             topology.before_change(self.settle)
-        self._crashes: dict[int, list[int]] = {}
+            if fault_state is not None:
+                fault_state.before_change(self.settle)
+        self._on_air: dict[int, tuple[int, int]] = {}
+        """By sender: the number of its last transmission with an airtime, and the end of the airtime."""
+        self._cut_short: set[int] = set()
+        """The numbers of the transmissions whose sender crashed while it transmitted."""
         self._with_events = 0
         self._fresh: list[tuple[Transmission, list[int], list[int], int, int]] = []
         self._flights: list[Transmission] = []
@@ -128,11 +135,14 @@ class Arrivals:
         """Of each arrival that is kept: index in `_flights`, receiver, time."""
         self._at_downed: list[tuple[int, Transmission, int]] = []
         """Losses that are certain, at nodes that are down: time, transmission and receiver."""
+        self._fresh_count, self._count_at, self._compact_at = 0, MANY, MANY
         self.first: float = inf
 
     def crash(self, node: int) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
-        self._crashes.setdefault(node, []).append(self._env.now)
+        number, end = self._on_air.get(node, (0, 0))
+        if self._env.now < end:
+            self._cut_short.add(number)
 
     def in_flight(self) -> int:
         """Return the number of arrivals that are not decided yet."""
@@ -142,22 +152,29 @@ class Arrivals:
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule the arrivals of a transmission that starts now at some nodes, given their times and airtime (ns)."""
         begin, end = self._env.now, self._env.now + airtime
-        if isinstance(arrival, int) or not self._can_wait(transmission):
-            nodes_by_time: dict[int, list[int]] = {}
-            if isinstance(arrival, int):
-                nodes_by_time = {arrival: nodes} if nodes else {}
-            else:
-                for node, when in zip(nodes, arrival, strict=True):
-                    nodes_by_time.setdefault(when, []).append(node)
-            self._with_events += len(nodes)
-            for when, here in nodes_by_time.items():
-                callback = partial(self._land, transmission, here, begin, end)
-                Instant(self._env, when, Phase.DELIVERY).callbacks.append(callback)
-        elif nodes:
+        if self._transmitter is not None:
+            self._on_air[transmission.src] = transmission.number, end
+            self._transmitter.forget(min(self.first, begin))
+        if isinstance(arrival, int):
+            self._add_event(arrival, transmission, nodes, begin, end)
+        elif nodes and self._can_wait(transmission):
             self._fresh.append((transmission, nodes, arrival, begin, end))
+            self._fresh_count += len(nodes)
             self.first = min(self.first, *arrival)
-            if len(self._fresh) > MAX_KEPT:
+            if self._fresh_count > MAX_FRESH:
                 self.settle()
+        else:
+            nodes_by_time: dict[int, list[int]] = {}
+            for node, when in zip(nodes, arrival, strict=True):
+                nodes_by_time.setdefault(when, []).append(node)
+            for when, here in nodes_by_time.items():
+                self._add_event(when, transmission, here, begin, end)
+
+    def _add_event(self, when: int, transmission: Transmission, nodes: list[int], begin: int, end: int) -> None:
+        if nodes:
+            self._with_events += len(nodes)
+            event = Instant(self._env, when, Phase.DELIVERY)
+            event.callbacks.append(partial(self._land, transmission, nodes, begin, end))
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
         """Lose a transmission at its arrival times (ns) at some nodes, which will still be down."""
@@ -166,8 +183,9 @@ class Arrivals:
             return
         times = per_receiver(arrival, len(nodes))
         self._at_downed += [(when, transmission, node) for node, when in zip(nodes, times, strict=True)]
-        if len(self._at_downed) > 16 * MAX_KEPT:
+        if len(self._at_downed) > self._count_at:
             self.count_losses()
+            self._count_at = 2 * len(self._at_downed) + MANY
 
     def count_losses(self) -> None:
         """Count the certain losses up to now."""
@@ -177,6 +195,12 @@ class Arrivals:
                 self._lose(transmission, {node: "crash"})
         self._at_downed = [each for each in self._at_downed if each[0] > now]
 
+    def settle_for_reader(self) -> None:
+        """Decide the arrivals that are kept up to this instant, or before it, if faults begin or end later in it."""
+        now = self._env.now
+        changes = self._fault_state is not None and self._fault_state.changes_by(now)
+        self.settle(now - 1 if changes else now)
+
     def settle(self, until: int | None = None) -> None:
         """Decide the arrivals that are kept, up to a time (ns), by default all before this instant."""
         until = self._env.now - 1 if until is None else until
@@ -184,9 +208,9 @@ class Arrivals:
             return
         kept = self._with_fresh()
         due = kept[2] <= until
-        now, self._kept = kept[:, due], kept[:, ~due]
-        flights, nodes, times = now.tolist()
-        causes = self._causes(_Batch(now[1], now[2], *self._of_flight[:, now[0]]))
+        landing, self._kept = kept[:, due], kept[:, ~due]
+        flights, nodes, times = landing.tolist()
+        causes = self._causes(_Batch(landing[1], landing[2], *self._of_flight[:, landing[0]]))
         self.first = int(self._kept[2].min()) if self._kept.size else inf
         if causes is not None:
             fates = causes.tolist()
@@ -196,10 +220,11 @@ class Arrivals:
             arrived = [not cause for cause in fates]
             flights, nodes, times = (list(compress(each, arrived)) for each in (flights, nodes, times))
         self._records.receive(nodes, times, [self._flights[flight].content for flight in flights])
-        if len(self._flights) > 4 * MAX_KEPT:
+        if len(self._flights) > self._compact_at:
             used, self._kept[0] = np.unique(self._kept[0], return_inverse=True)
             self._flights = [self._flights[flight] for flight in used.tolist()]
             self._of_flight = self._of_flight[:, used]
+            self._compact_at = 2 * len(used) + MANY
 
     def _can_wait(self, transmission: Transmission) -> bool:
         """Return whether the outcome of a transmission may be decided after its arrival."""
@@ -218,7 +243,7 @@ class Arrivals:
             columns[2].extend(arrival)
             self._flights.append(transmission)
             of_flight.append((transmission.src, transmission.number, begin, end))
-        self._fresh = []
+        self._fresh, self._fresh_count = [], 0
         self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
         return np.concatenate((self._kept, np.array(columns)), axis=1)
 
@@ -244,7 +269,6 @@ class Arrivals:
         """
         losses = dict[Cause, Bools | None]()
         if self._transmitter is not None:
-            self._transmitter.forget(min(self.first, _least(batch.time)))
             received = batch.time - self._processing
             start = received - (batch.end - batch.begin)
             losses["half_duplex"] = self._transmitter.transmitting(batch.node, start, received)
@@ -271,12 +295,8 @@ class Arrivals:
         lost, down = None, self._fault_state.down_nodes
         if down:
             lost = np.array([node in down for node in batch.node.tolist()])
-        if self._crashes and self._transmitter is not None:
-            spans = np.broadcast(batch.src, batch.begin, batch.end, batch.node)
-            cut = [any(begin <= t < end for t in self._crashes.get(src, ())) for src, begin, end, _ in spans]
-            lost = np.array(cut) if lost is None else lost | cut
+        if self._cut_short:
+            numbers = np.broadcast_to(batch.number, batch.node.shape).tolist()
+            cut = np.array([number in self._cut_short for number in numbers])
+            lost = cut if lost is None else lost | cut
         return lost
-
-
-def _least(whole: Whole) -> int:
-    return whole if isinstance(whole, int) else int(whole.min())

@@ -34,7 +34,8 @@ def inject(
         recovered: called with each crash when it ends.
 
     Raises:
-        ValueError: if a fault names a node that does not exist, or starts before the current time.
+        ValueError: if a fault names a node that does not exist, or starts before the current time, or if the network
+            has had planned faults before and has sent messages since.
     """
     faults, size = list(faults), network.topology.size
     for fault in faults:
@@ -45,22 +46,22 @@ def inject(
         network.settle()
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
-        end = _start(fault, network, crashed, recovered)
-        if fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
-            schedule(fault.end, partial(finish, fault, end))
-        network.fault_state.changed()
+        with network.fault_state.planned_change():
+            end = _start(fault, network, crashed, recovered)
+            if fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
+                schedule(fault.end, partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
         network.settle()
         if trace is not None:
             trace.append(FaultEnded(env.now, fault))
-        end()
-        network.fault_state.changed()
+        with network.fault_state.planned_change():
+            end()
 
     def schedule(time: float, change: Callable[[simpy.Event], None]) -> None:
         when = nanoseconds(time)
-        Instant(env, when, Phase.FAULT).callbacks.append(change)
         network.fault_state.plan(when)
+        Instant(env, when, Phase.FAULT).callbacks.append(change)
 
     for fault in faults:
         schedule(fault.start, partial(begin, fault))

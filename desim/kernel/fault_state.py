@@ -2,7 +2,8 @@
 
 from bisect import insort
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from math import inf
 
 import numpy as np
@@ -19,6 +20,9 @@ Disc = tuple[tuple[float, float], float]
 class FaultState:
     """The active faults of a network. Faults may overlap; each lasts until the caller ends it.
 
+    If changes are planned (`plan`, `desim.kernel.fault_injection`), the methods that change the state raise ValueError
+    outside of `planned_change`: arrivals that no planned change can prevent are stored at transmission.
+
     Args:
         positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
     """
@@ -27,18 +31,40 @@ class FaultState:
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
         self._planned: list[int] | None = None
+        self._is_changing = self._is_relied_on = False
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
 
     def plan(self, time: int) -> None:
-        """Announce the time, ns, of a change; after the first call, the caller makes no change at any other time."""
+        """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`.
+
+        Raises:
+            ValueError: if messages have been sent that relied on the changes announced before.
+        """
+        if self._is_relied_on and not self._is_changing:
+            raise ValueError("faults should be injected before the first message is sent")
         self._planned = self._planned or []
         insort(self._planned, time)
 
-    def changed(self) -> None:
-        """Note that the next announced change has happened."""
+    @contextmanager
+    def planned_change(self) -> Iterator[None]:
+        """Make the next announced change in this context."""
         assert self._planned is not None
+        self._is_changing = True
+        try:
+            yield
+        finally:
+            self._is_changing = False
         del self._planned[0]
+
+    def changes_by(self, time: int) -> bool:
+        """Return whether an announced change is due at a time (ns) or before, and has not been made yet."""
+        return bool(self._planned and self._planned[0] <= time)
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a node changes."""
+        if self._positions is not None:
+            self._positions.before_change(act)
 
     @property
     def constant_until(self) -> float:
@@ -46,6 +72,7 @@ class FaultState:
 
         It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
         """
+        self._is_relied_on = self._planned is not None
         if self._planned is None or self._jams:
             return 0
         return self._planned[0] if self._planned else inf
@@ -102,6 +129,7 @@ class FaultState:
 
     def crash(self, node: int) -> None:
         """Take the radio of a node down; overlapping crashes of a node are counted."""
+        self._require_change()
         self._down[node] += 1
 
     def recover(self, node: int) -> None:
@@ -110,6 +138,7 @@ class FaultState:
         Raises:
             ValueError: if the node is not down.
         """
+        self._require_change()
         if not self.down(node):
             raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
@@ -118,12 +147,14 @@ class FaultState:
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
+        self._require_change()
         cut = {node: number for number, group in enumerate(groups) for node in group}
         self._cuts.append(cut)
         return cut
 
     def rejoin(self, cut: Cut) -> None:
         """End a partition, given the cut that `partition` returned."""
+        self._require_change()
         self._cuts = [each for each in self._cuts if each is not cut]
 
     def jam(self, disc: Disc) -> None:
@@ -132,6 +163,7 @@ class FaultState:
         Raises:
             ValueError: if the nodes have no positions.
         """
+        self._require_change()
         if self._positions is None:
             raise ValueError(f"a jamming disc needs positions (got {disc})")
         self._jams.append(disc)
@@ -142,4 +174,10 @@ class FaultState:
         Raises:
             ValueError: if the disc is not jammed.
         """
+        self._require_change()
         self._jams.remove(disc)
+
+    def _require_change(self) -> None:
+        """Raise ValueError if the state may not be changed now."""
+        if self._planned is not None and not self._is_changing:
+            raise ValueError("faults were injected, so the faults cannot be changed otherwise")

@@ -100,7 +100,7 @@ class LinkLayer:
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         now = self._env.now
-        self.arrivals.settle(now)
+        self.arrivals.settle_for_reader()
         self.arrivals.count_losses()
         lost = self._lost.total()
         in_flight = self.arrivals.in_flight() + self._records.in_flight() + self._inboxes.in_flight()

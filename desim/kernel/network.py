@@ -173,7 +173,7 @@ class Network:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if self._arrivals.first <= self._env.now:
-            self._arrivals.settle(self._env.now)
+            self._arrivals.settle_for_reader()
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
@@ -185,7 +185,7 @@ class Network:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if self._arrivals.first <= self._env.now:
-            self._arrivals.settle(self._env.now)
+            self._arrivals.settle_for_reader()
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
@@ -244,12 +244,8 @@ class Network:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
         Raises:
-            ValueError: if the network was created without a `FaultState`, or if its faults are planned, no disc is
-                jammed and no planned fault begins or ends now. An arrival that no planned fault can prevent is stored
-                at transmission already, so an unplanned crash would come too late to prevent it.
+            ValueError: if the network was created without a `FaultState`, or its faults are planned.
         """
-        if self.fault_state.constant_until > self._env.now:
-            raise ValueError(f"node {node} cannot crash now: faults were injected, and none of them begins or ends now")
         self.fault_state.crash(node)
         self._link_layer.crash(node)
 
@@ -257,7 +253,8 @@ class Network:
         """End one crash of a node; if `memory` is false, delete its received records and unread messages.
 
         Raises:
-            ValueError: if the network was created without a `FaultState`, or the node is not down.
+            ValueError: if the network was created without a `FaultState`, its faults are planned, or the node is not
+                down.
         """
         self.fault_state.recover(node)
         if not memory:

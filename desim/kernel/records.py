@@ -1,8 +1,8 @@
 """The newest record of each source that has arrived at each node.
 
 A record whose arrival is certain needs no SimPy event. It is stored at transmission with its arrival time;
-`latest_records` and `matching` ignore it until then. A record that can still be lost on arrival is inserted when it
-arrives (`Records.insert`).
+`latest_records` and `matching` ignore it until then. A record that can still be lost on arrival is stored when its
+outcome is decided (`Records.insert`, `Records.receive`).
 """
 
 from bisect import insort
@@ -134,7 +134,7 @@ class Records:
             self._shared.schedule((arrival, record))
             if not self._apart:
                 return
-            receivers = [node for node in self._apart if node in receivers]
+            receivers = self._apart_among(record.src, receivers)
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
@@ -151,7 +151,7 @@ class Records:
         now, waiting = self._env.now, self._waiting
         if self._reaches_all_others(record.src, nodes):
             self._shared.schedule((now, record))
-            nodes = [node for node in self._apart if node in nodes]
+            nodes = self._apart_among(record.src, nodes)
         for node in nodes:
             waiting[node] += now, record
         self._out_of_order.update(nodes)
@@ -165,7 +165,7 @@ class Records:
             pending.append(when)
             pending.append(record)
         self._out_of_order.update(nodes)
-        self._note_unread()
+        self._note_unread(len(nodes))
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
@@ -229,8 +229,13 @@ class Records:
             return True
         if not self._apart or len(receivers) < self._size - 1 - len(self._apart):
             return False
-        apart = sum(node in receivers for node in self._apart)
+        apart = len(self._apart.intersection(receivers))
         return len(receivers) - apart == self._size - len(self._apart | {src})
+
+    def _apart_among(self, src: int, receivers: list[int]) -> list[int]:
+        """Return those of the receivers of a record that have their own copies of the shared records."""
+        is_to_all = len(receivers) == self._size - 1
+        return sorted(self._apart - {src} if is_to_all else self._apart.intersection(receivers))
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""
@@ -300,10 +305,10 @@ class Records:
                 _store((arrival, record), table, matching, self._predicate)
         return still_in_flight
 
-    def _note_unread(self) -> None:
+    def _note_unread(self, count: int = 1) -> None:
         """Now and then, merge long lists of unread records, to bound the memory of nodes that do not read."""
-        self._scheduled += 1
-        if self._scheduled == self._merge_interval:
+        self._scheduled += count
+        if self._scheduled >= self._merge_interval:
             self._scheduled = 0
             for node, waiting in enumerate(self._waiting):
                 if len(waiting) > MAX_UNREAD:

@@ -44,7 +44,7 @@ class Transmitter(Generic[Item]):
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
         lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long after the end of
-            its reception; `transmitted` is called at its arrival.
+            its reception; its outcome is decided at its arrival or later.
     """
 
     def __init__(

@@ -62,9 +62,9 @@ class Row:
     def error(self) -> str:
         """The exception of the run in one line; "" if it did not fail."""
         lines = self.traceback.strip().splitlines()
-        last_call = max((k for k, line in enumerate(lines) if line.startswith("  ")), default=-1)
-        ends = [line for line in lines[last_call + 1 :] if line] or lines[-1:] or [""]
-        return ends[0]
+        last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
+        ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("    ")]
+        return (ends or lines[-1:] or [""])[0]
 
 
 class Store(StoreFile):

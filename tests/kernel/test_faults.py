@@ -1,6 +1,7 @@
 """Faults: what they do to a network, the order in which they open and close, and what random plans draw."""
 
 from collections import Counter
+from functools import partial
 from itertools import pairwise
 from math import exp, inf
 
@@ -424,14 +425,25 @@ def test_no_clock_is_slower_than_the_bound_of_a_drift():
     assert min(drift for _, drift in clock_errors([ClockSkew(drift=2.0)], 50, 0)) == MIN_DRIFT
 
 
-def test_a_crash_that_is_not_planned_is_refused_among_planned_ones():
+def test_a_change_that_is_not_planned_is_refused_among_planned_ones():
     """Messages that arrive before the next planned fault have been delivered already."""
     clock = Clock()
     network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
     network.crash(0)
     network.recover(0)
     inject([Crash(node=1, start=1.0)], clock, network)
-    with pytest.raises(ValueError, match="node 0 cannot crash now"):
-        network.crash(0)
+    state = network.fault_state
+    changes = [partial(network.crash, 0), partial(network.recover, 1, memory=False), partial(state.partition, [[0]])]
+    changes += [
+        partial(state.rejoin, {}),
+        partial(state.jam, ((0.0, 0.0), 1.0)),
+        partial(state.clear, ((0.0, 0.0), 1.0)),
+    ]
+    for change in changes:
+        with pytest.raises(ValueError, match="faults were injected"):
+            change()
+    network.publish(0, "x")
+    with pytest.raises(ValueError, match="before the first message"):
+        inject([Crash(node=0, start=0.5)], clock, network)
     clock.run()
-    assert network.fault_state.down(1)
+    assert state.down(1)
