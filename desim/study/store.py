@@ -11,6 +11,7 @@ changes, its values are removed when the new code is registered.
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, get_type_hints
@@ -61,7 +62,9 @@ class Row:
     @property
     def error(self) -> str:
         """The exception of the run in one line; "" if it did not fail."""
-        lines = self.traceback.strip().splitlines()
+        whole = self.traceback.strip().splitlines()
+        own = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
+        lines = [line.removeprefix("  | ") for line in own]
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
         ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("    ")]
         return (ends or lines[-1:] or [""])[0]

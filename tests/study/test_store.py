@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import traceback
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import cache
@@ -50,6 +51,27 @@ def exported(out):
     """Return the table of a store as it is exported."""
     assert command("export", out, out / "runs.csv").exit_code == 0
     return (out / "runs.csv").read_bytes()
+
+
+def failing(error):
+    raise error
+
+
+ERRORS = {
+    "ValueError: plain": ValueError("plain"),
+    "ValueError: bad:": ValueError("bad:\n  row 1\nend of table"),
+    "ExceptionGroup: both (2 sub-exceptions)": ExceptionGroup("both", [ValueError("a"), TypeError("b")]),
+    "SyntaxError: invalid syntax": SyntaxError("invalid syntax", ("f.py", 1, 1, "x y")),
+}
+
+
+@pytest.mark.parametrize("line", ERRORS)
+def test_the_error_of_a_run_is_the_first_line_after_its_calls(line):
+    try:
+        failing(ERRORS[line])
+    except Exception as error:
+        text = "".join(traceback.format_exception(error))
+    assert Row(0, 0, "error", traceback=text).error.startswith(line)
 
 
 def test_a_file_that_is_not_a_store_is_named(tmp_path, file):
