@@ -20,6 +20,7 @@ from desim import explain, sweep
 from desim.analysis import metrics
 from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time, summary
 from desim.analysis.statistics import runs_needed
+from desim.cli.options import shown_metrics
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Recording, Scenario, Team
@@ -517,3 +518,7 @@ def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     assert "hasty, 1/s" in shown
     assert "hasty" in stored(tmp_path / "out" / "sweep.sqlite")[0]
     assert "hasty" in (tmp_path / "x.csv").read_text().splitlines()[0]
+
+
+def test_a_metric_that_is_given_twice_is_shown_once():
+    assert shown_metrics(Scenario(), ("active_time", "m:late", "active_time")) == ("active_time", "late")
