@@ -66,7 +66,7 @@ class Row:
         own = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
         lines = [line.removeprefix("  | ") for line in own]
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
-        ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("    ")]
+        ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
         return (ends or lines[-1:] or [""])[0]
 
 
