@@ -299,3 +299,18 @@ def test_in_a_network_of_many_nodes_time_passes():
         flying.now = second
         heard.append(network.neighbours(0) == [1])
     assert heard == [8 <= second <= 12 for second in range(14)]
+
+
+@pytest.mark.parametrize("per_link", [True, False])
+@pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance()])
+def test_several_messages_reach_what_each_of_them_reaches(model, per_link):
+    """(k,) senders, receivers and numbers at once, one sender at once, and one pair after the other."""
+    places, rng = scattered(12, side=20.0), np.random.default_rng(1)
+    topology = Topology(nx.complete_graph(12), 8.0, lambda: places, model, per_link=per_link, seed=5)
+    src, dst, number = rng.integers(12, size=(3, 200))
+    of_each = [
+        topology.reaches(s, [d], k)[0] for s, d, k in zip(src.tolist(), dst.tolist(), number.tolist(), strict=True)
+    ]
+    assert topology.reached(src, dst, number, 0).tolist() == of_each
+    assert topology.reached(3, dst, 7, 0).tolist() == topology.reaches(3, dst.tolist(), 7)
+    assert 0 < sum(of_each) < 200

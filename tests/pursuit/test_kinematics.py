@@ -165,3 +165,21 @@ def chase(me):
     """Chase from the start on."""
     yield me.at(0.0)
     me.assign(True)
+
+
+def test_positions_at_times_of_the_present_piece_are_those_of_these_times():
+    env, told = Clock(), []
+    players = Kinematics(env, np.array([0j, 1 + 1j, 3j]))
+    players.before_change(lambda: told.append((env.now, players.velocities.tolist())))
+    for start, velocities in ((SECOND // 3, [1 / 3, 2j, -1 + 0.1j]), (SECOND, [0.7, 1j, 1 + 0.3j])):
+        env.run(until=start)
+        players.set_velocities(np.array(velocities, dtype=complex))
+    times = [SECOND, SECOND + 1, SECOND + 123_456_789, 2 * SECOND]
+    seen = []
+    for now in times:
+        env.run(until=now) if now > env.now else None
+        seen.append(players.positions_of([0, 1, 2]).tolist())
+    for player in range(3):
+        there = players.positions_at(np.full(4, player), np.array(times))
+        assert there.tolist() == [positions[player] for positions in seen]
+    assert told == [(SECOND // 3, [0, 0, 0]), (SECOND, [1 / 3, 2j, -1 + 0.1j])]
