@@ -152,11 +152,12 @@ class Arrivals:
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule the arrivals of a transmission that starts now at some nodes, given their times and airtime (ns)."""
         begin, end = self._env.now, self._env.now + airtime
+        nodes_by_time: dict[int, list[int]] = {}
         if self._transmitter is not None:
             self._on_air[transmission.src] = transmission.number, end
             self._transmitter.forget(min(self.first, begin))
         if isinstance(arrival, int):
-            self._add_event(arrival, transmission, nodes, begin, end)
+            nodes_by_time = {arrival: nodes} if nodes else {}
         elif nodes and self._can_wait(transmission):
             self._fresh.append((transmission, nodes, arrival, begin, end))
             self._fresh_count += len(nodes)
@@ -164,17 +165,12 @@ class Arrivals:
             if self._fresh_count > MAX_FRESH:
                 self.settle()
         else:
-            nodes_by_time: dict[int, list[int]] = {}
             for node, when in zip(nodes, arrival, strict=True):
                 nodes_by_time.setdefault(when, []).append(node)
-            for when, here in nodes_by_time.items():
-                self._add_event(when, transmission, here, begin, end)
-
-    def _add_event(self, when: int, transmission: Transmission, nodes: list[int], begin: int, end: int) -> None:
-        if nodes:
-            self._with_events += len(nodes)
-            event = Instant(self._env, when, Phase.DELIVERY)
-            event.callbacks.append(partial(self._land, transmission, nodes, begin, end))
+        for when, here in nodes_by_time.items():
+            land = partial(self._land, transmission, here, begin, end, is_only=len(nodes_by_time) == 1)
+            Instant(self._env, when, Phase.DELIVERY).callbacks.append(land)
+            self._with_events += len(here)
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
         """Lose a transmission at its arrival times (ns) at some nodes, which will still be down."""
@@ -247,8 +243,10 @@ class Arrivals:
         self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
         return np.concatenate((self._kept, np.array(columns)), axis=1)
 
-    def _land(self, transmission: Transmission, nodes: list[int], begin: int, end: int, _: "simpy.Event") -> None:
-        """Deliver or lose a transmission at each of some nodes now."""
+    def _land(
+        self, transmission: Transmission, nodes: list[int], begin: int, end: int, _: "simpy.Event", *, is_only: bool
+    ) -> None:
+        """Deliver or lose a transmission at each of some nodes now; `is_only`: it arrives at no other time."""
         now, reached = self._env.now, nodes
         self._with_events -= len(nodes)
         receivers = np.array(nodes, dtype=np.int64)
@@ -258,7 +256,8 @@ class Arrivals:
             self._lose(transmission, {node: CAUSES[cause - 1] for node, cause in fates if cause})
             reached = [node for node, cause in fates if not cause]
         if isinstance(transmission.content, Record):
-            self._records.insert(reached, transmission.content)
+            unreached = set(transmission.receivers).difference(reached) if is_only else ()
+            self._records.insert(reached, transmission.content, unreached)
         else:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, now, transmission.number)
 

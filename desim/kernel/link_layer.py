@@ -90,10 +90,9 @@ class LinkLayer:
     def crash(self, node: int) -> None:
         """Lose the queued transmissions of a node whose radio goes down now.
 
-        A transmission that is on the air now is lost on arrival. What the node misses, the other nodes still share.
+        A transmission that is on the air now is lost on arrival.
         """
         self.arrivals.crash(node)
-        self._records.separate(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             self._lose(transmission, dict.fromkeys(transmission.receivers, "crash"))
 
@@ -179,17 +178,19 @@ class LinkLayer:
         if self._settles_on_arrival:
             self.arrivals.schedule(transmission, reached, arrival, airtime)
             return
+        unreached = list(causes)
         if self._fault_state is not None:
-            reached, arrival = self._settled(transmission, reached, arrival, airtime)
+            reached, arrival, down = self._settled(transmission, reached, arrival, airtime)
+            unreached += down
         if isinstance(transmission.content, Record):
-            self._records.schedule(transmission.content, reached, arrival)
+            self._records.schedule(transmission.content, reached, arrival, unreached)
         else:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, arrival, transmission.number)
 
     def _settled(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
-    ) -> tuple[list[int], Arrival]:
-        """Return the receivers that certainly get a transmission, and its arrival times there (ns).
+    ) -> tuple[list[int], Arrival, list[int]]:
+        """Return the receivers that certainly get a transmission, its arrival times there (ns), and those that do not.
 
         The faults do not change before the next planned change, so what arrives earlier at a radio that is up arrives.
         All other arrivals are scheduled.
@@ -198,15 +199,16 @@ class LinkLayer:
         assert faults is not None
         until, down = faults.constant_until, faults.down_nodes
         last = arrival if isinstance(arrival, int) else max(arrival, default=0)
+        lost = list[int]()
         if last < until and not down:
-            return reached, arrival
+            return reached, arrival, lost
         if last >= until:
             reached, arrival, others, later = _split(reached, arrival, lambda _, when: when < until)
             self.arrivals.schedule(transmission, others, later, airtime)
         if down:
-            reached, arrival, others, later = _split(reached, arrival, lambda node, _: node not in down)
-            self.arrivals.lose_at(transmission, others, later)
-        return reached, arrival
+            reached, arrival, lost, later = _split(reached, arrival, lambda node, _: node not in down)
+            self.arrivals.lose_at(transmission, lost, later)
+        return reached, arrival, lost
 
     def _losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""

@@ -6,7 +6,7 @@ outcome is decided (`Records.insert`, `Records.receive`).
 """
 
 from bisect import insort
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import chain, repeat
 from typing import Any, NamedTuple
 
@@ -42,15 +42,17 @@ MAX_UNREAD = 2048
 
 
 class SharedTable:
-    """The records that reach all nodes but their source at one instant, stored once for all nodes.
+    """The records that reach all or most nodes at one instant, stored once for all nodes.
 
     A record waits until `apply_arrived` is called at or after its arrival time. It then enters the table, unless the
-    table has a newer record of its source.
+    table has a newer record of its source. A node that the record does not reach keeps the record that it had before,
+    as an exception.
 
     Attributes:
         waiting: the waiting records, ordered by arrival.
         table: the newest record of each source at the last `apply_arrived`.
         matching: the records of the table whose body satisfies the predicate.
+        exceptions: by node and source, the record that the node has in place of the one in the table; None: no record.
         only_initial: whether only initial beliefs have been added so far.
     """
 
@@ -59,16 +61,26 @@ class SharedTable:
         self.waiting: list[TimedRecord] = []
         self.table: Table = {}
         self.matching: Table = {}
+        self.exceptions: dict[int, dict[int, TimedRecord | None]] = {}
         self.only_initial = True
+        self._unreached: dict[tuple[int, int], Collection[int]] = {}
+        """By source and sequence number, the nodes that a waiting record does not reach."""
+        self._excepted: dict[int, Collection[int]] = {}
+        """By source, the nodes with an exception."""
 
     def set_initial_belief(self, received: TimedRecord) -> None:
-        """Insert an initial belief, unless the table has a record of its source."""
-        if received[1].src not in self.table:
+        """Insert an initial belief at all nodes that have no record of its source."""
+        src = received[1].src
+        if src not in self.table:
             _store(received, self.table, self.matching, self._predicate)
+        for node in self._excepted.get(src, ()):
+            self.exceptions[node][src] = self.exceptions[node][src] or received
 
-    def schedule(self, timed: TimedRecord) -> None:
-        """Add a record to those waiting until their arrival times."""
+    def schedule(self, timed: TimedRecord, unreached: Collection[int]) -> None:
+        """Add a record to those waiting until their arrival times, and the nodes that it does not reach."""
         self.only_initial = False
+        if unreached:
+            self._unreached[timed[1][:2]] = unreached
         if self.waiting and timed < self.waiting[-1]:
             insort(self.waiting, timed)
         else:
@@ -83,9 +95,69 @@ class SharedTable:
                 break
             arrived += 1
             known = table.get(record[0])  # src and seq, by position for speed
+            unreached = self._unreached.pop(record[:2], ()) if self._unreached else ()
             if known is None or known[1][1] < record[1]:
+                if unreached or self._excepted:
+                    self._except(record[0], unreached, known)
                 _store(timed, table, self.matching, self._predicate)
+            else:
+                for node in self._excepted.get(record[0], ()):
+                    own = self.exceptions[node][record[0]]
+                    if node not in unreached and (own is None or own[1][1] < record[1]):
+                        self.exceptions[node][record[0]] = timed
         del self.waiting[:arrived]
+
+    def known_by(self, node: int, src: int) -> TimedRecord | None:
+        """Return the record of a source that a node has in this table, or in place of it."""
+        own = self.exceptions.get(node, {})
+        return own[src] if src in own else self.table.get(src)
+
+    def table_of(self, node: int) -> Table:
+        """Return the table as a node knows it."""
+        known = self.table.copy()
+        known.pop(node, None)
+        for src, received in self.exceptions.get(node, {}).items():
+            if received is not None:
+                known[src] = received
+            else:
+                known.pop(src, None)
+        return known
+
+    def matching_of(self, node: int) -> Table:
+        """Return the matching records of the table as a node knows it."""
+        known = self.matching.copy()
+        known.pop(node, None)
+        for src, received in self.exceptions.get(node, {}).items():
+            known.pop(src, None)
+            if received is not None and self._predicate is not None and self._predicate(received[1].body):
+                known[src] = received
+        return known
+
+    def forget(self, node: int) -> None:
+        """Let a node have no record of the table."""
+        self.exceptions[node] = dict.fromkeys(self.table)
+        for src in self.table:
+            self._excepted[src] = {node, *self._excepted.get(src, ())}
+
+    def unreached(self, record: Record) -> int:
+        """Return the number of nodes that a waiting record does not reach."""
+        return len(self._unreached.get(record[:2], ()))
+
+    def _except(self, src: int, unreached: Collection[int], known: TimedRecord | None) -> None:
+        """Let some nodes keep the record that they have of a source, and end the exceptions of all other nodes.
+
+        Args:
+            src: the source.
+            unreached: the nodes that the next record of the source does not reach.
+            known: the record of the source in the table.
+        """
+        for node in self._excepted.pop(src, ()):
+            if node not in unreached:
+                del self.exceptions[node][src]
+        for node in unreached:
+            self.exceptions.setdefault(node, {}).setdefault(src, known)
+        if unreached:
+            self._excepted[src] = unreached
 
 
 class Records:
@@ -111,30 +183,26 @@ class Records:
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
         self._relayed: set[int] = set()  # readers that get records by other ways, even before they are transmitted
-        self._apart: set[int] = set()  # readers with their own copies of the shared records
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes an initial record now, unless they already have a record of the same source."""
-        received = self._env.now, record
-        self._shared.set_initial_belief(received)
-        for node in self._apart - {record.src}:
-            if record.src not in self._tables[node]:
-                _store(received, self._tables[node], self._matching[node], self._predicate)
+        self._shared.set_initial_belief((self._env.now, record))
 
-    def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
-        """Store a record with its arrival times; O(1) if it reaches all nodes at one instant, else O(receivers).
+    def schedule(self, record: Record, receivers: list[int], arrival: Arrival, unreached: Collection[int] = ()) -> None:
+        """Store a record with its arrival times.
+
+        The cost is O(unreached nodes) if it reaches most of all nodes at one instant, else O(receivers).
 
         Args:
             record: newer than every record of its source that was scheduled before.
             receivers: the nodes it reaches.
             arrival: the arrival times, ns.
+            unreached: nodes that it does not reach.
         """
+        if isinstance(arrival, int) and self._is_shared(receivers, unreached):
+            self._shared.schedule((arrival, record), unreached)
+            return
         waiting = self._waiting
-        if isinstance(arrival, int) and self._reaches_all_others(record.src, receivers):
-            self._shared.schedule((arrival, record))
-            if not self._apart:
-                return
-            receivers = self._apart_among(record.src, receivers)
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
@@ -146,12 +214,15 @@ class Records:
         self._relayed.add(node)
         self.insert([node], record)
 
-    def insert(self, nodes: list[int], record: Record) -> None:
-        """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""
+    def insert(self, nodes: list[int], record: Record, unreached: Collection[int] = ()) -> None:
+        """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it.
+
+        The record does not reach the nodes `unreached`, or not by this call.
+        """
         now, waiting = self._env.now, self._waiting
-        if self._reaches_all_others(record.src, nodes):
-            self._shared.schedule((now, record))
-            nodes = self._apart_among(record.src, nodes)
+        if self._is_shared(nodes, unreached):
+            self._shared.schedule((now, record), unreached)
+            return
         for node in nodes:
             waiting[node] += now, record
         self._out_of_order.update(nodes)
@@ -171,44 +242,29 @@ class Records:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
         self._apply_arrived(node)
         own, shared = self._tables[node], self._shared
-        if not shared.table or node in self._apart:
+        if not shared.table:
             return own.copy()
-        known = shared.table.copy()
-        known.pop(node, None)
+        known = shared.table_of(node)
         if own:
-            known |= own if shared.only_initial else self._not_older_than_shared(own)
+            known |= own if shared.only_initial else self._not_older_than_shared(node, own)
         return known
 
     def matching(self, node: int) -> Table:
         """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
         own, matching, shared = self._tables[node], self._matching[node], self._shared
-        if not shared.table or node in self._apart:
+        if not shared.table:
             return matching.copy()
-        known = shared.matching.copy()
-        known.pop(node, None)
+        known = shared.matching_of(node)
         if own:
             known = {src: received for src, received in known.items() if _is_newer(received, own)}
-            known |= self._not_older_than_shared(matching)
+            known |= self._not_older_than_shared(node, matching)
         return known
-
-    def separate(self, node: int) -> None:
-        """Give a node its own copies of the shared records, so that it may miss some of the records to come.
-
-        A record that reaches all other nodes at one instant is still stored once for them.
-        """
-        if node in self._apart:
-            return
-        known, matching = self.latest_records(node), self.matching(node)
-        self._tables[node], self._matching[node] = known, matching
-        self._apart.add(node)
-        self._out_of_order.add(node)  # the copies are in the order of arrival
-        self._waiting[node] += [item for timed in self._shared.waiting if timed[1].src != node for item in timed]
 
     def forget(self, node: int) -> None:
         """Delete all records that a node has received, initial beliefs included."""
-        self.separate(node)
         self._apply_arrived(node)
+        self._shared.forget(node)
         self._tables[node].clear()
         self._matching[node].clear()
 
@@ -221,21 +277,11 @@ class Records:
             for arrival, _ in _pairs(pending)
         )
         shared = [record for arrival, record in self._shared.waiting if arrival > now]
-        return own + sum(self._size - 1 - len(self._apart - {record.src}) for record in shared)
+        return own + sum(self._size - 1 - self._shared.unreached(record) for record in shared)
 
-    def _reaches_all_others(self, src: int, receivers: list[int]) -> bool:
-        """Return whether the receivers are all nodes but the source, and but nodes that have their own copies."""
-        if len(receivers) == self._size - 1:
-            return True
-        if not self._apart or len(receivers) < self._size - 1 - len(self._apart):
-            return False
-        apart = len(self._apart.intersection(receivers))
-        return len(receivers) - apart == self._size - len(self._apart | {src})
-
-    def _apart_among(self, src: int, receivers: list[int]) -> list[int]:
-        """Return those of the receivers of a record that have their own copies of the shared records."""
-        is_to_all = len(receivers) == self._size - 1
-        return sorted(self._apart - {src} if is_to_all else self._apart.intersection(receivers))
+    def _is_shared(self, receivers: list[int], unreached: Collection[int]) -> bool:
+        """Return whether a record that reaches some nodes at one instant is stored once for all nodes."""
+        return len(receivers) + len(unreached) == self._size - 1 and 3 * len(unreached) <= self._size
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""
@@ -244,9 +290,9 @@ class Records:
         if self._waiting[node] or node in self._still_in_flight:
             self._merge(node)
 
-    def _not_older_than_shared(self, own: Table) -> Table:
-        """Return the records of a table that are not older than the record of their source in the shared table."""
-        shared = self._shared.table
+    def _not_older_than_shared(self, node: int, own: Table) -> Table:
+        """Return those records of a node's table that are not older than what the node knows from the shared table."""
+        shared = self._shared.table_of(node) if node in self._shared.exceptions else self._shared.table
         return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
 
     def _merge(self, node: int) -> None:
@@ -296,9 +342,9 @@ class Records:
         """Do as `_move_newer` with records that also come by other ways, so that a record may arrive twice."""
         still_in_flight: list[Any] = []
         now, table, matching = self._env.now, self._tables[node], self._matching[node]
-        shared = {} if node in self._apart else self._shared.table
         for arrival, record in pending:
-            known = [each[record.src] for each in (table, shared) if record.src in each]
+            both = table.get(record.src), self._shared.known_by(node, record.src)
+            known = [each for each in both if each is not None]
             if arrival > now:
                 still_in_flight += arrival, record
             elif all((other.seq, -when) < (record.seq, -arrival) for when, other in known):

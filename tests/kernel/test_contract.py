@@ -421,9 +421,9 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
     """The control of the property above, for records and for mail."""
 
     class Late(Arrivals):
-        def _land(self, *given):
+        def _land(self, *given, **options):
             later = Instant(self._env, self._env.now + 1, Phase.DELIVERY)
-            later.callbacks.append(lambda _: super(Late, self)._land(*given))
+            later.callbacks.append(lambda _: super(Late, self)._land(*given, **options))
 
     for speak, read in [("publish", "read"), ("send", "drain"), ("send to all", "tally")]:
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]
@@ -441,7 +441,7 @@ class OnArrival(LinkLayer):
 
     def _settled(self, transmission, reached, arrival, airtime):
         self.arrivals.schedule(transmission, reached, arrival, airtime)
-        return [], []
+        return [], [], []
 
 
 class Tidy(Arrivals):
@@ -515,7 +515,7 @@ class Careless(OnArrival):
     """It takes every arrival for certain."""
 
     def _settled(self, transmission, reached, arrival, airtime):
-        return reached, arrival
+        return reached, arrival, []
 
 
 class Forgetful(Arrivals):

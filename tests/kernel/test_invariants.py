@@ -283,8 +283,8 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
 class SilentLoss(Arrivals):
     """It loses an arriving message and does not record it."""
 
-    def _land(self, transmission, nodes, *rest):
-        super()._land(transmission, nodes[1:], *rest)
+    def _land(self, transmission, nodes, *rest, **options):
+        super()._land(transmission, nodes[1:], *rest, **options)
 
 
 class SendsWhenDown(LinkLayer):
