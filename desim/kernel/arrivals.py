@@ -11,14 +11,13 @@ are not planned, or if the source of the positions does not know those of the pa
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import compress
+from itertools import compress, repeat
 from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from desim.config.arrays import Bools, Integers
+from desim.config.arrays import Integers
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
@@ -30,8 +29,6 @@ from desim.kernel.transmitter import Transmitter
 if TYPE_CHECKING:
     import simpy
 
-CAUSES: tuple[Cause, ...] = ("half_duplex", "out_of_range", "jamming", "partition", "crash")
-"""The causes of a loss on arrival; if there are several, the last of them counts."""
 MAX_FRESH = 100_000
 """Number of new arrivals at which those that are due are decided, even if nobody reads."""
 MANY = 1000
@@ -209,11 +206,10 @@ class Arrivals:
         causes = self._causes(_Batch(landing[1], landing[2], *self._of_flight[:, landing[0]]))
         self.first = int(self._kept[2].min()) if self._kept.size else inf
         if causes is not None:
-            fates = causes.tolist()
-            for flight, node, cause in zip(flights, nodes, fates, strict=True):
-                if cause:
-                    self._lose(self._flights[flight], {node: CAUSES[cause - 1]})
-            arrived = [not cause for cause in fates]
+            for flight, node, cause in zip(flights, nodes, causes, strict=True):
+                if cause is not None:
+                    self._lose(self._flights[flight], {node: cause})
+            arrived = [cause is None for cause in causes]
             flights, nodes, times = (list(compress(each, arrived)) for each in (flights, nodes, times))
         self._records.receive(nodes, times, [self._flights[flight].content for flight in flights])
         if len(self._flights) > self._compact_at:
@@ -252,50 +248,45 @@ class Arrivals:
         receivers = np.array(nodes, dtype=np.int64)
         causes = self._causes(_Batch(receivers, now, transmission.src, transmission.number, begin, end))
         if causes is not None:
-            fates = list(zip(nodes, causes.tolist(), strict=True))
-            self._lose(transmission, {node: CAUSES[cause - 1] for node, cause in fates if cause})
-            reached = [node for node, cause in fates if not cause]
+            fates = list(zip(nodes, causes, strict=True))
+            self._lose(transmission, {node: cause for node, cause in fates if cause is not None})
+            reached = [node for node, cause in fates if cause is None]
         if isinstance(transmission.content, Record):
             unreached = set(transmission.receivers).difference(reached) if is_only else ()
             self._records.insert(reached, transmission.content, unreached)
         else:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, now, transmission.number)
 
-    def _causes(self, batch: _Batch) -> NDArray[np.int8] | None:
-        """Return (k,) causes of losses: 1 + the index in `CAUSES`, or 0 for an arrival that succeeds.
+    def _causes(self, batch: _Batch) -> list[Cause | None] | None:
+        """Return the k causes of losses, None for an arrival that succeeds; None alone: all succeed.
 
-        None stands for k zeros.
+        If there are several causes, the last of these counts: half duplex, range, jamming, partition, crash.
         """
-        losses = dict[Cause, Bools | None]()
+        losses: list[tuple[Cause, list[bool] | None]] = []
         if self._transmitter is not None:
             received = batch.time - self._processing
             start = received - (batch.end - batch.begin)
-            losses["half_duplex"] = self._transmitter.transmitting(batch.node, start, received)
+            losses.append(("half_duplex", self._transmitter.transmitting(batch.node, start, received)))
         if self._checks_range:
             reached = self._topology.reached(batch.src, batch.node, batch.number, batch.time)
-            losses["out_of_range"] = None if reached is None else ~reached
+            losses.append(("out_of_range", [not each for each in reached]))
         if (faults := self._fault_state) is not None:
-            losses["jamming"] = faults.jammed(batch.node, batch.time)
-            losses["partition"] = faults.separated(batch.src, batch.node)
-            losses["crash"] = self._crash_losses(batch)
-        causes = None
-        for cause, lost in losses.items():
-            if lost is not None and lost.any():
-                causes = np.zeros(len(batch.node), dtype=np.int8) if causes is None else causes
-                causes[lost] = 1 + CAUSES.index(cause)
+            losses.append(("jamming", faults.jammed(batch.node, batch.time)))
+            losses.append(("partition", faults.separated(batch.src, batch.node)))
+            losses.append(("crash", self._crashed(batch)))
+        causes: list[Cause | None] | None = None
+        for cause, lost in losses:
+            if lost is not None and True in lost:
+                before = causes or [None] * len(lost)
+                causes = [cause if is_lost else other for is_lost, other in zip(lost, before, strict=True)]
         return causes
 
-    def _crash_losses(self, batch: _Batch) -> Bools | None:
-        """Return (k,) booleans: whether the receiver is down, or the sender crashed while it transmitted.
-
-        None stands for k times False.
-        """
+    def _crashed(self, batch: _Batch) -> list[bool] | None:
+        """Return k booleans: whether the receiver is down, or the sender crashed on the air; None: all False."""
         assert self._fault_state is not None
-        lost, down = None, self._fault_state.down_nodes
-        if down:
-            lost = np.array([node in down for node in batch.node.tolist()])
-        if self._cut_short:
-            numbers = np.broadcast_to(batch.number, batch.node.shape).tolist()
-            cut = np.array([number in self._cut_short for number in numbers])
-            lost = cut if lost is None else lost | cut
-        return lost
+        down, cut_short = self._fault_state.down_nodes, self._cut_short
+        if not down and not cut_short:
+            return None
+        nodes = batch.node.tolist()
+        numbers = repeat(batch.number) if isinstance(batch.number, int) else batch.number.tolist()
+        return [node in down or number in cut_short for node, number in zip(nodes, numbers, strict=False)]

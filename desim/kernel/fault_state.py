@@ -8,7 +8,7 @@ from math import inf
 
 import numpy as np
 
-from desim.config.arrays import Bools, Integers
+from desim.config.arrays import Integers
 from desim.kernel.positions import PositionFunction, as_position_source
 
 Cut = Mapping[int, int]
@@ -94,37 +94,32 @@ class FaultState:
         """Return whether the radio of a node is down."""
         return self._down[node] > 0
 
-    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> Bools | None:
-        """Return (k,) booleans: whether an active partition separates each of k nodes from its sender.
-
-        None stands for k times False.
+    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[bool] | None:
+        """Return k booleans: whether an active partition separates each node from its sender; None: all False.
 
         Args:
-            src: the sender, one for all nodes or (k,).
+            src: the sender, one for all or (k,).
             nodes: (k,) the nodes.
         """
-        found = None
-        for groups in self._cuts:
-            first, second = (
-                np.array([groups.get(node, -1) for node in np.ravel(each).tolist()]) for each in (src, nodes)
-            )
-            found = first != second if found is None else found | (first != second)
-        return found
+        if not self._cuts:
+            return None
+        here = np.asarray(nodes).tolist()
+        senders = [src] * len(here) if isinstance(src, int) else src.tolist()
+        pairs = list(zip(senders, here, strict=True))
+        return [any(cut.get(one, -1) != cut.get(other, -1) for cut in self._cuts) for one, other in pairs]
 
-    def jammed(self, nodes: Integers, times: int | Integers) -> Bools | None:
-        """Return (k,) booleans: whether each of k nodes was at its given time within a disc that is jammed now.
-
-        None stands for k times False.
+    def jammed(self, nodes: Integers, times: int | Integers) -> list[bool] | None:
+        """Return k booleans: whether each node was at a time within a disc that is jammed now; None: all False.
 
         Args:
             nodes: (k,) the nodes.
-            times: ns, one for all nodes or (k,); `PositionSource.at` states which times are valid.
+            times: ns, one for all or (k,); see `PositionSource.at`.
         """
         if not self._jams or self._positions is None:
             return None
         x, y = self._positions.at(nodes, times).T
         within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
-        inside: Bools = np.any(within, axis=0)
+        inside: list[bool] = (within[0] if len(within) == 1 else np.any(within, axis=0)).tolist()
         return inside
 
     def crash(self, node: int) -> None:

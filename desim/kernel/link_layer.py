@@ -218,7 +218,7 @@ class LinkLayer:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         faults = self._fault_state
         if faults is not None and (apart := faults.separated(src, receivers)) is not None:
-            causes |= dict.fromkeys(compress(receivers, apart.tolist()), "partition")
+            causes |= dict.fromkeys(compress(receivers, apart), "partition")
         has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
         if has_waited and self._checks_departure:
             reaches = self._topology.reaches(src, receivers, transmission.number)

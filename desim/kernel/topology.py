@@ -110,12 +110,8 @@ class Topology:
         received: list[bool] = self._received(src, nodes[1:], apart[1:], message).tolist()
         return received
 
-    def reached(
-        self, src: int | Integers, dst: Integers, message: int | Integers, times: int | Integers
-    ) -> Bools | None:
-        """Return (k,) booleans: whether each message reaches a node at a time, regardless of the graph.
-
-        None stands for k times True.
+    def reached(self, src: int | Integers, dst: Integers, message: int | Integers, times: int | Integers) -> list[bool]:
+        """Return whether each of k messages reaches a node at a time, regardless of the graph.
 
         Args:
             src: the sender, one for all or (k,).
@@ -124,13 +120,14 @@ class Topology:
             times: ns, one for all or (k,); see `PositionSource.at`.
         """
         if self._positions is None:
-            return None
+            return [True] * len(dst)
         if isinstance(src, int):
             apart = distances(self._positions.at(np.append(src, dst), times), 0)[1:]
         else:
             x, y = (self._positions.at(dst, times) - self._positions.at(src, times)).T
             apart = np.hypot(x, y)
-        return self._received(src, dst, apart, message)
+        received: list[bool] = self._received(src, dst, apart, message).tolist()
+        return received
 
     @property
     def looks_back(self) -> bool:

@@ -8,7 +8,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Generic, Protocol, TypeVar
 
-from desim.config.arrays import Bools, Integers
+import numpy as np
+
+from desim.config.arrays import Integers
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.medium import Medium
 
@@ -98,21 +100,24 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def transmitting(self, nodes: Integers, starts: int | Integers, ends: int | Integers) -> Bools | None:
-        """Return (k,) booleans: whether each of some nodes transmitted between a start and an end, (k,) or one for all.
+    def transmitting(self, nodes: Integers, starts: int | Integers, ends: int | Integers) -> list[bool] | None:
+        """Return k booleans: whether each of some nodes transmitted between a start and an end; None: all False.
 
-        The times (ns) must not be before the last time given to `forget`. None stands for k times False.
+        Args:
+            nodes: (k,) the nodes.
+            starts: ns, one for all or (k,); not before the last time given to `forget`.
+            ends: ns, one for all or (k,).
         """
         if not self._recent:
             return None
         first = starts if isinstance(starts, int) else starts.min()
         last = ends if isinstance(ends, int) else ends.max()
-        found = None
+        found = np.zeros(len(nodes), dtype=bool)
         for begin, end, node in self._recent:
             if begin < last and end > first:
-                also: Bools = (nodes == node) & (starts < end) & (ends > begin)
-                found = also if found is None else found | also
-        return found
+                found |= (nodes == node) & (starts < end) & (ends > begin)
+        answer: list[bool] = found.tolist()
+        return answer
 
     def forget(self, before: float) -> None:
         """Forget the transmissions that are not needed to decide arrivals after a time (ns)."""
