@@ -188,23 +188,32 @@ class Empirical(_Drawn):
 
 
 def _numbers(file: Path) -> list[float]:
-    """Return the numbers in a text file, separated by white space or commas; `#` begins a comment."""
+    """Return the numbers in a text file, separated by white space or commas; `#` begins a comment.
+
+    Raises:
+        ValueError: if the file cannot be read, contains no numbers, anything else, or a table of several columns.
+    """
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ValueError(f"{file} cannot be read: {reason}") from error
-    numbers = []
-    for line, text in enumerate(lines, 1):
-        for item in text.partition("#")[0].replace(",", " ").split():
+    numbers: list[float] = []
+    rows = [text.partition("#")[0].replace(",", " ").split() for text in lines]
+    for line, row in enumerate(rows, 1):
+        for item in row:
             try:
                 numbers.append(float(item))
             except ValueError as error:
-                raise ValueError(f"{file}, line {line}: {item!r} is not a number") from error
+                hint = "" if numbers else "; a header should begin with #"
+                raise ValueError(f"{file}, line {line}: {item!r} is not a number{hint}") from error
             if not 0.0 <= numbers[-1] < float("inf"):
                 raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {item})")
     if not numbers:
         raise ValueError(f"{file} contains no numbers")
+    lengths = [len(row) for row in rows if row]
+    if len(lengths) > 1 and lengths[0] > 1 and len(set(lengths)) == 1:
+        raise ValueError(f"{file} has {lengths[0]} columns; it should have one, with the latencies")
     return numbers
 
 

@@ -326,6 +326,8 @@ def test_a_constant_latency_has_no_spread_and_is_its_own_quantile():
         ("inf", r"line 1: a latency should be a time >= 0 s \(got inf\)"),
         ("2e9", "less than or equal to 1000000000"),
         ("1;2", r"'1;2' is not a number"),
+        ("rtt_ms\n1.0\n", r"line 1: 'rtt_ms' is not a number; a header should begin with #"),
+        ("# seq, s\n1, 0.05\n2, 0.04\n", "has 2 columns; it should have one, with the latencies"),
     ],
 )
 def test_a_file_of_other_things_is_refused_with_its_name_and_the_line(tmp_path, text, complaint):
