@@ -141,7 +141,7 @@ def size_of(text: str) -> tuple[float, float | None]:
     Raises:
         ValueError: if the text is not a size, or the width or the height is not from 1 in to 100 in.
     """
-    found = SIZE.fullmatch(text.replace(" ", ""))
+    found = SIZE.fullmatch(str(text).replace(" ", ""))
     units = [found["unit"], found["last"]] if found else []
     if found is None or not any(units):
         raise ValueError(f"a size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm, got {text!r}")

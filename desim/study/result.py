@@ -3,6 +3,7 @@
 import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -83,6 +84,11 @@ class SweepResult(SweepRuns):
         draw = {"means": figures.means, "phase": figures.phase}
         if kind not in draw:
             raise ValueError(f"kind should be means or phase, got {kind!r}")
+        known = [each for each in signature(draw[kind]).parameters if each not in {"result", "metric"}]
+        if unknown := [each for each in options if each not in known]:
+            raise TypeError(
+                f"a figure of {kind} has no option {unknown[0]!r}; its options: {', '.join(known) or 'none'}"
+            )
         return draw[kind](self, y, **options)
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:

@@ -415,6 +415,12 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
             means(both, "active_time", **options)
     with pytest.raises(ValueError, match="a reference should be a mapping"):
         both.differences("active_time", "protocol=sap")
+    with pytest.raises(ValueError, match="a reference should be a mapping"):
+        both.plot(against=["protocol=sap"])
+    with pytest.raises(ValueError, match="a size should be a width"):
+        both.plot(size=(8.5, 6.0))
+    with pytest.raises(TypeError, match="no option 'label'; its options: x, by, against, labels"):
+        both.plot(label={"sap": "SAP"})
 
 
 def test_the_label_of_a_value_is_not_that_of_other_values_of_its_kind():
