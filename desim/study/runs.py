@@ -116,7 +116,7 @@ class SweepRuns:
             return [reference] * len(self.groups)
         if reference is None:
             return self._first_references
-        if not isinstance(reference, Mapping):  # type: ignore[unreachable]
+        if not isinstance(reference, Mapping):
             raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
         places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
