@@ -171,6 +171,8 @@ class Arrivals:
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
         """Lose a transmission at its arrival times (ns) at some nodes, which will still be down."""
+        if not nodes:
+            return
         if self._at_once:
             self.schedule(transmission, nodes, arrival, 0)
             return

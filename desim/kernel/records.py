@@ -135,8 +135,8 @@ class SharedTable:
 
     def forget(self, node: int) -> None:
         """Let a node have no record of the table."""
-        self.exceptions[node] = dict.fromkeys(self.table)
-        for src in self.table:
+        self.exceptions[node] = {src: None for src in self.table if src != node}
+        for src in self.exceptions[node]:
             self._excepted[src] = {node, *self._excepted.get(src, ())}
 
     def unreached(self, record: Record) -> int:
@@ -201,6 +201,8 @@ class Records:
         """
         if isinstance(arrival, int) and self._is_shared(receivers, unreached):
             self._shared.schedule((arrival, record), unreached)
+            if len(self._shared.waiting) > MAX_UNREAD:
+                self._shared.apply_arrived(self._env.now)
             return
         waiting = self._waiting
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
@@ -356,6 +358,7 @@ class Records:
         self._scheduled += count
         if self._scheduled >= self._merge_interval:
             self._scheduled = 0
+            self._shared.apply_arrived(self._env.now)
             for node, waiting in enumerate(self._waiting):
                 if len(waiting) > MAX_UNREAD:
                     self._merge(node)

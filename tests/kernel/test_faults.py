@@ -28,6 +28,8 @@ from desim.kernel.faults import (
     clock_errors,
     draw_faults,
 )
+from desim.kernel.links import Links
+from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.scenario.scenario import Team
@@ -447,3 +449,17 @@ def test_a_change_that_is_not_planned_is_refused_among_planned_ones():
         inject([Crash(node=0, start=0.5)], clock, network)
     clock.run()
     assert state.down(1)
+
+
+@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize("others", [[], [Crash(node=2, start=0.0, end=9.0)]])
+def test_a_crash_on_the_air_is_the_same_with_a_trace_and_if_another_node_is_down(others, traced):
+    """A message of 1 s leaves at 1 s, and its sender crashes at 1.5 s."""
+    clock, trace = Clock(), Trace(messages=traced)
+    links = Links(medium=Bitrate(bitrate=160.0))
+    network = Network(clock, nx.complete_graph(3), links, fault_state=FaultState(), trace=trace)
+    inject([*others, Crash(node=0, start=1.5, end=8.0)], clock, network, trace)
+    Instant(clock, SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(0, "x", size=20))
+    clock.run(until=5 * SECOND)
+    assert network.latest_records(1) == network.latest_records(2) == {}
+    assert network.message_counts().lost_by == {"crash": 2}
