@@ -90,7 +90,7 @@ def is_even(body):
 
 @pytest.mark.parametrize("relays", [False, True])
 def test_each_node_reads_what_a_plain_model_delivers_one_by_one(relays):
-    """Broadcasts miss nodes, overtake each other or are decided late; nodes lose their memory, or are told by relays."""
+    """Broadcasts miss nodes, overtake others or are decided late; nodes lose their memory, or are told by relays."""
     assert [seed for seed in range(HISTORIES) if differs(seed, relays)] == []
 
 
