@@ -34,10 +34,12 @@ def inject(
         recovered: called with each crash when it ends.
 
     Raises:
-        ValueError: if a fault names a node that does not exist, or starts before the current time, or if the network
-            has had planned faults before and has sent messages since.
+        ValueError: if a fault names a node that does not exist, or starts before the current time, or if faults were
+            injected before and messages have been sent: some of them may have been delivered already.
     """
     faults, size = list(faults), network.topology.size
+    if faults and network.fault_state.is_planned and network.message_counts().sent:
+        raise ValueError("faults should be injected before the first message is sent")
     for fault in faults:
         if unknown := [node for node in nodes_of(fault) if node >= size]:
             raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")

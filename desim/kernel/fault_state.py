@@ -31,18 +31,12 @@ class FaultState:
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
         self._planned: list[int] | None = None
-        self._is_changing = self._is_relied_on = False
+        self._is_changing = False
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
 
     def plan(self, time: int) -> None:
-        """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`.
-
-        Raises:
-            ValueError: if messages have been sent that relied on the changes announced before.
-        """
-        if self._is_relied_on and not self._is_changing:
-            raise ValueError("faults should be injected before the first message is sent")
+        """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`."""
         self._planned = self._planned or []
         insort(self._planned, time)
 
@@ -67,12 +61,16 @@ class FaultState:
             self._positions.before_change(act)
 
     @property
+    def is_planned(self) -> bool:
+        """Whether changes are planned."""
+        return self._planned is not None
+
+    @property
     def constant_until(self) -> float:
         """The time, ns, before which the faults certainly block the same receptions as now.
 
         It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
         """
-        self._is_relied_on = self._planned is not None
         if self._planned is None or self._jams:
             return 0
         return self._planned[0] if self._planned else inf
@@ -83,7 +81,7 @@ class FaultState:
 
         This requires that changes are planned, and that the source of positions, if any, also returns past positions.
         """
-        return self._planned is not None and (self._positions is None or self._positions.looks_back)
+        return self.is_planned and (self._positions is None or self._positions.looks_back)
 
     @property
     def down_nodes(self) -> Mapping[int, int]:
@@ -174,5 +172,5 @@ class FaultState:
 
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""
-        if self._planned is not None and not self._is_changing:
+        if self.is_planned and not self._is_changing:
             raise ValueError("faults were injected, so the faults cannot be changed otherwise")

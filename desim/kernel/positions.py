@@ -19,13 +19,12 @@ class PositionSource:
 
     max_speed = inf
     """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
+    looks_back = False
+    """Whether `at` also returns positions of the past."""
 
     def __call__(self) -> Floats:
         """Return the positions of all nodes, (n, 2) m."""
         raise NotImplementedError
-
-    looks_back = False
-    """Whether `at` also returns positions of the past."""
 
     def of(self, nodes: Nodes) -> Floats:
         """Return the positions of some nodes, (k, 2) m; a subclass may override this method with one of cost O(k)."""

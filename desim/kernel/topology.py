@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 
 import networkx as nx
@@ -101,37 +101,37 @@ class Topology:
         near: list[int] = self._near(node, self._candidates(node), message).tolist()
         return near
 
-    def reaches(self, src: int, dst: list[int], message: int = 0) -> list[bool]:
-        """Return whether a message from `src` reaches each of the nodes `dst` now, regardless of the graph."""
-        if self._positions is None or not dst:
-            return [True] * len(dst)
-        nodes = np.array([src, *dst])
-        apart = distances(self._positions.of(nodes), 0)
-        received: list[bool] = self._received(src, nodes[1:], apart[1:], message).tolist()
-        return received
-
-    def reached(self, src: int | Integers, dst: Integers, message: int | Integers, times: int | Integers) -> list[bool]:
-        """Return whether each of k messages reaches a node at a time, regardless of the graph.
+    def reaches(
+        self,
+        src: int | Integers,
+        dst: list[int] | Integers,
+        message: int | Integers = 0,
+        times: int | Integers | None = None,
+    ) -> list[bool]:
+        """Return whether each of k messages reaches its receiver, regardless of the graph.
 
         Args:
             src: the sender, one for all or (k,).
             dst: (k,) the receivers.
             message: the number of the message, one for all or (k,).
-            times: ns, one for all or (k,); see `PositionSource.at`.
+            times: ns, one for all or (k,), see `PositionSource.at`; None: now.
         """
-        if self._positions is None:
+        source = self._positions
+        if source is None or not len(dst):
             return [True] * len(dst)
+        places = source.of if times is None else partial(source.at, times=times)
+        receivers = np.asarray(dst)
         if isinstance(src, int):
-            apart = distances(self._positions.at(np.append(src, dst), times), 0)[1:]
+            apart = distances(places(np.append(src, receivers)), 0)[1:]
         else:
-            x, y = (self._positions.at(dst, times) - self._positions.at(src, times)).T
+            x, y = (places(receivers) - places(src)).T
             apart = np.hypot(x, y)
-        received: list[bool] = self._received(src, dst, apart, message).tolist()
+        received: list[bool] = self._received(src, receivers, apart, message).tolist()
         return received
 
     @property
     def looks_back(self) -> bool:
-        """Whether `reached` is valid for times of the past."""
+        """Whether `reaches` is valid for times of the past."""
         return self._positions is None or self._positions.looks_back
 
     def before_change(self, act: Callable[[], object]) -> None:

@@ -200,6 +200,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
 class _PursuerPositions(PositionSource):
     """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
+    looks_back = True
+
     def __init__(self, state: WorldState):
         self._state = state
         self.max_speed = 0.0 if state.static else float(state.speeds.max())
@@ -209,8 +211,6 @@ class _PursuerPositions(PositionSource):
 
     def of(self, nodes: Nodes) -> Floats:
         return coordinates(self._state.players.positions_of(nodes))
-
-    looks_back = True
 
     def at(self, nodes: Nodes, times: int | Integers) -> Floats:
         return coordinates(self._state.players.positions_at(nodes, times))

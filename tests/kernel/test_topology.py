@@ -311,6 +311,6 @@ def test_several_messages_reach_what_each_of_them_reaches(model, per_link):
     of_each = [
         topology.reaches(s, [d], k)[0] for s, d, k in zip(src.tolist(), dst.tolist(), number.tolist(), strict=True)
     ]
-    assert topology.reached(src, dst, number, 0) == of_each
-    assert topology.reached(3, dst, 7, 0) == topology.reaches(3, dst.tolist(), 7)
+    assert topology.reaches(src, dst, number, 0) == of_each
+    assert topology.reaches(3, dst, 7, 0) == topology.reaches(3, dst.tolist(), 7)
     assert 0 < sum(of_each) < 200
