@@ -37,7 +37,11 @@ def writing() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise WriteError(error.errno, error.strerror, error.filename) from error
+        raise _write_error(error) from error
+
+
+def _write_error(error: OSError) -> WriteError:
+    return WriteError(error.errno, error.strerror, error.filename)
 
 
 class _RunTrace(TraceFile):
@@ -48,10 +52,10 @@ class _RunTrace(TraceFile):
         return super().__enter__()
 
     def __call__(self, event: Event) -> None:
-        try:
+        try:  # called for every event, where `writing` would be slow
             super().__call__(event)
         except OSError as error:
-            raise WriteError(error.errno, error.strerror, error.filename) from error
+            raise _write_error(error) from error
 
     @writing()
     def __exit__(self, error: type[BaseException] | None, *others: object) -> None:

@@ -460,7 +460,7 @@ def test_cbaa_warns_of_crashes_and_both_auctions_warn_of_disconnected_graphs():
     ids=lambda each: getattr(each, "kind", ""),
 )
 def test_an_auction_in_turns_instead_of_rounds_is_warned_of(auction, schedule, in_turns):
-    """The schedules with rounds are named; a single pursuer has nobody to wait for."""
+    """The message names the schedules with rounds; there is none for a single pursuer."""
     kind = auction().kind
     why = (
         f"{kind} assumes rounds, but under {schedule.kind} pursuers decide one at a time; for rounds, set the schedule"
