@@ -12,22 +12,15 @@ If its module belongs to an installed package, all modules of the package are ha
 script or a notebook, its compiled code and the globals that this code reads are hashed instead of the source, because
 the rest of the script may change.
 
-The source is read when a run is identified. Reload a module that was edited after its import; otherwise the old code
-runs, and the hash is that of the new code. The globals of a module and the attributes of its functions and classes
-count only through its source: values that a program assigns to them later do not distinguish runs.
+The globals of a module and the attributes of its functions and classes count only through its source
+(`desim.study.user_code`): values that a program assigns to them later do not distinguish runs.
 """
 
-import ast
 import json
-import os
-import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dis import get_instructions
 from functools import cache, cached_property
-from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
-from importlib.util import find_spec, resolve_name
 from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
@@ -41,9 +34,9 @@ from pydantic import BaseModel
 
 from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
-from desim.results.environment import NUMERICS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
+from desim.study.user_code import KNOWN, OURS, UserCode, package_of
 
 UNSWEPT = MappingProxyType(
     {
@@ -53,9 +46,6 @@ UNSWEPT = MappingProxyType(
     }
 )
 """The keys that are no part of a configuration, and why they cannot be swept."""
-OURS = {"desim", "protocols"}
-KNOWN = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
-"""The packages whose classes and functions are hashed by name only."""
 CODE = ("code", "names", "varnames", "freevars", "consts", "exceptiontable", "flags")
 COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
 """The attributes of compiled code that do not depend on the place of its source, without their prefix `co_`."""
@@ -97,7 +87,7 @@ def identify(scenario: Scenario) -> Identity:
         ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
             object.
     """
-    pickler = StablePickler({}, {})
+    pickler = StablePickler(UserCode())
     for key, each in _user_objects(scenario):
         try:
             pickler.dump((key, each))
@@ -105,10 +95,10 @@ def identify(scenario: Scenario) -> Identity:
             raise ScenarioError(f"{key}: {error}") from error
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(f"{key}: has no stable hash: {error}; {ADVICE}") from error
-    files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.files.items())]
-    whole = [tables(scenario), pickler.digest(), pickler.code, files]
-    sources = {f"the code of {name}": each for name, each in pickler.code.items()}
-    sources |= {f"the content of {path}": each for path, each in pickler.files.items()}
+    files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.user.files.items())]
+    whole = [tables(scenario), pickler.digest(), pickler.user.code, files]
+    sources = {f"the code of {name}": each for name, each in pickler.user.code.items()}
+    sources |= {f"the content of {path}": each for path, each in pickler.user.files.items()}
     return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
 
 
@@ -118,8 +108,8 @@ def object_hash(value: Any) -> str:
     Raises:
         Exception: if the object has no stable hash.
     """
-    pickler = StablePickler({}, {})
-    whole = [pickler.digest(value), pickler.code, sorted(pickler.files.values())]
+    pickler = StablePickler(UserCode())
+    whole = [pickler.digest(value), pickler.user.code, sorted(pickler.user.files.values())]
     return content_hash(json.dumps(whole, sort_keys=True).encode())
 
 
@@ -132,7 +122,7 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield each user-defined callable or model in a model or a list, with its dotted key."""
     inner: Any = ()
-    if (callable(value) or isinstance(value, BaseModel)) and _root(definition_of(value).__module__) not in OURS:
+    if (callable(value) or isinstance(value, BaseModel)) and package_of(definition_of(value).__module__) not in OURS:
         yield key, value
     elif isinstance(value, BaseModel):
         inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
@@ -152,14 +142,13 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     equal strings, and contain the folder of a script and a random number for each class.
 
     Args:
-        code: receives the hash of the source of each user module, and of each function or class of a script, by name.
-        files: receives the hash of the content of each data file, by path.
+        user: receives the modules and the data files of the objects, and the code of functions and classes of scripts.
     """
 
-    def __init__(self, code: dict[str, str], files: dict[str, str]):
+    def __init__(self, user: UserCode):
         self._content = BytesIO()
         super().__init__(self._content)
-        self.code, self.files = code, files
+        self.user = user
 
     def digest(self, *values: Any) -> str:
         """Pickle more objects, and return the hash of all objects pickled so far."""
@@ -170,8 +159,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     def persistent_id(self, value: Any) -> Any:
         """Return a substitute for an object whose pickle depends on the process; None for any other object.
 
-        The data files that the object declares are added to `files`. If the object is a module, or a function or class
-        that can be imported, its module is added; see `_add_module`.
+        The data files that the object declares are added to `user`, and so is its module if it is a module,
+        or a function or class that can be imported.
 
         Raises:
             TypeError: if the object is a set, but no plain `set` or `frozenset`, because its order is not stable.
@@ -185,13 +174,13 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         if kind is tuple:
             return list(value)
         if kind in {set, frozenset}:
-            return kind.__name__, sorted(StablePickler(self.code, self.files).digest(each) for each in value)
+            return kind.__name__, sorted(StablePickler(self.user).digest(each) for each in value)
         if isinstance(value, set | frozenset | WeakSet):
             raise TypeError(f"{kind.__qualname__!r} objects have no stable order")
         if kind is np.ndarray and not value.dtype.hasobject:
             return "array", str(value.dtype), value.shape, content_hash(value.tobytes())
-        if kind is FunctionType or (_root(kind.__module__) not in KNOWN and not isinstance(value, type)):
-            self.files |= declared(value)
+        if kind is FunctionType or (package_of(kind.__module__) not in KNOWN and not isinstance(value, type)):
+            self.user.files |= declared(value)
         if isinstance(value, ModuleType | FunctionType | type) and (name := self._import_name(value)):
             return name
         return None
@@ -235,7 +224,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
         except (AttributeError, KeyError):  # it was made by a function
             return ""
-        return f"{module}:{name}" if found is value and self._add_module(module) else ""
+        return f"{module}:{name}" if found is value and self.user.add(module) else ""
 
     def _add_code(self, home: Any, code: Any) -> bool:
         """Add the source of the module of a function or class, and return True.
@@ -243,110 +232,12 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         If the module has no source, add the code of the function or class instead, and return False.
         """
         module = str(home.__module__)
-        if self._add_module(module):
+        if self.user.add(module):
             return True
-        self.files |= opened_by(module)
+        self.user.files |= opened_by(module)
         if "<" not in home.__qualname__:  # the names of lambdas and of local functions are not unique
-            self.code[f"{module}:{home.__qualname__}"] = StablePickler({}, {}).digest(code)
+            self.user.code[f"{module}:{home.__qualname__}"] = StablePickler(UserCode()).digest(code)
         return False
-
-    def _add_module(self, name: str) -> bool:
-        """Add the source of a module, and of the user modules that it imports directly or indirectly.
-
-        The data files that these modules have opened are added, too, and the versions of the installed packages that
-        they import, except those in `KNOWN`. If the module itself is installed, all modules of its package are added
-        instead. Return whether the module has a source, or belongs to a package in `KNOWN`.
-        """
-        if name in self.code or _root(name) in KNOWN:
-            return True
-        file = None if name == "__main__" else _file(name)
-        if file is None:
-            return False
-        self.files |= opened_by(name)
-        if is_installed(file):
-            self.code |= _package(_root(name), file)
-            return True
-        text = file.read_bytes()
-        self.code[name] = content_hash(text)
-        parent = name.rpartition(".")[0]
-        if file.suffix == ".py":
-            for each in _imported(text, name if file.stem == "__init__" else parent) | {parent} - {""}:
-                root = _root(each)
-                if (home := _file(root)) is None or not is_installed(home):
-                    self._add_module(each)
-                elif root not in KNOWN:
-                    self.code |= _versions(_distributions().get(root, ()))
-        return True
-
-
-@cache
-def is_installed(file: Path) -> bool:
-    """Return whether a module with this file belongs to an installed package or to Python."""
-    return bool({"site-packages", "dist-packages"} & set(file.parts)) or file.is_relative_to(Path(os.__file__).parent)
-
-
-@cache
-def _package(root: str, file: Path) -> Mapping[str, str]:
-    """Return the hash of all modules of an installed package, and the versions of its distribution and requirements.
-
-    Args:
-        root: the name of the package, or of a module without a package.
-        file: the file of the module, for a module without a package.
-    """
-    folders = [Path(each) for each in getattr(sys.modules[root], "__path__", ())]
-    files = [(folder, each) for folder in folders for each in sorted(folder.rglob("*.py"))] or [(file.parent, file)]
-    hashes = [(each.relative_to(folder).as_posix(), content_hash(each.read_bytes())) for folder, each in files]
-    own = _distributions().get(root, ())
-    lines = [line for each in own for line in requires(each) or () if "extra ==" not in line]
-    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - KNOWN
-    return {root: content_hash(json.dumps(hashes).encode()), **_versions([*own, *sorted(needed)])}
-
-
-@cache
-def _distributions() -> Mapping[str, list[str]]:
-    """Return the names of the distributions of each installed package."""
-    return packages_distributions()
-
-
-def _versions(distributions: Iterable[str]) -> dict[str, str]:
-    """Return the version of each distribution, without those that are not installed."""
-    found = {}
-    for name in distributions:
-        with suppress(PackageNotFoundError):  # required on another platform, say
-            found[f"distribution {name}"] = version(name)
-    return found
-
-
-def _file(name: str) -> Path | None:
-    """Return the file of a module, imported or not; None if it has none."""
-    if name in sys.modules:
-        place = getattr(sys.modules[name], "__file__", None)
-    else:
-        try:
-            spec = find_spec(name)
-        except (ImportError, ValueError):
-            return None
-        place = spec.origin if spec and spec.has_location else None
-    return None if place is None else Path(place)
-
-
-@cache
-def _imported(text: bytes, package: str) -> frozenset[str]:
-    """Return the names of all modules that a source in a package may import, also within functions."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            names.update(each.name for each in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            with suppress(ImportError):  # a relative import outside of a package
-                home = resolve_name("." * node.level + (node.module or ""), package)
-                names.update([home, *(f"{home}.{each.name}" for each in node.names)])
-    return frozenset(names)
-
-
-def _root(module: Any) -> str:
-    """Return the name of the outermost package of a module."""
-    return str(module).partition(".")[0]
 
 
 def globals_read(code: CodeType) -> set[str]:

@@ -116,9 +116,9 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error whose text begins with the place at which a key is set or swept (see `Source.where`).
+    """Return a copy of an error whose text begins with the place where its key is set or swept, see `Source.where`.
 
-    The dotted key is the beginning of the text of the given error; `settings` holds the keys of the grid.
+    The text of the given error begins with its dotted key and a colon. `settings` holds the keys of the grid.
     """
     key = str(error).partition(":")[0]
     above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
@@ -128,7 +128,7 @@ def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = (
 
 
 def _with_grid(source: Source, grid: SweepGrid) -> Source:
-    """Return a copy of a source with another grid."""
+    """Return a copy of a source whose table `sweep` contains a grid only."""
     changed = source.copy()
     changed.tables["sweep"] = {"grid": grid}
     changed.origins["sweep", "grid"] = "the grid"
@@ -174,11 +174,11 @@ def without_metrics(scenario: Scenario) -> Scenario:
 
 
 def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
-    """Return the line of a validation error followed by the settings that cause it, unless the line names them.
+    """Return the line of a validation error followed by the settings that cause it.
 
-    `among` holds the settings of all configurations with this error. A setting is a cause if another value of
-    its key does not give this error. If there is no cause, all settings of the first configuration follow, except after
-    an error of `sweep.grid` itself.
+    `among` holds the settings of all configurations with this error. A setting is a cause if another value of its key
+    does not give this error. If there is no cause, the line is followed by all settings of the first configuration. A
+    line about `sweep.grid`, which names its key, is returned alone if there is at most one cause.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

@@ -5,6 +5,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
@@ -52,6 +53,8 @@ class Outcome:
 
 Outcomes = Generator[tuple[int, Outcome], None, None]
 """Yields the position of each task and the outcome of its run."""
+Batch = list[tuple[int, Outcome]]
+"""The positions and the outcomes of runs that became known together."""
 Submit = Callable[[list[int]], Future[Any]]
 """Submits the tasks at some positions to a worker."""
 
@@ -69,7 +72,16 @@ def _in_time(timeout: float, simulate: Simulate, scenario: Scenario, seed: int) 
 def drive(
     tasks: Sequence[Task], workers: Workers, measure: Measurement = summary, simulate: Simulate = run
 ) -> Outcomes:
-    """Yield the position and the outcome of each task as soon as the outcome is known.
+    """Yield the position and the outcome of each task as soon as the outcome is known; see `drive_batches`."""
+    with closing(drive_batches(tasks, workers, measure, simulate)) as batches:
+        for batch in batches:
+            yield from batch
+
+
+def drive_batches(
+    tasks: Sequence[Task], workers: Workers, measure: Measurement = summary, simulate: Simulate = run
+) -> Generator[Batch, None, None]:
+    """Yield the positions and the outcomes of tasks, a batch of runs as soon as its outcomes are known.
 
     Runs are dispatched in batches, in the order of the tasks. After a worker has died, each run of the unfinished
     batches is repeated alone, while no other run is under way. The runs of a batch whose call failed, for example
@@ -89,15 +101,13 @@ def drive(
         while waiting:
             unaccounted = yield from _in_batches(waiting, submit, workers)
             for k in unaccounted:
-                yield k, _run_alone(k, submit, workers)
+                yield [(k, _run_alone(k, submit, workers))]
     except BaseException:  # the other outcomes are not needed any more
         workers.stop()
         raise
 
 
-def _in_batches(
-    waiting: deque[int], submit: Submit, workers: Workers
-) -> Generator[tuple[int, Outcome], None, list[int]]:
+def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Generator[Batch, None, list[int]]:
     """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
@@ -122,7 +132,7 @@ def _in_batches(
                     unaccounted += batch
                     broken |= isinstance(error, BrokenExecutor)
                 else:
-                    yield from zip(batch, outcomes, strict=True)
+                    yield list(zip(batch, outcomes, strict=True))
     finally:
         for future in out:
             future.cancel()

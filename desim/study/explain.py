@@ -23,7 +23,8 @@ from desim.scenario.scenario import Scenario
 from desim.study.configurations import Configuration, without_metrics
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
-from desim.study.store import Row, Store
+from desim.study.row import Row
+from desim.study.store import Store
 from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
@@ -45,7 +46,8 @@ def explain(
     """Measure the cost of each imperfection of a scenario, in each of the metrics `shown`.
 
     Use it to learn which imperfection (latency, loss, range, faults, ...) degrades a protocol before you vary this
-    imperfection in a sweep. `runs` is the number of runs of each variant; the other arguments are those of `sweep`.
+    imperfection in a sweep. `runs` is the number of runs of each variant, and `shown` names the metrics to compare; the
+    other arguments are as in `sweep`.
 
     Raises:
         ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,

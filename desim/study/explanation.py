@@ -1,4 +1,7 @@
-"""The cost of each imperfection of a scenario, as a table and as JSON."""
+"""The cost of each imperfection of a scenario (such as latency or loss), as a table and as JSON.
+
+Imperfections interact if their costs do not add up to the cost of all of them together; see `desim.study.explain`.
+"""
 
 import html
 from collections.abc import Iterator, Mapping

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import METRICS
 from desim.config.trust import escaped
+from desim.study.row import Row
 from desim.study.runs import SweepRuns, text
-from desim.study.store import Row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,8 +84,8 @@ def _cell(value: Any) -> Any:
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
     """Return the arguments of a pandas series for a column, with one type for all values.
 
-    A column of integers stays one if values are missing, and becomes text if a number does not fit 64 bits. A column of
-    integers and floats becomes one of floats.
+    A column of integers remains a column of integers if values are missing, and becomes text if a number does not fit
+    in 64 bits. A column of integers and floats becomes a column of floats.
     """
     kinds = {type(each) for each in values} - {type(None)}
     some_missing = None in values

@@ -28,7 +28,7 @@ APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
 error bars apart."""
 MAX_TICKS = 8
-"""The largest number of ticks that mark values of a key with numbers; each value of any other key has a tick."""
+"""The largest number of values with a tick if the values of a key are numbers; otherwise each value has a tick."""
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
 PAGE = 9.4

@@ -9,7 +9,7 @@ from desim.config.trust import escaped
 from desim.results.provenance import Document
 
 PATH = re.compile(r"""(^|^-[A-Za-z]|[="'\[, ])((?:[A-Za-z]:)?[/\\][^"',\]]+)""")
-"""An absolute path in a word of a command: the whole word, or after a short option, "=" or a mark of a TOML value."""
+"""An absolute path in a word of a command: at its start, or after a short option, "=", ",", "[", a quote or a space."""
 
 
 def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
@@ -56,8 +56,8 @@ def _command(argv: Sequence[str], folder: Path) -> str:
 def wanted(made: Document, commands: Sequence[tuple[str, Sequence[str]]]) -> int | None:
     """Return the number of runs that a sweep requests, given its run.json and the commands that added runs.
 
-    It is None if the number was not fixed in advance: with --until, with several commands, or if the run.json is not
-    that of a sweep.
+    Return None if the run.json is not that of a sweep. Return None, too, if the number was not fixed in advance: with
+    several commands, or with the option --until.
     """
     is_fixed = made["what"] == "sweep" and len(commands) == 1
     is_until = any(word.startswith("--until") for _, argv in commands for word in argv)

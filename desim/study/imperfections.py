@@ -11,11 +11,13 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from desim.kernel.access import Ideal
 from desim.kernel.graphs import Edges
+from desim.kernel.interference import Collision
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Unlimited
+from desim.kernel.medium import LoRa, Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Scenario
@@ -35,6 +37,16 @@ def without_latency(scenario: Scenario) -> Scenario:
         graph=_graph_without(scenario, "latency"),
         link=_links_without(scenario.network, "latency"),
     )
+
+
+def without_contention(scenario: Scenario) -> Scenario:
+    """Return the scenario in which the shared channel is an ideal queue: no node backs off, and no frames collide."""
+    medium = scenario.network.medium
+    if not isinstance(medium, Radio) or not medium.contends:
+        return scenario
+    own = {"spreading_factors": None, "frequencies": None} if isinstance(medium, LoRa) else {}
+    ideal = {"access": Ideal(), "reception": Collision(), "shared": True}
+    return _with_network(scenario, medium=medium.model_copy(update=ideal | own))
 
 
 def without_loss(scenario: Scenario) -> Scenario:
@@ -94,6 +106,7 @@ def without_sensing_limit(scenario: Scenario) -> Scenario:
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
     {
         "latency": without_latency,
+        "contention": without_contention,
         "loss": without_loss,
         "range limit": without_range,
         "faults": without_faults,

@@ -12,8 +12,9 @@ from desim.analysis.metrics import METRICS
 from desim.analysis.tables import aligned
 from desim.config.html import html_table
 from desim.study import export, sweep_tables
+from desim.study.row import Row
 from desim.study.runs import SHOWN, Group, SweepRuns, each_name
-from desim.study.store import Row, Store
+from desim.study.store import Store
 from desim.study.store_file import StoreError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class SweepResult(SweepRuns):
         groups = tuple(
             Group(
                 {each: settings[key][each] for each in keys},
-                tuple(failed.get((key, row.replication), row) for row in store.runs(key, root)),
+                store.run_table(key, root, failed),
             )
             for key in chosen
         )

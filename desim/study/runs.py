@@ -3,12 +3,18 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from desim.analysis.metrics import check_numeric, words
 from desim.analysis.statistics import Estimate, mean, paired
+from desim.config.arrays import Floats
 from desim.study.configurations import in_words, label
-from desim.study.store import Row
+from desim.study.row import Row
+from desim.study.run_table import RunTable
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
@@ -18,6 +24,7 @@ NEEDLESS = (
     "; a protocol may need no messages if all know the initial actions (`announce.warm_start`) and see all positions"
     " (`announce.payload`), or if few pursuers could capture the evader in time"
 )
+Indices = NDArray[np.intp]
 Reference = int | Mapping[str, Any] | None
 """The configuration with which others are compared; see `SweepRuns.differences`."""
 
@@ -28,16 +35,25 @@ class Group:
 
     settings: Mapping[str, Any]
     """The value of each key of the grid, as shown in tables."""
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     """The runs, in the order of replications."""
+
+    @cached_property
+    def _table(self) -> RunTable:
+        return self.rows if isinstance(self.rows, RunTable) else RunTable(self.rows)
 
     def values(self, metric: str) -> list[Any]:
         """Return a metric of each run that did not fail; None for a run without a value."""
-        return [row.value(metric) for row in self.rows if row.ok]
+        return self._table.column(metric).values()
 
-    def present(self, metric: str) -> list[Any]:
-        """Return a metric of each run that has a value."""
-        return [value for value in self.values(metric) if value is not None]
+    def numbers(self, metric: str) -> Floats:
+        """Return a numeric metric of each run that did not fail; nan for a run without a value."""
+        return self._table.column(metric).numbers()
+
+    def present(self, metric: str) -> Floats:
+        """Return a numeric metric of each run that has a value."""
+        found = self.numbers(metric)
+        return found[~np.isnan(found)]
 
     def in_words(self, without: Sequence[str] = ()) -> str:
         """Return the settings as one line of text, except those of the keys in `without`."""
@@ -46,15 +62,19 @@ class Group:
     @property
     def failed(self) -> list[Row]:
         """The runs that failed."""
-        return [row for row in self.rows if not row.ok]
+        return self._table.failed
 
-    def pairs(self, other: "Group") -> list[tuple[Row, Row]]:
-        """Return the pairs of runs of this and another configuration with equal numbers, if neither run failed.
+    def pairs(self, other: "Group") -> tuple[Indices, Indices]:
+        """Return the pairs of runs of two configurations with equal replication numbers, unless one of the two failed.
 
-        If seeds are common (`SweepRuns.common`), the two runs of a pair have the same seed.
+        The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
+        (`SweepRuns.common`), the two runs of a pair have the same seed.
         """
-        there = {row.replication: row for row in other.rows if row.ok}
-        return [(row, there[row.replication]) for row in self.rows if row.ok and row.replication in there]
+        mine, others = (group._table.replications.numbers() for group in (self, other))
+        if np.array_equal(mine, others):  # the usual case, and much faster
+            return np.arange(len(mine)), np.arange(len(mine))
+        _, at, there = np.intersect1d(mine, others, assume_unique=True, return_indices=True)
+        return at, there
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,7 +112,8 @@ class SweepRuns:
             metric: the name of the metric.
             reference: the position of the reference in `groups`; or the values of some keys, such as
                 {"protocol": "sap"} (see `setting`). Each configuration is then compared with the configuration that has
-                these values and is otherwise equal. None = the first value of the first key that has several values.
+                these values and is otherwise equal. None: as if the first key with several values and its first value
+                were given.
 
         Raises:
             ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
@@ -102,7 +123,7 @@ class SweepRuns:
         if not self.common:
             raise ValueError("runs with independent seeds cannot be paired")
         return [
-            paired(*_aligned_values(group, self.groups[other], metric))
+            paired(*_aligned(group, self.groups[other], metric))
             for group, other in zip(self.groups, self.references(reference), strict=True)
         ]
 
@@ -141,7 +162,8 @@ class SweepRuns:
     def setting(self, key: str, value: Any) -> Any:
         """Return the value of a key of the grid that a given value selects.
 
-        A value of the key is selected if it equals the given value, has the same text, or is the only one of this kind.
+        A value of the key is selected if it equals the given value, has the same text, or is the only value whose kind
+        is the given value.
         For example, "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
 
         Raises:
@@ -168,7 +190,7 @@ class SweepRuns:
         return self.first_along(self.compared_by)
 
     def first_along(self, key: str | None) -> list[int]:
-        """Return for each configuration the position in `groups` of the first one that differs at most in `key`."""
+        """Return for each configuration the position in `groups` of the first that equals it in all keys but `key`."""
         first = dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
         return [first.setdefault(other, k) for k, other in enumerate(others)]
@@ -197,7 +219,7 @@ class SweepRuns:
         The condition is a text, for example "with protocol = sap, "; it is "" if the key has no effect at all.
         """
         firsts = zip(self.groups, self.first_along(key), strict=True)
-        pairs = [(group, self.groups[first].pairs(group)) for k, (group, first) in enumerate(firsts) if k != first]
+        pairs = [(group, self.groups[first]) for k, (group, first) in enumerate(firsts) if k != first]
         if count := _equal(pairs, metrics):
             yield "", count
             return
@@ -208,16 +230,16 @@ class SweepRuns:
                     yield f"with {other} = {value}, ", count
 
 
-def _equal(pairs: Sequence[tuple[Group, list[tuple[Row, Row]]]], metrics: Sequence[str]) -> int:
+def _equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
     """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
-    inner = [pair for _, each in pairs for pair in each]
-    same = all(one.value(name) == other.value(name) for one, other in inner for name in ("captured", *metrics))
-    return len(inner) if same else 0
+    names = ("captured", *metrics)
+    same = all(np.array_equal(*_aligned(one, other, name), equal_nan=True) for one, other in pairs for name in names)
+    return sum(len(one.pairs(other)[0]) for one, other in pairs) if same else 0
 
 
-def _aligned_values(one: Group, other: Group, metric: str) -> tuple[list[Any], list[Any]]:
-    pairs = one.pairs(other)
-    return [a.value(metric) for a, _ in pairs], [b.value(metric) for _, b in pairs]
+def _aligned(one: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
+    at, there = one.pairs(other)
+    return one.numbers(metric)[at], other.numbers(metric)[there]
 
 
 def each_name(metrics: Sequence[str]) -> Sequence[str]:

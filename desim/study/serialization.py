@@ -12,7 +12,7 @@ from typing import Any
 
 import cloudpickle
 
-from desim.study.config_hash import OURS, is_installed
+from desim.study.user_code import OURS, is_installed
 
 Call = partial[Any]
 """A function and its arguments."""

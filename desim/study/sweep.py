@@ -22,12 +22,13 @@ from desim.scenario.toml import validate
 from desim.simulation.watchdog import checked_limit
 from desim.study.config_hash import tables
 from desim.study.configurations import Configuration, SweepGrid, configurations, without_metrics
-from desim.study.dispatch import drive, simulation
+from desim.study.dispatch import drive_batches, simulation
 from desim.study.metric_code import units_and_codes
 from desim.study.progress import progress
 from desim.study.result import SweepResult
+from desim.study.row import Row
 from desim.study.runs import SHOWN
-from desim.study.store import Row, Store, flat
+from desim.study.store import Store, flat
 from desim.study.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]
@@ -191,12 +192,13 @@ def sweep(
     Args:
         scenario: the scenario that is varied.
         grid: dotted keys of the scenario and the values that each takes: numbers, texts, arrays, tables, protocols, and
-            functions, even of a notebook; None = the grid of `scenario.sweep`.
+            functions, even if defined in a notebook; None = the grid of `scenario.sweep`.
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
         executor: a number of worker processes (0: the number of cores; 1: all runs in this process), the address of a
             Dask scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
-        store: the file to which each run is added as it ends; successful runs in it are not repeated; None = no file.
+        store: the file to which each batch of runs is added as it ends; successful runs in it are not repeated; None =
+            no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
             has at most this half width. The interval is first checked when 30 runs have a value of the metric. `reps`
             (10,000 if None) is the maximum number of runs of a configuration. None = each configuration has `reps`
@@ -274,7 +276,7 @@ def carry_out(
 def _run(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
 ) -> dict[tuple[str, int], Row]:
-    """Perform some runs, add each to the store as it ends, and return those that failed.
+    """Perform some runs, add each batch to the store as it ends, and return those that failed.
 
     Raises:
         RunError: if a run fails and `fail_fast` is set.
@@ -285,19 +287,19 @@ def _run(
     measure = partial(measured, plan.metrics)
     with (
         progress(len(jobs), plan.base.name, "run") as bar,
-        closing(drive(tasks, workers, measure=measure, simulate=simulation(timeout))) as outcomes,
+        closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches,
     ):
-        for at, outcome in outcomes:
-            (configuration, k), seed = jobs[at], seeds[at]
-            row = Row(k, seed, outcome.status, outcome.value, outcome.traceback)
-            store.add(configuration.key, plan.root, row)
-            bar.update()
-            if not row.ok:
-                failed[configuration.key, k] = row
-            if fail_fast and not row.ok:
-                raise RunError(
-                    f"the run of {configuration} with seed {seed} failed ({outcome.status})\n{outcome.traceback}"
-                )
+        for batch in batches:
+            rows = [(at, Row(jobs[at][1], seeds[at], each.status, each.value, each.traceback)) for at, each in batch]
+            store.add_all(plan.root, [(jobs[at][0].key, row) for at, row in rows])
+            bar.update(len(rows))
+            for at, row in rows:
+                if not row.ok:
+                    failed[jobs[at][0].key, row.replication] = row
+                if fail_fast and not row.ok:
+                    raise RunError(
+                        f"the run of {jobs[at][0]} with seed {row.seed} failed ({row.status})\n{row.traceback}"
+                    )
     return failed
 
 

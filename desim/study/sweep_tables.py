@@ -3,9 +3,12 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from desim.analysis.metrics import title, words
 from desim.analysis.statistics import wilson
 from desim.analysis.tables import as_json, with_half_width
+from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.study.runs import SweepRuns, counted, text
 
@@ -14,7 +17,10 @@ Table = tuple[str, list[tuple[str, ...]]]
 
 
 def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
-    """Yield the table of means and, if seeds are common and a key has several values, the table of differences."""
+    """Yield the table of means and, if seeds are common and a key has several values, the table of differences.
+
+    Seeds are common if run k of every configuration has the same seed.
+    """
     yield heading(result, metrics), _mean_rows(result, metrics)
     key = result.compared_by
     if result.common and key is not None:
@@ -25,8 +31,8 @@ def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
 def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
     """Return the title of the table of means."""
     runs = sum(len(group.rows) for group in result.groups)
-    found = [group.values(metric) for group in result.groups for metric in metrics]
-    some_lack = any(0 < values.count(None) < len(values) for values in found)
+    found = (np.isnan(group.numbers(metric)) for group in result.groups for metric in metrics)
+    some_lack = any(0 < np.count_nonzero(lacks) < len(lacks) for lacks in found)
     return (
         f"{result.name}: {counted(len(result.groups), 'configuration')}, {counted(runs, 'run')}; +- is half a 95 % t"
         f" interval, in brackets a Wilson interval{'; (n): defined in n runs only' if some_lack else ''}"
@@ -59,8 +65,8 @@ def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
                 "runs": len(group.rows),
                 "failed": len(group.failed),
                 "captured": {
-                    "share": sum(captured) / len(captured) if captured else None,
-                    "interval": wilson(sum(captured), len(captured)) if captured else None,
+                    "share": float(np.mean(captured)) if len(captured) else None,
+                    "interval": wilson(int(captured.sum()), len(captured)) if len(captured) else None,
                 },
                 "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
                 "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
@@ -81,7 +87,7 @@ def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...
     found = [result.estimates(metric) for metric in metrics]
     for k, group in enumerate(result.groups):
         captured = group.present("captured")
-        share = _share(captured) if captured else "-"
+        share = _share(captured) if len(captured) else "-"
         counts = (str(len(group.rows)), *([str(len(group.failed))] if result.failed else []))
         means = (with_half_width(each[k], len(group.rows) - len(group.failed)) for each in found)
         rows.append((*map(text, group.settings.values()), *counts, share, *means))
@@ -95,13 +101,13 @@ def _difference_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[st
     for k, (group, other) in enumerate(zip(result.groups, result.references(), strict=True)):
         if k == other:
             continue
-        pairs = len(group.pairs(result.groups[other]))
+        pairs = len(group.pairs(result.groups[other])[0])
         means = (with_half_width(each[k], pairs, sign="+") for each in found)
         rows.append((*map(text, group.settings.values()), str(pairs), *means))
     return rows
 
 
-def _share(captured: Sequence[bool]) -> str:
+def _share(captured: Floats) -> str:
     """Return the share of runs that ended by capture and its 95 % Wilson interval, as text in %."""
-    low, high = wilson(sum(captured), len(captured))
-    return f"{sum(captured) / len(captured):.1%} ({low:.1%} .. {high:.1%})"
+    low, high = wilson(int(captured.sum()), len(captured))
+    return f"{np.mean(captured):.1%} ({low:.1%} .. {high:.1%})"

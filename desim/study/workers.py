@@ -1,7 +1,7 @@
 """Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
 Worker processes ignore the signals of `desim.simulation.interrupts`, because the driver, the process that dispatches
-the runs, handles them. Worker processes exit when the driver has died.
+the runs, handles them. On POSIX systems, worker processes exit when the driver has died.
 """
 
 import logging
@@ -229,7 +229,7 @@ def _pool(count: int, *, kept: bool) -> Executor:
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:
-    """Make a request and return its result, or raise TimeoutError after 1.5 times `patience`, s.
+    """Make a request and return its result, or raise TimeoutError after 1.5 x `patience` seconds.
 
     The time-out of the Dask client is not enough: the client may wait forever for a scheduler.
     """
@@ -250,8 +250,8 @@ def _block_signals() -> Iterator[None]:
     """Block the signals of `SIGNALS` while processes start, so that the processes inherit the block.
 
     Signals that arrive meanwhile are delivered afterwards. A signal may also reach another thread that does not block
-    it; Python would then run the handler of the signal in the main thread. Temporary handlers therefore only record
-    signals, and the first recorded signal is raised again afterwards.
+    it; Python would then run the handler of the signal in the main thread, which is starting the processes. To prevent
+    this, temporary handlers only record signals; afterwards the first recorded signal is raised again.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -273,7 +273,7 @@ def _block_signals() -> Iterator[None]:
 
 
 def _init_worker(driver: int) -> None:
-    """Make a worker process ignore the signals of `SIGNALS`, and exit when its driver has died."""
+    """Make a worker process ignore the signals of `SIGNALS`, and exit when its driver has died, see the module."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
 

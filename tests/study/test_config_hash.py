@@ -23,14 +23,15 @@ import pytest
 from pydantic import BaseModel, PrivateAttr
 
 from desim.config.model import Value
-from desim.study import config_hash
+from desim.study import user_code
 from desim.study.config_hash import StablePickler
+from desim.study.user_code import UserCode
 
 
 def stable_hash(value):
     """Return the hash of an object and of the sources that it comes from."""
-    code = {}
-    return StablePickler(code, {}).digest(value), tuple(sorted(code.items()))
+    user = UserCode()
+    return StablePickler(user).digest(value), tuple(sorted(user.code.items()))
 
 
 class Plain:
@@ -237,6 +238,7 @@ MADE_OF = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("make", MADE_OF.values(), ids=MADE_OF)
 def test_nested_differences_change_the_hash(make):
     assert stable_hash(make(1.0)) == stable_hash(make(1.0)) != stable_hash(make(2.0))
@@ -370,6 +372,7 @@ INSTALLED = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("changed", "text", "whose"),
     [
@@ -392,7 +395,7 @@ def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_w
         for name, each in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(each)
-        for memory in (config_hash._package, config_hash._distributions):
+        for memory in (user_code._package, user_code._distributions):
             memory.cache_clear()
         for name in names:
             sys.modules.pop(name, None)
@@ -400,7 +403,7 @@ def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_w
         found.append({name: stable_hash(import_module(name).rule) for name in names[1:]})
     for name in names:
         sys.modules.pop(name)
-    config_hash._distributions.cache_clear()
+    user_code._distributions.cache_clear()
     assert found[0] == found[1]
     assert [name.split(".")[0] for name in names[1:] if found[1][name] != found[2][name]] == whose
     assert ("distribution other", "1.0") in found[0]["own"][1]
@@ -413,6 +416,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 from desim.config.model import Value
 from desim.study.config_hash import StablePickler
+from desim.study.user_code import UserCode
 FACTOR = {factor}
 OTHER = {other}
 def helper():
@@ -444,7 +448,7 @@ def nested(held):
 HELD = [Rule(), Record(set("abc")), Model(), Colour.RED, remembered, nested(np.ones(3)), nested, lambda me: "".join(me)]
 HELD += [partial(helper), Rule().gain, np.random.default_rng(3), "".join(["a", "b"]), "ab", ("ab",)]
 for each in HELD:
-    print(StablePickler({{}}, {{}}).digest(each))
+    print(StablePickler(UserCode()).digest(each))
 """
 
 

@@ -212,6 +212,7 @@ def test_a_preset_is_swept_from_a_file(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_functions_and_models_that_are_not_installed_are_swept_and_set_inside():
     found = of({"protocol": [Own(), chase], "horizon": [1.0, 2.0]})
     assert [cell.scenario.protocol for cell in found] == [Own(), Own(), chase, chase]

@@ -15,7 +15,7 @@ from desim.scenario.toml import load
 from desim.simulation.run import run
 from desim.study import dispatch
 from desim.study.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
-from desim.study.store import Row
+from desim.study.row import Row
 from desim.study.workers import InProcess, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command

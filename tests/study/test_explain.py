@@ -18,10 +18,12 @@ from desim.analysis.palette import GREEN, ORANGE, VERMILION
 from desim.analysis.plots import Figure
 from desim.analysis.statistics import Estimate, estimate
 from desim.cli import main
+from desim.kernel.access import Aloha
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Motion, Recording, Team
@@ -30,7 +32,8 @@ from desim.study.explain import Variants
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
 from desim.study.figures import draw_waterfall, waterfall
 from desim.study.imperfections import IMPERFECTIONS
-from desim.study.store import Row, Store
+from desim.study.row import Row
+from desim.study.store import Store
 from desim.study.store_file import StoreError
 from desim.study.sweep import RunError, sweep
 from desim.study.workers import workers_for
@@ -56,7 +59,12 @@ LATE = GOOD.model_copy(update={"network": Links(latency=Constant(value=0.4))})
 BAD = GOOD.model_copy(
     update={
         "horizon": 3.0,
-        "network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5), range=12.0),
+        "network": Links(
+            latency=Constant(value=0.4),
+            loss=Bernoulli(p=0.5),
+            range=12.0,
+            medium=Bitrate(bitrate=20_000.0, access=Aloha()),
+        ),
         "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
@@ -148,8 +156,9 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
         assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
         assert not cost.interacts
-    assert "\nabsent: latency, loss, range limit, faults, serial decisions, stale knowledge, limited sight" in (
-        found.table()
+    assert (
+        "\nabsent: latency, contention, loss, range limit, faults, serial decisions, stale knowledge, limited sight"
+        in (found.table())
     )
 
 
@@ -248,7 +257,7 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
-        "absent: range limit, faults, serial decisions, stale knowledge, limited sight\n"
+        "absent: contention, range limit, faults, serial decisions, stale knowledge, limited sight\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
@@ -361,6 +370,7 @@ def test_an_interaction_of_one_standard_deviation_is_declared():
     assert share == pytest.approx(0.99, abs=4.0 * error)
 
 
+@pytest.mark.slow
 def test_the_confidence_of_an_interaction_is_corrected_for_the_number_of_metrics():
     assert [cost.confidence for cost in explain(TWO, 2).costs.values()] == [0.995, 0.995]
     (cost,) = explain(TWO, 2, shown=["captures"]).costs.values()
@@ -427,6 +437,7 @@ def _nothing_ran():
     RAN.clear()
 
 
+@pytest.mark.slow
 def test_variants_that_are_the_same_are_run_once(tmp_path):
     """Without latency is without all: 2 variants; and of none there is nothing to do the next time."""
     scenario = LATE.model_copy(update={"protocol": counted})
@@ -718,7 +729,7 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing", "excludes_0"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    assert document["absent"] == ["loss", "range limit", "stale knowledge", "limited sight"]
+    assert document["absent"] == ["contention", "loss", "range limit", "stale knowledge", "limited sight"]
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
 
@@ -751,6 +762,7 @@ def test_whatever_the_scenario_is_called_all_is_written_below_out(file, tmp_path
     assert {path.name for path in made} == WRITTEN - {"explain.svg", "explain.png"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_a_folder_is_taken_as_it_is(file, tmp_path):
     output_of(file, "-n", 2, "-o", tmp_path / "there", "--set", "horizon=0.1")
@@ -768,6 +780,7 @@ def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file
     assert not (file.parent / "out/late/explain/explain.txt").exists()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("as_json", [False, True])
 def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file, as_json):

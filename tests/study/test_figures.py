@@ -13,8 +13,8 @@ from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
 from desim.study.figures import INK, _cell_text, means, multiples, phase
 from desim.study.result import SweepResult
+from desim.study.row import Row
 from desim.study.runs import Group
-from desim.study.store import Row
 from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
@@ -76,6 +76,7 @@ def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
     assert len({line.get_color() for line in lines}) == 3
 
 
+@pytest.mark.slow
 def test_lines_over_several_other_keys_are_named_by_all_of_them():
     axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.static": [True, False]})
     assert len(lines) == 4
@@ -114,6 +115,7 @@ def test_other_values_are_drawn_as_they_are(values):
     assert line.get_xdata().tolist() == values
 
 
+@pytest.mark.slow
 def test_not_every_one_of_many_values_has_a_tick():
     axes, _ = drawn({"x": [float(k) for k in range(30)]})
     assert len(axes.get_xticks()) < 12
@@ -134,6 +136,7 @@ def test_values_that_are_not_numeric_are_rows_with_the_first_on_top(values):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("active time (s)", "x, y")
 
 
+@pytest.mark.slow
 def test_more_rows_make_a_higher_picture():
     heights = [means(result({"x": [str(k) for k in range(n)]}), "active_time").get_size_inches()[1] for n in (1, 10)]
     assert heights[1] > 2.0 * heights[0]
@@ -309,6 +312,7 @@ def test_a_key_names_the_lines_and_the_others_make_panels_of_the_same_scale():
     assert box.get_title().get_text() == "protocol"
 
 
+@pytest.mark.slow
 def test_the_abscissa_may_be_any_key():
     axes, _ = drawn(GRID)
     assert axes.get_xlabel() == "x"
@@ -320,6 +324,7 @@ def test_the_abscissa_may_be_any_key():
     assert {each.lines[0].get_linestyle() for each in axes.containers} == {"None"}, "there is nothing between them"
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("value", "step"), [("sap", 6.0), ("cbba", -6.0)])
 def test_differences_are_from_any_value_of_any_key_and_paired(value, step):
     """Run k of cbba is 6 s longer than that of sap with equal x and y, so no difference has a width."""
@@ -332,6 +337,7 @@ def test_differences_are_from_any_value_of_any_key_and_paired(value, step):
     ]
 
 
+@pytest.mark.slow
 def test_a_line_has_the_same_colour_with_and_without_a_reference():
     (plain,), (compared,) = (
         means(result(GRID), "active_time", x="x", against=each).axes for each in (None, {"protocol": "sap"})
@@ -350,6 +356,7 @@ def test_differences_may_be_from_one_configuration():
     assert axes.containers[0].lines[0].get_xdata().tolist() == pytest.approx([1.0, 4.0], abs=0.1), "without itself"
 
 
+@pytest.mark.slow
 def test_texts_of_the_user_are_shown_and_may_be_mathematics():
     options = {"labels": {"sap": "SAP (ours)", "10": "$L_1$"}, "xlabel": "latency $L$", "ylabel": "T_0"}
     (axes,) = means(result(GRID), "active_time", x="x", **options).axes
@@ -360,6 +367,7 @@ def test_texts_of_the_user_are_shown_and_may_be_mathematics():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("latency $L$", "T_0")
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("options", [{"x": "x", "by": "protocol"}, {}, {"against": {"protocol": "sap"}}])
 def test_a_figure_made_narrower_keeps_its_labels(options):
     figure = means(result(GRID, name="a sweep with a long name"), "active_time", **options)
@@ -373,6 +381,7 @@ def test_a_figure_made_narrower_keeps_its_labels(options):
             assert 0 <= box.y0 <= box.y1 <= height
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "name", ["$\\frac{}$ of a name that is too long for a narrow figure", "costs $5 and more " * 5]
 )

@@ -17,6 +17,7 @@ SCENARIO = Scenario(name="small", horizon=0.1, team=Team(count=2))
 GRID = {"network.latency.value": [0.0, 0.1]}
 
 
+@pytest.mark.slow
 def test_a_run_is_read_without_its_scenario_file(tmp_path):
     written = run(SCENARIO, 5)
     write(written, tmp_path)
@@ -60,6 +61,7 @@ def study(folder):
     (folder / "trace.jsonl").unlink()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -86,6 +88,7 @@ def test_a_file_that_is_no_result_is_refused(tmp_path):
         desim.open(tmp_path / "absent")
 
 
+@pytest.mark.slow
 def test_code_named_in_a_folder_is_imported_only_if_that_is_allowed(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text("def rest(agent):\n    yield agent.sleep(1.0)\n")
     (tmp_path / "f.toml").write_text('horizon = 0.1\nteam = { count = 2 }\nprotocol = { kind = "mine:rest" }\n')

@@ -9,9 +9,11 @@ import pytest
 
 from desim import Scenario, load, run
 from desim.config.model import Value
+from desim.kernel.access import Csma, SlottedAloha
 from desim.kernel.events import Broadcast, MessageCounts, Queued, Sent
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.graphs import Edge, Edges, Grid, Link, Ring, Star
+from desim.kernel.interference import CaptureEffect, LoRaInterference
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli, GilbertElliott
@@ -25,6 +27,7 @@ from desim.scenario.scenario import Motion, Recording, Team
 from desim.scenario.sweep_table import Sweep
 from desim.study.imperfections import (
     IMPERFECTIONS,
+    without_contention,
     without_faults,
     without_latency,
     without_loss,
@@ -77,7 +80,13 @@ WORST = Scenario(
         order="fifo",
         processing=Processing(sender=0.1, receiver=0.2),
         loss=GilbertElliott(share=0.2, burst=1.0),
-        medium=Bitrate(bitrate=1e4, header=8, shared=True, half_duplex=True, queue_limit=3),
+        medium=LoRa(
+            half_duplex=True,
+            queue_limit=3,
+            spreading_factors=(7, 8, 9, 9),
+            access=SlottedAloha(slot=0.5),
+            reception=CaptureEffect(),
+        ),
         link=(Link(src=0, dst=1, latency=LATE, loss=LOSSY, both_ways=True), Link(src=1, dst=2, order="fifo")),
     ),
     announce=Announcements(
@@ -109,6 +118,7 @@ def below(table, *keys):
     return {f"{table}.{key}": GONE for key in keys}
 
 
+MEDIUM = flat(WORST.network.medium.plain())
 LATENCY = {"latency": None, **below("latency", "kind", "value")}
 LOSS = {"loss": None, **below("loss", "kind", "p")}
 """What becomes of those of an edge: a table of keys becomes a key without a value."""
@@ -121,12 +131,22 @@ CHANGES = {
         "network.processing.sender": 0.0,
         "network.processing.receiver": 0.0,
         "network.medium.kind": "unlimited",
-        **below("network.medium", "bitrate", "header", "shared", "half_duplex", "queue_limit"),
+        **below("network.medium", *(key for key in MEDIUM if key != "kind")),
         **{
             f"network.{where}.{key}": each
             for where in ("graph.edges.0", "graph.edges.2", "link.0")
             for key, each in LATENCY.items()
         },
+    },
+    "contention": {
+        "network.preset": None,
+        "network.medium.shared": True,
+        "network.medium.spreading_factors": None,
+        **below("network.medium.spreading_factors", *"0123"),
+        "network.medium.access.kind": "ideal",
+        **below("network.medium.access", "slot", "p"),
+        "network.medium.reception.kind": "collision",
+        **below("network.medium.reception", "threshold", "exponent", "lock"),
     },
     "loss": {
         "network.preset": None,
@@ -198,6 +218,7 @@ def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
 THERE = {
     "auction": "latency, loss, faults",
     "bursts": "latency, loss, stale knowledge",
+    "contention": "latency, contention, range limit",
     "cooling": "latency, faults",
     "faults": "latency, faults",
     "evasive": "latency",
@@ -348,6 +369,25 @@ def test_a_medium_takes_time_and_so_belongs_to_latency(medium):
     scenario = Scenario(network=Links(medium=medium))
     assert without_latency(scenario).network == Links(medium=Unlimited())
     assert without_loss(scenario) is scenario
+
+
+@pytest.mark.parametrize("medium", [Unlimited(), Bitrate(bitrate=1000.0), LoRa(shared=True)])
+def test_a_channel_for_which_nobody_contends_is_unchanged(medium):
+    scenario = Scenario(network=Links(medium=medium))
+    assert without_contention(scenario) is scenario
+
+
+@pytest.mark.parametrize("medium", [Bitrate(bitrate=1000.0, header=3), LoRa(queue_limit=2)], ids=lambda each: each.kind)
+def test_without_contention_the_channel_is_an_ideal_queue(medium):
+    contended = type(medium).model_validate(dict(medium) | {"access": Csma()})
+    shared = type(medium).model_validate(dict(medium) | {"shared": True})
+    assert without_contention(Scenario(network=Links(medium=contended))).network == Links(medium=shared)
+
+
+def test_without_contention_all_lora_nodes_transmit_alike():
+    own = LoRa(access=Csma(), reception=LoRaInterference(), spreading_factors=(7, 12), frequencies=(868e6, 869e6))
+    scenario = Scenario(team=Team(count=2), network=Links(medium=own))
+    assert without_contention(scenario).network == Links(medium=LoRa(shared=True))
 
 
 class Own(Value):

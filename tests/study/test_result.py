@@ -16,8 +16,9 @@ from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
 from desim.study.metric_code import units_and_codes
 from desim.study.result import SweepResult
+from desim.study.row import Row
 from desim.study.runs import SHOWN, Group
-from desim.study.store import Row, Store
+from desim.study.store import Store
 from desim.study.store_file import StoreError
 from tests.command import strict_json
 from tests.summaries import changed
@@ -380,6 +381,7 @@ def test_a_frame_has_the_types_of_what_is_measured():
     assert types[["captured", "status", "messages_lost_by"]].tolist() == ["bool", "str", "str"]
 
 
+@pytest.mark.slow
 def test_a_frame_with_failures_keeps_integers_and_truths():
     frame = FAILING.to_frame()
     types = types_of(frame)

@@ -13,9 +13,12 @@ import traceback
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import cache
+from zlib import crc32
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import desim.study.store_file as module
 from desim.analysis.metrics import summary
@@ -23,7 +26,8 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
 from desim.simulation.run import run
 from desim.study.result import SweepResult
-from desim.study.store import Row, Store
+from desim.study.row import Row
+from desim.study.store import Store
 from desim.study.store_file import StoreError
 from desim.study.sweep import SweepPlan, sweep
 from tests.study import sweeps
@@ -175,6 +179,7 @@ def test_a_file_size_limit_is_reported(tmp_path, file, limit):
         assert 0 < len(runs) < 400
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", ["sweep.txt", "means-active_time.svg", "run.json"])
 def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file, name, pictures):
     (tmp_path / name).mkdir()
@@ -223,8 +228,8 @@ def test_shards_make_the_whole_in_any_order_and_whatever_they_share(tmp_path, fi
     for k in (1, 2, 3):
         assert command("sweep", file, "--allow-import", "-o", tmp_path / "parts", "--shard", f"{k}/3").exit_code == 0
         paths.append(tmp_path / "parts" / f"sweep.{k}-of-3.sqlite")
-    for name, given in {"a": paths, "b": [*paths[::-1], *paths], "c": [tmp_path / "parts"]}.items():
-        made = command("merge", *given, "-o", tmp_path / name)
+    for name, parts in {"a": paths, "b": [*paths[::-1], *paths], "c": [tmp_path / "parts"]}.items():
+        made = command("merge", *parts, "-o", tmp_path / name)
         assert made.stdout == f"12 runs are in {tmp_path / name / 'sweep.sqlite'}\n"
         assert exported(tmp_path / name) == exported(tmp_path / "whole")
         assert sweeps.rows(tmp_path / name / "sweep.sqlite") == sweeps.rows(tmp_path / "whole" / "sweep.sqlite")
@@ -240,6 +245,62 @@ def test_shards_can_be_merged_in_their_own_folder_twice(tmp_path, file):
     for _ in range(2):
         made = command("merge", tmp_path / "out", "-o", tmp_path / "out")
         assert made.output == f"12 runs are in {tmp_path / 'out' / 'sweep.sqlite'}\n"
+
+
+@given(st.lists(st.one_of(st.none(), st.text(), st.integers(), st.floats(), st.binary(max_size=5))))
+def test_the_checksum_of_a_row_is_that_of_its_json(row):
+    assert module._checksum(row) == crc32(json.dumps(row, default=repr).encode())
+
+
+RUNS = st.tuples(st.integers(0, 3), st.sampled_from(["ok", "error", "crashed"]), st.sampled_from(["", "a", "b"]))
+
+
+@given(st.lists(st.lists(RUNS, max_size=6), max_size=4))
+def test_runs_that_are_added_together_are_those_added_one_by_one(batches):
+    """The model: the first success of a run, otherwise its last failure."""
+    expected = {}
+    with Store() as together, Store() as single:
+        for store in (together, single):
+            store.register_metrics(dict.fromkeys(numbers(), ("", "")))
+        for batch in batches:
+            runs = [("key", run_of(k, status, "" if status == "ok" else text)) for k, status, text in batch]
+            together.add_all(0, runs)
+            for _, row in runs:
+                single.add("key", 0, row)
+                if not (row.replication in expected and expected[row.replication].ok):
+                    expected[row.replication] = row
+        assert together.runs("key", 0) == single.runs("key", 0) == [expected[k] for k in sorted(expected)]
+        assert list(together.run_table("key", 0)) == together.runs("key", 0)
+        assert together.added == single.added == sum(map(len, batches))
+
+
+def test_of_runs_that_are_added_together_those_before_the_first_that_fails_are_stored(tmp_path, file):
+    plan = SweepPlan.of(load(file, allow_import=True))
+    with Store(tmp_path / "sweep.sqlite") as store:
+        plan.register(store)
+        key = plan.configurations[0].key
+        store.add_all(0, [(key, run_of(0)), (key, run_of(1))])
+        with pytest.raises(StoreError, match="CHECK constraint failed"):
+            store.add_all(0, [(key, run_of(2)), (key, Row(3, 3, "strange")), (key, run_of(4))])
+        assert [row.replication for row in store.runs(key, 0)] == [0, 1, 2]
+        assert store.added == 3
+
+
+def test_a_store_merged_into_itself_stays_as_it_is(tmp_path, good):
+    shutil.copytree(good[1], tmp_path / "out")
+    path = tmp_path / "out" / "sweep.sqlite"
+    before = sweeps.rows(path)
+    with Store(path) as store, Store(path, read_only=True) as same:
+        store.merge(same)
+    assert sweeps.rows(path) == before
+
+
+def test_runs_of_a_store_that_opens_without_verifying_them_are_verified_when_read(tmp_path, good):
+    path = edited(good, tmp_path / "out", "UPDATE runs SET summary = replace(summary, '1', '2')")
+    with Store(path, read_only=True, verify=False) as store:
+        for read in (SweepResult.of, lambda store: list(store.rows("runs"))):
+            with pytest.raises(StoreError, match=f"^{path}: {FIRST_RUN}does not match its checksum"):
+                read(store)
 
 
 def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path, file):

@@ -166,6 +166,7 @@ def test_at_most_as_many_runs_as_are_asked_for_are_done():
     assert [len(group.rows) for group in found.groups] == [33]
 
 
+@pytest.mark.slow
 def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
     """The first round has 30 runs, the second three more."""
     rounds, calls, perform = [], [], module._run
@@ -190,20 +191,20 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
     whole = sweep(BASE, grid, **target)
     assert len({len(group.rows) for group in whole.groups}) > 1
     assert sweep(BASE, grid, executor=2, **target) == whole
-    drive = module.drive
+    drive_batches = module.drive_batches
 
     def interrupted(tasks, workers, **options):
         """Do 17 runs, the last first, and leave."""
         tasks = list(tasks)
-        last = drive(tasks[::-1][:17], workers, **options)
-        yield from ((len(tasks) - 1 - k, outcome) for k, outcome in last)
+        last = drive_batches(tasks[::-1][:17], workers, **options)
+        yield from ([(len(tasks) - 1 - k, outcome) for k, outcome in batch] for batch in last)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "drive", interrupted)
+    monkeypatch.setattr(module, "drive_batches", interrupted)
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
             sweep(BASE, grid, store=tmp_path / "s.sqlite", **target)
-    monkeypatch.setattr(module, "drive", drive)
+    monkeypatch.setattr(module, "drive_batches", drive_batches)
     assert sweep(BASE, grid, store=tmp_path / "s.sqlite", **target) == whole
 
 
@@ -280,9 +281,11 @@ def test_a_run_that_raises_is_a_row_and_ends_nothing():
 def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
     scenario = BASE.model_copy(update={"protocol": Moody()})
     before = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
-    done, drive = [], module.drive
+    done, drive_batches = [], module.drive_batches
     monkeypatch.setattr(
-        module, "drive", lambda tasks, *rest, **options: done.extend(tasks) or drive(tasks, *rest, **options)
+        module,
+        "drive_batches",
+        lambda tasks, *rest, **options: done.extend(tasks) or drive_batches(tasks, *rest, **options),
     )
     monkeypatch.setattr(Moody, "actions", lambda self, me: iter(lambda: 1, None))
     after = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
@@ -303,6 +306,7 @@ class Terminal(StringIO):
         return True
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "do", [lambda: sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2), lambda: run_many([(BASE, k) for k in range(4)])]
 )
@@ -322,9 +326,11 @@ def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
     """2 x 2 of 3 x 3 x ... runs are there; of 6 configurations x 3 runs the other 18 - 8 are done."""
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 2, store=store)
-    done, drive = [], module.drive
+    done, drive_batches = [], module.drive_batches
     monkeypatch.setattr(
-        module, "drive", lambda tasks, *rest, **options: done.extend(tasks) or drive(tasks, *rest, **options)
+        module,
+        "drive_batches",
+        lambda tasks, *rest, **options: done.extend(tasks) or drive_batches(tasks, *rest, **options),
     )
     more = {"network.latency.value": [0.0, 0.1, 0.2], "capture.radius": [0.05, 0.2]}
     found = sweep(BASE, more, 3, store=store)
@@ -337,10 +343,13 @@ def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
     assert [dict(group.settings) for group in fewer.groups] == [{"network.latency.value": 0.0, "capture.radius": 0.05}]
 
 
+@pytest.mark.slow
 def test_the_order_of_a_grid_is_no_part_of_what_a_store_belongs_to(tmp_path, monkeypatch):
     """Neither that of its keys nor that of the values of a key; tables follow the grid that is given."""
-    done, drive = [], module.drive
-    monkeypatch.setattr(module, "drive", lambda tasks, *rest, **more: done.extend(tasks) or drive(tasks, *rest, **more))
+    done, drive_batches = [], module.drive_batches
+    monkeypatch.setattr(
+        module, "drive_batches", lambda tasks, *rest, **more: done.extend(tasks) or drive_batches(tasks, *rest, **more)
+    )
     store, (one, other) = tmp_path / "s.sqlite", GRID.items()
     sweep(BASE, GRID, 1, store=store)
     done.clear()
@@ -516,9 +525,12 @@ def test_a_store_is_not_continued_with_another_data_file_or_imported_module(meas
         measured(changed={name: text})
 
 
+@pytest.mark.slow
 def test_of_swept_data_files_only_the_runs_of_a_new_one_are_done(measured, monkeypatch):
-    done, drive = [], module.drive
-    monkeypatch.setattr(module, "drive", lambda tasks, *rest, **more: done.extend(tasks) or drive(tasks, *rest, **more))
+    done, drive_batches = [], module.drive_batches
+    monkeypatch.setattr(
+        module, "drive_batches", lambda tasks, *rest, **more: done.extend(tasks) or drive_batches(tasks, *rest, **more)
+    )
     grid = {"network.latency.file": ["declared.txt", "opened.txt"]}
     measured(grid)
     measured({"network.latency.file": ["declared.txt", "third.txt", "opened.txt"]}, changed={"third.txt": "0.5 0.6"})

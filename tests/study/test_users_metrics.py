@@ -31,7 +31,8 @@ from desim.study.configurations import without_metrics
 from desim.study.figures import means
 from desim.study.metric_code import units_and_codes
 from desim.study.result import SweepResult
-from desim.study.store import Row, Store
+from desim.study.row import Row
+from desim.study.store import Store
 from desim.study.store_file import StoreError
 from desim.study.sweep import RunError, SweepPlan
 from desim.view.report import Study, report
@@ -48,13 +49,13 @@ RANGES = {"network.range": [3.0, 9.0]}
 @pytest.fixture
 def done(monkeypatch):
     """Return the list of the seeds of all runs that sweeps perform from now on."""
-    seeds, drive = [], module.drive
+    seeds, drive_batches = [], module.drive_batches
 
     def watched(tasks, *rest, **options):
         seeds.extend(seed for _, seed in tasks)
-        return drive(tasks, *rest, **options)
+        return drive_batches(tasks, *rest, **options)
 
-    monkeypatch.setattr(module, "drive", watched)
+    monkeypatch.setattr(module, "drive_batches", watched)
     return seeds
 
 
@@ -161,6 +162,7 @@ def test_an_older_row_without_a_metric_is_missing_and_not_0(tmp_path):
     assert found.to_frame()["half"].isna().tolist() == [True, True, False]
 
 
+@pytest.mark.slow
 def test_values_of_a_metric_whose_code_has_changed_are_removed_and_computed_anew(tmp_path, done):
     """The values of other metrics stay, and no run is repeated unless the metric is asked for."""
     store = tmp_path / "s.sqlite"
@@ -288,6 +290,7 @@ def test_of_two_commands_with_different_code_of_a_metric_only_the_later_adds_run
         second.add(plans[1].configurations[0].key, 0, row)
 
 
+@pytest.mark.slow
 def test_stores_are_merged_with_the_metrics_of_both_unless_their_code_differs(tmp_path):
     one, other, third = (tmp_path / f"{name}.sqlite" for name in ("one", "other", "third"))
     sweep(BASE, GRID, 2, store=one, metrics={"half": half})
@@ -428,6 +431,7 @@ def test_a_fault_of_a_metric_is_told_where_the_metric_is_named(file, in_file, op
     assert said.startswith(where.replace("FILE", str(file)))
 
 
+@pytest.mark.slow
 def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
     shown = accepted("sweep", file, TRUSTED, "-o", "out").stdout
     assert shown.splitlines()[1].endswith("gap")
@@ -452,6 +456,7 @@ def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
     assert "there is no numeric metric 'gab', did you mean 'gap'?" in said
 
 
+@pytest.mark.slow
 def test_an_explanation_is_in_the_metrics_of_the_command(file):
     rows = accepted("explain", file, TRUSTED, "-n", 2, *TWICE, "--metric", "energy").stdout.splitlines()
     assert rows[1].split() == ["twice,", "s", "energy,", "m^2/s"]

@@ -1,0 +1,136 @@
+"""User code: the source of the modules that a run uses besides `desim` and `protocols`, and of all that they import.
+
+The source is read when it is asked for. Reload a module that was edited after its import; otherwise the old code runs,
+and the hash is that of the new code.
+"""
+
+import ast
+import json
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
+from importlib.util import find_spec, resolve_name
+from pathlib import Path
+from typing import Any
+
+from desim.config.data_files import content_hash, opened_by
+from desim.results.environment import NUMERICS
+
+OURS = {"desim", "protocols"}
+KNOWN = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
+"""The packages whose classes and functions are hashed by name only."""
+
+
+class UserCode:
+    """The hashes of user modules and of what they depend on.
+
+    With a module, the user modules that it imports directly or indirectly are added, the data files that these modules
+    have opened, and the versions of the installed packages that they import, except those in `KNOWN`. If the module is
+    itself installed, all modules of its package are added instead.
+
+    Attributes:
+        code: the hash of the source of each user module, the version of each installed package, and what a caller adds,
+            by name.
+        files: the hash of the content of each data file, by path.
+    """
+
+    def __init__(self) -> None:
+        self.code: dict[str, str] = {}
+        self.files: dict[str, str] = {}
+
+    def add(self, name: str) -> bool:
+        """Add a module; return whether it has a source, or belongs to a package in `KNOWN`."""
+        if name in self.code or package_of(name) in KNOWN:
+            return True
+        file = None if name == "__main__" else _file(name)
+        if file is None:
+            return False
+        self.files |= opened_by(name)
+        if is_installed(file):
+            self.code |= _package(package_of(name), file)
+            return True
+        text = file.read_bytes()
+        self.code[name] = content_hash(text)
+        parent = name.rpartition(".")[0]
+        if file.suffix == ".py":
+            for each in _imported(text, name if file.stem == "__init__" else parent) | {parent} - {""}:
+                package = package_of(each)
+                if (home := _file(package)) is None or not is_installed(home):
+                    self.add(each)
+                elif package not in KNOWN:
+                    self.code |= _versions(_distributions().get(package, ()))
+        return True
+
+
+@cache
+def is_installed(file: Path) -> bool:
+    """Return whether a module with this file belongs to an installed package or to Python."""
+    return bool({"site-packages", "dist-packages"} & set(file.parts)) or file.is_relative_to(Path(os.__file__).parent)
+
+
+@cache
+def _package(name: str, file: Path) -> Mapping[str, str]:
+    """Return the hash of all modules of an installed package, and the versions of its distribution and requirements.
+
+    Args:
+        name: the name of the package, or of a module without a package.
+        file: the file of the module, for a module without a package.
+    """
+    folders = [Path(each) for each in getattr(sys.modules[name], "__path__", ())]
+    files = [(folder, each) for folder in folders for each in sorted(folder.rglob("*.py"))] or [(file.parent, file)]
+    hashes = [(each.relative_to(folder).as_posix(), content_hash(each.read_bytes())) for folder, each in files]
+    own = _distributions().get(name, ())
+    lines = [line for each in own for line in requires(each) or () if "extra ==" not in line]
+    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - KNOWN
+    return {name: content_hash(json.dumps(hashes).encode()), **_versions([*own, *sorted(needed)])}
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Return the names of the distributions of each installed package."""
+    return packages_distributions()
+
+
+def _versions(distributions: Iterable[str]) -> dict[str, str]:
+    """Return the version of each distribution, without those that are not installed."""
+    found = {}
+    for name in distributions:
+        with suppress(PackageNotFoundError):  # required on another platform, say
+            found[f"distribution {name}"] = version(name)
+    return found
+
+
+def _file(name: str) -> Path | None:
+    """Return the file of a module, imported or not; None if it has none."""
+    if name in sys.modules:
+        place = getattr(sys.modules[name], "__file__", None)
+    else:
+        try:
+            spec = find_spec(name)
+        except (ImportError, ValueError):
+            return None
+        place = spec.origin if spec and spec.has_location else None
+    return None if place is None else Path(place)
+
+
+@cache
+def _imported(text: bytes, package: str) -> frozenset[str]:
+    """Return the names of all modules that a source in a package may import, also within functions."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names.update(each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            with suppress(ImportError):  # a relative import outside of a package
+                home = resolve_name("." * node.level + (node.module or ""), package)
+                names.update([home, *(f"{home}.{each.name}" for each in node.names)])
+    return frozenset(names)
+
+
+def package_of(module: Any) -> str:
+    """Return the name of the outermost package of a module."""
+    return str(module).partition(".")[0]
