@@ -1,13 +1,14 @@
 """Arrivals whose outcome is not certain at transmission, because faults, distance or half duplex may prevent them.
 
-The arrivals of a transmission at one instant have one SimPy event, which decides their outcomes together.
+All arrivals of a transmission that are due at the same instant share one SimPy event, which decides their outcomes.
 
-Records that reach their receivers at different times need no event, because they wake no process. Their arrivals are
-kept, and the outcomes are decided together before the next read, the next change of the faults, or the next change of
-the motion of a node. Until then, nothing changes on which an outcome depends. With 40 nodes and lognormal latencies, a
-range check at delivery runs 7.8 times as fast as with an event per arrival, and half duplex 2.8 times. It is not
-possible if a trace needs each loss at its time, if faults are not planned, or if the source of the positions does not
-know those of the past (`PositionSource.looks_back`).
+A record that reaches its receivers at different times needs no event, because, unlike a message to an inbox, it wakes
+no process. Its arrivals are kept, and their outcomes are decided together before the next read, the next change of the
+faults, or the next change of the motion of a node. Until then, an outcome does not depend on when it is decided. With
+40 nodes and lognormal latencies, a simulation with a range check at delivery runs 7.8 times as fast as with an event
+per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each loss at its time,
+if there may be faults that are not planned, or if the source of the positions does not know past positions
+(`PositionSource.looks_back`).
 """
 
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ import numpy as np
 
 from desim.config.arrays import Integers
 from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.contention import Contention
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     import simpy
 
 MAX_FRESH = 100_000
-"""Number of new arrivals that are kept without a read; beyond it, those that are due are decided."""
+"""Number of arrivals, kept since the last decision, above which the due ones are decided without waiting for a read."""
 MANY = 1000
 """Length from which a list is searched for items that are no longer needed."""
 
@@ -50,8 +52,10 @@ class Transmission(NamedTuple):
     port: str
     """Port of the inbox, for a message."""
     reachable: bool
-    """False if the receiver of a `send` to one node was not linked or, with a range check at transmission, out of range
-    when `send` was called; else True."""
+    """False if `send` was called for one receiver that was then not linked to the sender or, with a range check at
+    transmission, out of range; else True."""
+    to_one: bool
+    """Whether it is a message to one node."""
 
 
 Lose = Callable[[Transmission, Mapping[int, Cause]], object]
@@ -88,7 +92,7 @@ class Arrivals:
         records: receives the records that arrive.
         inboxes: receive the messages that arrive.
         fault_state: the active faults; None: the network has no faults.
-        transmitter: knows which nodes transmit; None: nodes transmit without airtime.
+        transmitter: knows which nodes transmit, and what was lost on the air; None: nodes transmit without airtime.
         processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
         at_once: whether each outcome is needed at the time of the arrival, for a trace.
@@ -105,7 +109,7 @@ class Arrivals:
         records: Records,
         inboxes: Inboxes,
         fault_state: FaultState | None,
-        transmitter: Transmitter[Transmission] | None,
+        transmitter: Transmitter[Transmission] | Contention[Transmission] | None,
         *,
         processing: int,
         checks_range: bool,
@@ -152,12 +156,15 @@ class Arrivals:
         return self._with_events + self._kept.shape[1] + self._fresh_count + len(self._at_downed)
 
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
-        """Schedule the arrivals of a transmission that starts now at some nodes, given their times and airtime (ns)."""
+        """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
         begin, end = self._env.now, self._env.now + airtime
         nodes_by_time: dict[int, list[int]] = {}
         if self._transmitter is not None:
             self._on_air[transmission.src] = transmission.number, end
             self._transmitter.forget(min(self.first, begin))
+            if isinstance(self._transmitter, Contention) and nodes:
+                last = arrival if isinstance(arrival, int) else max(arrival)
+                self._transmitter.keep(transmission.number, last)
         if isinstance(arrival, int):
             nodes_by_time = {arrival: nodes} if nodes else {}
         elif nodes and self._can_wait(transmission):
@@ -175,7 +182,7 @@ class Arrivals:
             self._with_events += len(here)
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
-        """Lose a transmission at its arrival times (ns) at some nodes, which will still be down."""
+        """Lose a transmission at some nodes that will still be down at its arrival times (ns); count each loss then."""
         if not nodes:
             return
         if self._at_once:
@@ -196,13 +203,18 @@ class Arrivals:
         self._at_downed = [each for each in self._at_downed if each[0] > now]
 
     def settle_for_reader(self) -> None:
-        """Decide the arrivals that are kept up to this instant, or before it, if faults begin or end later in it."""
+        """Decide the kept arrivals up to and including this instant.
+
+        If a fault has yet to begin or end at this instant, or a frame to end, the arrivals at this instant are not
+        decided.
+        """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
+        changes |= isinstance(self._transmitter, Contention) and self._transmitter.ends_by(now)
         self.settle(now - 1 if changes else now)
 
     def settle(self, until: int | None = None) -> None:
-        """Decide the arrivals that are kept, up to a time (ns), by default all before this instant."""
+        """Decide the kept arrivals up to and including a time (ns); by default, those before this instant."""
         until = self._env.now - 1 if until is None else until
         if until < self.first:
             return
@@ -231,7 +243,7 @@ class Arrivals:
         return not self._at_once and isinstance(transmission.content, Record) and (faults is None or faults.looks_back)
 
     def _with_fresh(self) -> Integers:
-        """Return all arrivals that are kept, with those of the transmissions in `_fresh`, which is empty afterwards."""
+        """Return all kept arrivals in the form of `_kept`; transmissions in `_fresh` are moved to `_flights`."""
         if not self._fresh:
             return self._kept
         columns: tuple[list[int], list[int], list[int]] = [], [], []
@@ -265,12 +277,18 @@ class Arrivals:
             deliver(transmission.content, self._inboxes.at(transmission.port), reached, now, transmission.number)
 
     def _causes(self, batch: _Batch) -> list[Cause | None] | None:
-        """Return the k causes of losses, None for an arrival that succeeds; None alone: all succeed.
+        """Return a list with the cause of the loss of each of k arrivals, or None in place of a cause if it succeeds.
 
-        If there are several causes, the last of these counts: half duplex, range, jamming, partition, crash.
+        If all arrivals succeed, return None instead of a list.
+        If an arrival has several causes, the last in this order counts: collision or half duplex, range,
+        jamming, partition, crash.
         """
         losses: list[tuple[Cause, list[bool] | None]] = []
-        if self._transmitter is not None:
+        causes: list[Cause | None] | None = None
+        if isinstance(self._transmitter, Contention):
+            numbers = repeat(batch.number) if isinstance(batch.number, int) else batch.number.tolist()
+            causes = self._transmitter.causes(numbers, batch.node.tolist())
+        elif self._transmitter is not None:
             received = batch.time - self._processing
             start = received - (batch.end - batch.begin)
             losses.append(("half_duplex", self._transmitter.transmitting(batch.node, start, received)))
@@ -281,7 +299,6 @@ class Arrivals:
             losses.append(("jamming", faults.jammed(batch.node, batch.time)))
             losses.append(("partition", faults.separated(batch.src, batch.node)))
             losses.append(("crash", self._crashed(batch)))
-        causes: list[Cause | None] | None = None
         for cause, lost in losses:
             if lost is not None and True in lost:
                 before = causes or [None] * len(lost)
@@ -289,7 +306,7 @@ class Arrivals:
         return causes
 
     def _crashed(self, batch: _Batch) -> list[bool] | None:
-        """Return k booleans: whether the receiver is down, or the sender crashed on the air; None: all False."""
+        """Return k booleans: whether the receiver is down or the sender crashed while sending; None: all False."""
         assert self._fault_state is not None
         down, cut_short = self._fault_state.down_nodes, self._cut_short
         if not down and not cut_short:

@@ -50,6 +50,8 @@ class Phase(IntEnum):
     """Velocities are recomputed."""
     SAMPLE = 8 << 32
     """Positions are recorded."""
+    ACCESS = 9 << 32
+    """Nodes that contend for a channel sense it, and start to transmit."""
 
 
 def nanoseconds(seconds: float) -> int:

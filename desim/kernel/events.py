@@ -37,12 +37,16 @@ class Event(Protocol):
     def _fields(self) -> tuple[str, ...]: ...
 
 
-Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "half_duplex"]
-"""The cause of a loss; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""
+Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "access", "half_duplex", "collision"]
+"""The cause of a loss; "queue": dropped from a full queue, "access": dropped because the channel was always busy,
+"half_duplex": the receiver was transmitting, "collision": another frame overlapped it at the receiver."""
 
 
 class Queued(NamedTuple):
-    """A transmission waits for a busy transmitter; `MessageCounts` counts its messages as in flight from here on."""
+    """A transmission waits for a busy transmitter, or contends for the channel.
+
+    `MessageCounts` counts its messages as in flight from here on.
+    """
 
     t: Nanoseconds
     transmission: Count

@@ -35,7 +35,7 @@ def inject(
 
     Raises:
         ValueError: if a fault names a node that does not exist, or starts before the current time, or if faults were
-            injected before and messages have been sent: some of them may have been delivered already.
+            injected before and messages have been sent. The fate of these messages may have been decided already.
     """
     faults, size = list(faults), network.topology.size
     if faults and network.fault_state.is_planned and network.message_counts().sent:

@@ -20,8 +20,9 @@ Disc = tuple[tuple[float, float], float]
 class FaultState:
     """The active faults of a network. Faults may overlap; each lasts until the caller ends it.
 
-    If changes are planned (`plan`, `desim.kernel.fault_injection`), the methods that change the state raise ValueError
-    outside of `planned_change`: arrivals that no planned change can prevent are stored at transmission.
+    Changes can be planned: their times are announced in advance (`plan`, `desim.kernel.fault_injection`). The network
+    then stores at transmission those arrivals that no planned change can prevent. Once a change has been announced, the
+    methods that change the state therefore raise ValueError outside of `planned_change`.
 
     Args:
         positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
@@ -107,7 +108,7 @@ class FaultState:
         return [any(cut.get(one, -1) != cut.get(other, -1) for cut in self._cuts) for one, other in pairs]
 
     def jammed(self, nodes: Integers, times: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether each node was at a time within a disc that is jammed now; None: all False.
+        """Return k booleans: whether each node was, at its time, within a disc that is jammed now; None: all False.
 
         Args:
             nodes: (k,) the nodes.

@@ -87,7 +87,7 @@ class ClockSkew(Value):
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
     drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
-    """Seconds gained per second; a drawn drift or a sum of drifts below -0.99 is raised to -0.99."""
+    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99."""
 
 
 Fault = Crash | Partition | Jamming

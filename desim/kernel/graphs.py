@@ -107,7 +107,7 @@ class Edge(Value):
 
 
 class Link(Edge):
-    """A link of the graph with its own models; they override those of the network and of the edge."""
+    """A link with its own latency, loss or order, which overrides that of the network and of the graph's edge."""
 
     both_ways: Flag = False
     """Whether the link from `dst` to `src` has the same models."""

@@ -90,7 +90,10 @@ def is_implicit(graph: "nx.Graph[int]") -> bool:
 
 
 def is_complete(graph: "nx.Graph[int]") -> bool:
-    """Return whether a graph without self-loops is complete; O(1) for an implicit graph, else O(nodes)."""
+    """Return whether a graph without self-loops is complete; O(1) for an implicit graph, else O(nodes).
+
+    A multigraph does not count as complete.
+    """
     size = len(graph)
     pairs = size * (size - 1) // (1 if graph.is_directed() else 2)
     return is_implicit(graph) or (graph.number_of_edges() == pairs and not graph.is_multigraph())

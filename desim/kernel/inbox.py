@@ -25,11 +25,11 @@ class Message(NamedTuple):
 
 
 Letter = tuple[int, int, Message]
-"""The arrival time of a message, ns; its transmission number; the message."""
+"""A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
 
 
 class Inbox:
-    """The messages to one port of a node: those in flight, and those that wait to be read.
+    """The messages to one port of a node that are in flight or wait to be read.
 
     A node has one inbox per port; a port is any string. A message is in flight until its arrival time, and then waits
     until `drain` removes it. The event that `arrival` returns does not consume a message, so no message is lost if a
@@ -46,7 +46,7 @@ class Inbox:
         self._sorted = 0
         """Length of the sorted prefix of `_letters`."""
         self._waited_for: simpy.Event | None = None
-        """The event that processes wait for, if any."""
+        """The event that processes wait for; None if no process waits."""
         self._wake_time: float = inf
         """Time of the next scheduled wake-up for a message in flight, ns."""
 
@@ -65,7 +65,7 @@ class Inbox:
         return event
 
     def drain(self) -> list[Message]:
-        """Remove and return the waiting messages, oldest first."""
+        """Remove and return the waiting messages, in the order of arrival."""
         letters, now = self._in_order(), self._env.now
         end = len(letters) if letters and letters[-1][0] <= now else bisect_left(letters, (now + 1,))
         arrived = letters[:end]
@@ -131,12 +131,12 @@ class Inboxes:
             boxes[node].drain()
 
     def in_flight(self) -> int:
-        """Return the number of messages in flight."""
+        """Return the number of messages in flight, counted once per receiver."""
         return sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Put a message into the inboxes of its receivers; at its arrival time it wakes the processes waiting at them.
+    """Put a message into the inboxes of its receivers; its arrival wakes the processes that wait at these inboxes.
 
     Simultaneous messages are ordered by `number`, the number of their transmission.
     """

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MIN_BATCH = 64
 """Initial limit of the number of unchecked transmissions, above which deliveries are checked.
 
-The limit grows with the number of transmissions in flight.
+After such a check, the limit is `MIN_BATCH` plus twice the number of transmissions that are still in flight.
 """
 
 
@@ -46,7 +46,7 @@ class Conservation:
         self._waiting: dict[int, set[int]] = {}
         """The remaining receivers of each waiting transmission, by its number."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
-        """Unchecked transmissions by number: the last event, and the arrival (ns or `LOST`) at unchecked receivers."""
+        """By transmission number: its latest event, and the unchecked arrivals by receiver, ns or `LOST`."""
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
@@ -144,7 +144,10 @@ class Conservation:
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Check and count the unchecked deliveries before a time (ns); all of them happened under the active faults."""
+        """Check and count the unchecked deliveries before a time (ns).
+
+        It is called before the faults change, so all these deliveries happened under the active faults.
+        """
         for transmission, (event, flying) in list(self._flying.items()):
             if event.t < before:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)

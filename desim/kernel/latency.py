@@ -191,7 +191,8 @@ def _numbers(file: Path) -> list[float]:
     """Return the numbers in a text file, separated by white space or commas; `#` begins a comment.
 
     Raises:
-        ValueError: if the file cannot be read, contains no numbers, anything else, or a table of several columns.
+        ValueError: if the file cannot be read, contains no numbers or anything but times >= 0 s, or is a table of
+            several columns.
     """
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()

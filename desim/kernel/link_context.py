@@ -24,6 +24,9 @@ class LinkContext:
     positions: PositionFunction | None = None
     """Returns the current positions of all nodes, m; None: the nodes have no positions."""
 
+    known_distances: NDArray[np.float64] | None = None
+    """The `distances`, if they are known because no node moves: a read-only array, the same as long as `dst` is."""
+
     @property
     def distances(self) -> NDArray[np.float64]:
         """The (k,) current distances, m, between the sender and the receivers.
@@ -31,6 +34,8 @@ class LinkContext:
         Raises:
             ValueError: if the nodes have no positions.
         """
+        if self.known_distances is not None:
+            return self.known_distances
         if self.positions is None:
             raise ValueError("a latency or loss model that depends on distance needs the positions of the nodes")
         nodes = np.concatenate((self.dst, [self.src]))

@@ -1,16 +1,19 @@
 """Models of the medium: the airtime of a message of a given size, and how nodes share the channel."""
 
 from math import ceil, inf
-from typing import Annotated, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Limit, Value
+from desim.kernel.access import ACCESSES, Access, Ideal
+from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, Signal
 
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
 Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
+SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
 
 
 class Medium(Protocol):
@@ -34,15 +37,56 @@ class Medium(Protocol):
     def __call__(self, size: int) -> float: ...  # noqa: D102
 
 
-class _Radio(Value):
+class Radio(Value):
     """The fields of all media with airtime."""
 
     shared: Flag = False
     """Whether all nodes share one channel, which carries one message at a time."""
     half_duplex: Flag = False
-    """Whether a node cannot receive while it transmits; no effect on a shared channel."""
+    """Whether a node cannot receive while it transmits; no effect on a shared channel, and nodes that contend never can
+    (`access`)."""
     queue_limit: Limit = inf
     """Maximum number of waiting messages per node; beyond it the oldest is dropped; inf = unlimited."""
+    access: Annotated[Access, ACCESSES] = Ideal()
+    """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
+    interfere."""
+    reception: Annotated[Interference, INTERFERENCES] = Collision()
+    """Which of the frames that overlap at a receiver it gets; no effect with `access.kind` "ideal"."""
+
+    @field_validator("access")
+    @classmethod
+    def _shares_once(cls, access: Access, info: ValidationInfo) -> Access:
+        if info.data.get("shared") and not isinstance(access, Ideal):
+            raise ValueError(
+                f"nodes contend for one channel with the kind {access.kind!r}, and shared = true makes the channel an"
+                " ideal queue: leave out one of them"
+            )
+        return access
+
+    @field_validator("reception")
+    @classmethod
+    def _fits_medium(cls, reception: Interference) -> Interference:
+        if isinstance(reception, LoRaInterference) and not issubclass(cls, LoRa):
+            raise ValueError(
+                "the kind 'lora' needs a medium of the kind 'lora'; allowed with this medium: collision, capture, sinr"
+            )
+        return reception
+
+    def check(self, size: int) -> None:
+        """Raise ValueError if the medium is not for a network of `size` nodes."""
+
+    def airtime(self, size: int, node: int) -> float:
+        """Return the airtime, s, of a message of `size` bytes that a node transmits."""
+        return self(size)
+
+    def __call__(self, size: int) -> float:
+        """Return the airtime, s."""
+        raise NotImplementedError
+
+    @property
+    def contends(self) -> bool:
+        """Whether nodes contend for one channel."""
+        return not isinstance(self.access, Ideal)
 
 
 class Unlimited(Value):
@@ -58,7 +102,7 @@ class Unlimited(Value):
         return 0.0
 
 
-class Bitrate(_Radio):
+class Bitrate(Radio):
     """A constant bit rate: the airtime is 8 (size + header) / bitrate."""
 
     kind: Literal["bitrate"] = "bitrate"
@@ -72,17 +116,21 @@ class Bitrate(_Radio):
         return 8.0 * (size + self.header) / self.bitrate
 
 
-class LoRa(_Radio):
+class LoRa(Radio):
     """The airtime of LoRa frames (Semtech, AN1200.22, "LoRa Modulation Basics", and SX1276 datasheet, 4.1.1.7).
 
     A frame carries at most 255 bytes. A longer message takes ceil(size / 255) frames, sent back to back, each with its
-    own preamble and header; they are received or lost together. Not modelled: the bytes that number the frames of a
-    message, and duty cycle limits, such as the 1 % of most European channels at 868 MHz.
+    own preamble and header; all frames of a message are received or lost together. Not modelled: the bytes that number
+    the frames of a message, and duty cycle limits, such as 1 % in most European channels at 868 MHz.
     """
 
     kind: Literal["lora"] = "lora"
-    spreading_factor: Annotated[int, Field(ge=7, le=12, strict=True)] = 7
+    spreading_factor: SpreadingFactor = 7
     """SF: bits per symbol; a symbol takes 2^SF / bandwidth."""
+    spreading_factors: tuple[SpreadingFactor, ...] | None = None
+    """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
+    frequencies: tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...] | None = None
+    """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
     bandwidth: Annotated[float, Field(gt=0, le=1e9, strict=True)] = 125_000.0
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
@@ -94,19 +142,45 @@ class LoRa(_Radio):
     implicit_header: Flag = False
     """Whether the header is omitted."""
 
-    def __call__(self, size: int) -> float:
-        """Return the airtime, s, of all frames of a message."""
-        full, rest = divmod(size, MAX_BYTES)
-        return full * self._frame(MAX_BYTES) + (self._frame(rest) if rest or not full else 0.0)
+    @field_validator("spreading_factors", "frequencies")
+    @classmethod
+    def _differ_only_if_they_contend(cls, given: Any, info: ValidationInfo) -> Any:
+        if given is not None and isinstance(info.data.get("access"), Ideal):
+            raise ValueError("nodes may differ only if they contend: access.kind should not be 'ideal'")
+        return given
 
-    def _frame(self, size: int) -> float:
+    def __call__(self, size: int) -> float:
+        """Return the airtime, s, of all frames of a message with `spreading_factor`."""
+        return self._message(size, self.spreading_factor)
+
+    def check(self, size: int) -> None:
+        """Raise ValueError if the medium is not for a network of `size` nodes."""
+        for name in ("spreading_factors", "frequencies"):
+            if (given := vars(self)[name]) is not None and len(given) != size:
+                raise ValueError(f"network.medium.{name}: should have one for each of {size} nodes (got {len(given)})")
+
+    def airtime(self, size: int, node: int) -> float:
+        """Return the airtime, s, of a message of `size` bytes that a node transmits."""
+        return self._message(size, self.signal(node).spreading_factor)
+
+    def signal(self, node: int) -> Signal:
+        """Return the parameters of the frames of a node."""
+        factor = self.spreading_factor if self.spreading_factors is None else self.spreading_factors[node]
+        frequency = 0.0 if self.frequencies is None else self.frequencies[node]
+        return Signal(factor, self.bandwidth, frequency, self.preamble)
+
+    def _message(self, size: int, factor: int) -> float:
+        full, rest = divmod(size, MAX_BYTES)
+        return full * self._frame(MAX_BYTES, factor) + (self._frame(rest, factor) if rest or not full else 0.0)
+
+    def _frame(self, size: int, factor: int) -> float:
         """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
 
         Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).
         """
-        symbol: float = 2**self.spreading_factor / self.bandwidth
-        per_block = 4 * (self.spreading_factor - 2 * (symbol > 0.016))
-        bits = 8 * size - 4 * self.spreading_factor + 28 + 16 * self.crc - 20 * self.implicit_header
+        symbol: float = 2**factor / self.bandwidth
+        per_block = 4 * (factor - 2 * (symbol > 0.016))
+        bits = 8 * size - 4 * factor + 28 + 16 * self.crc - 20 * self.implicit_header
         payload = 8 + max(ceil(bits / per_block) * (self.coding_rate + 4), 0)
         return (self.preamble + 4.25 + payload) * symbol
 

@@ -7,8 +7,9 @@
     1  each byte of a string (in UTF-8) or of a bytes object in the body
     0  None
 
-The size of a collection, a dict or an array is the sum of the sizes of its items. A record inside a body, for instance
-a forwarded one, includes its own header. Any other object counts as one number.
+The size of a collection or an array is the sum of the sizes of its items, that of a dict the sum of the sizes of its
+keys and values. A record inside a body, for instance a forwarded one, includes its own header. Any other object counts
+as one number.
 
 For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
 and 48 if it is an action, a position (two numbers) and a speed.

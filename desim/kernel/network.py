@@ -2,25 +2,25 @@
 
 A *record* holds the state of a node. A newer record of a node supersedes an older one. The arrival of a record wakes no
 process. A record whose arrival is certain is stored at once, with its arrival time; `latest_records` ignores it until
-then. A *message* stands for an event. Its arrival wakes the processes that wait at the inbox of the receiver.
+that time. A *message* stands for an event. Its arrival wakes the processes that wait at the inbox of the receiver.
 
 `publish` sends a record, and `send` a message. Both use the same links. SimPy events are used only to wait for a
 busy transmitter, to decide losses on arrival, and to wake processes. A read in the decision phase of an instant
 (`desim.kernel.clock.Phase`), or in a later phase, takes into account every arrival up to and including that instant.
 """
 
+from collections.abc import Sequence
 from functools import cached_property
-from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import SECOND, Clock, NodeClock
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
 from desim.kernel.message_size import as_sent, size_of
-from desim.kernel.positions import PositionFunction
+from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.records import Predicate, Record, Records, Table
 from desim.kernel.topology import Topology
@@ -43,7 +43,8 @@ class Network:
         positions: returns the current (n, 2) positions, m, see `desim.kernel.positions`; required for a finite range.
         trace: receives the events of messages, if its `wants_messages` is true.
         fault_state: the active faults; None: the network has no faults.
-        predicate: selects, by their bodies, the records that `matching` returns; if None, it returns no records.
+        predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
+        clocks: the clocks of the nodes, which tell the slots of a TDMA; if empty, all show the true time.
 
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
@@ -61,6 +62,7 @@ class Network:
         trace: Trace | None = None,
         fault_state: FaultState | None = None,
         predicate: Predicate | None = None,
+        clocks: Sequence[NodeClock] = (),
     ):
         self._env = env
         links = links or Links()
@@ -86,14 +88,17 @@ class Network:
             self._inboxes,
             fault_state,
             trace if trace is not None and trace.wants_messages else None,
+            None if positions is None else as_position_source(positions),
+            clocks or [NodeClock(env)] * self._size,
+            seed,
         )
         self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
-        self._seq = [count(1) for _ in range(self._size)]
+        self._seq = [0] * self._size
 
     # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
-        """Give each node that has no record of `src` an initial one, without a message; `stamp` is as in `publish`.
+        """Give each node without a record of `src` an initial record, but send no message; `stamp` is as in `publish`.
 
         Raises:
             ValueError: if the node does not exist.
@@ -149,7 +154,8 @@ class Network:
         """
         if not 0 <= src < self._size:
             raise self._unknown(src)
-        return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
+        self._seq[src] = seq = self._seq[src] + 1
+        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record received by other means than `publish` into the table of a node.
@@ -177,7 +183,7 @@ class Network:
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
-        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches).
+        """Return the latest records whose body satisfies the predicate; cost O(new records + matches).
 
         Raises:
             ValueError: if the node does not exist.
@@ -201,24 +207,6 @@ class Network:
     def overhear(self, listener: Listener) -> None:
         """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
-
-    def neighbours(self, node: int) -> list[int]:
-        """Return the nodes that can receive from `node` now, ascending; see `Topology.neighbours`."""
-        found: list[int] = self.topology.neighbours(node).tolist()
-        return found
-
-    def audible(self, node: int) -> list[int]:
-        """Return the nodes that `node` can receive from now, ascending; on an undirected graph, its neighbours."""
-        return self.topology.audible(node)
-
-    def component(self, node: int) -> set[int]:
-        """Return `node` and all nodes whose messages can reach it now in any number of hops; cost O(nodes + links)."""
-        reached, ahead = {node}, [node]
-        while ahead and len(reached) < self.topology.size:
-            new = set(self.audible(ahead.pop())) - reached
-            reached |= new
-            ahead += new
-        return reached
 
     @cached_property
     def mean_degree(self) -> float:
@@ -244,7 +232,7 @@ class Network:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
         Raises:
-            ValueError: if the network was created without a `FaultState`, or its faults are planned.
+            ValueError: if the network was created without a `FaultState`, or its faults are planned (see `FaultState`).
         """
         self.fault_state.crash(node)
         self._link_layer.crash(node)

@@ -16,6 +16,11 @@ def exp(exponents: Floats) -> Floats:
     return np.fromiter(map(math.exp, exponents.tolist()), float, len(exponents))
 
 
+def log(values: Floats) -> Floats:
+    """Return the natural logarithm of each of (k,) positive values."""
+    return np.fromiter(map(math.log, values.tolist()), float, len(values))
+
+
 def power(bases: Floats, exponent: float) -> Floats:
     """Return the (k,) powers x^p of bases x in [0, 1], for an exponent p >= 0; squares are as fast as in numpy."""
     if exponent == 2.0:

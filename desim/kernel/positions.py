@@ -33,8 +33,9 @@ class PositionSource:
     def at(self, nodes: Nodes, times: int | Integers) -> Floats:
         """Return the positions of some nodes, each at a time, (k, 2) m.
 
-        A subclass that overrides this method and `before_change`, and sets `looks_back`, lets the network decide
-        together which of several messages were within range when they arrived. All others return present positions.
+        The base class ignores the times and returns the present positions. If a subclass overrides this method and
+        `before_change`, and sets `looks_back`, the network can decide for several messages together, after their
+        arrivals, which of them were within range when they arrived.
 
         Args:
             nodes: (k,) the nodes.
@@ -43,7 +44,10 @@ class PositionSource:
         return self.of(nodes)
 
     def before_change(self, act: Callable[[], object]) -> None:
-        """Register a function to call before the motion of a node changes, so that `at` would no longer be valid."""
+        """Register a function to call before the motion of a node changes.
+
+        After the change, `at` is no longer valid for times before it.
+        """
 
 
 class _FunctionSource(PositionSource):

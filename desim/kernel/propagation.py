@@ -5,7 +5,7 @@ of calling numpy.
 """
 
 from math import inf
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,9 +17,9 @@ from desim.kernel.latency import Constant
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.positions import PositionFunction
+from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
-from desim.kernel.seeds import stream
+from desim.kernel.seeds import ROOM, stream
 from desim.kernel.traits import LinkTraits, model_of_run
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ BLOCK = 4096
 """Minimum number of draws per block."""
 Each = TypeVar("Each")
 Overrides = dict[int, dict[int, Any]]
-"""The models of individual links, by sender and receiver."""
+"""The models, or the orders, of individual links, by sender and receiver."""
 
 
 class LinkSampler:
@@ -70,6 +70,10 @@ class LinkSampler:
         overrides = _overrides(links, graph)
         self._latency_overrides, self._loss_overrides = overrides["latency"], overrides["loss"]
         self._order, self._order_overrides = links.order, overrides["order"]
+        self._receivers: dict[int, _Receivers] = {}
+        """By sender; at most `ROOM` numbers in all."""
+        self._lists_are_kept = links.range == inf or links.range_check == "delivery"
+        """Whether all broadcasts of a sender may have the same list of receivers."""
         self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
@@ -88,14 +92,16 @@ class LinkSampler:
         Raises:
             ValueError: if a loss model returns invalid losses.
         """
-        overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
         elif self._loss_buffer is not None:
             lost = self._loss_buffer.take(len(dst))
         else:
             lost = _booleans(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
-        for k, node in enumerate(dst if overrides else ()):
+        overrides = self._loss_overrides.get(src)
+        if overrides is None:
+            return lost
+        for k, node in enumerate(dst):
             if node in overrides:
                 lost = lost or [False] * len(dst)
                 context = self._context(src, [node], now, size)
@@ -158,7 +164,38 @@ class LinkSampler:
         return arrivals
 
     def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
-        return LinkContext(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)
+        known = self._receivers.get(src)
+        if known is None or known.nodes is not dst:
+            known = self._arrays(src, dst)
+        return LinkContext(src, known.array, now / SECOND, size, self._seed, self._positions, known.distances)
+
+    def _arrays(self, src: int, dst: list[int]) -> "_Receivers":
+        """Return the arrays about some receivers; keep those of the last list of a sender that may come again.
+
+        A list that is the same object as before has the same nodes, because lists of receivers are not changed. With
+        40 nodes, `gilbert_elliott` runs 1.6 times as fast as with new arrays, and `by_distance` 2.8 times if no node
+        moves.
+        """
+        array = np.array(dst, dtype=np.intp)
+        if not self._lists_are_kept or len(dst) == 1 or (len(self._receivers) + 1) * len(self._graph) > ROOM:
+            return _Receivers(dst, array, None)
+        distances = None
+        if isinstance(self._positions, PositionSource) and self._positions.max_speed == 0.0:
+            distances = LinkContext(src, array, positions=self._positions).distances
+            distances.setflags(write=False)
+        array.setflags(write=False)
+        known = self._receivers[src] = _Receivers(dst, array, distances)
+        return known
+
+
+class _Receivers(NamedTuple):
+    """The k receivers of a transmission."""
+
+    nodes: list[int]
+    array: "NDArray[np.intp]"
+    """(k,) the nodes."""
+    distances: "NDArray[np.float64] | None"
+    """(k,) their distances from the sender, m; None: they are not known, or change."""
 
 
 class _Buffer(Generic[Each]):
@@ -193,9 +230,9 @@ def _never_loses(model: object) -> bool:
 
 
 def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models of individual links, by "latency", "loss" and "order".
+    """Return the models and the orders of individual links, by "latency", "loss" and "order".
 
-    A model is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
+    Each is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
 
     Raises:
         ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
@@ -251,7 +288,7 @@ def _booleans(answer: Any, count: int) -> list[bool]:
         ValueError: if they are neither one boolean nor one for each link.
     """
     booleans = np.asarray(answer)
-    if booleans.dtype != bool or booleans.shape not in {(), (count,)}:
+    if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
         raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
-    lost: list[bool] = np.broadcast_to(booleans, count).tolist()
-    return lost
+    lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us
+    return [lost] * count if isinstance(lost, bool) else lost

@@ -1,11 +1,12 @@
 """The newest record of each source that has arrived at each node.
 
-A record whose arrival is certain needs no SimPy event. It is stored at transmission with its arrival time;
-`latest_records` and `matching` ignore it until then. A record that can still be lost on arrival is stored when its
-outcome is decided (`Records.insert`, `Records.receive`).
+A record holds the state of its source at one time. A record whose arrival is certain needs no SimPy event. It is stored
+at transmission with its arrival time; `latest_records` and `matching` ignore it until that time. A record that can
+still be lost on arrival is stored when its outcome is decided (`Records.insert`, `Records.receive`).
 """
 
 from bisect import insort
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import chain, repeat
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from desim.kernel.clock import SECOND, Clock
 
 
 class Record(NamedTuple):
-    """A state of node `src` at one time; `seq` orders its records."""
+    """The state of node `src` at one time; `seq` orders the records of the node."""
 
     src: int
     seq: int
@@ -38,7 +39,7 @@ Arrival = int | list[int]
 Predicate = Callable[[Any], object]
 """A function that selects bodies of records: its result is true for a match."""
 MAX_UNREAD = 2048
-"""Length of a flat list of unread records (two items per record) above which `_note_unread` merges it."""
+"""Length above which a list of unread records is merged into its table; a flat list has two items per record."""
 
 
 class SharedTable:
@@ -52,7 +53,8 @@ class SharedTable:
         waiting: the waiting records, ordered by arrival.
         table: the newest record of each source at the last `apply_arrived`.
         matching: the records of the table whose body satisfies the predicate.
-        exceptions: by node and source, the record that the node has in place of the one in the table; None: no record.
+        exceptions: by node and source, the record that the node has instead of the record in the table; None: the node
+            has no record of the source.
         only_initial: whether only initial beliefs have been added so far.
     """
 
@@ -61,7 +63,7 @@ class SharedTable:
         self.waiting: list[TimedRecord] = []
         self.table: Table = {}
         self.matching: Table = {}
-        self.exceptions: dict[int, dict[int, TimedRecord | None]] = {}
+        self.exceptions: defaultdict[int, dict[int, TimedRecord | None]] = defaultdict(dict)
         self.only_initial = True
         self._unreached: dict[tuple[int, int], Collection[int]] = {}
         """By source and sequence number, the nodes that a waiting record does not reach."""
@@ -77,7 +79,7 @@ class SharedTable:
             self.exceptions[node][src] = self.exceptions[node][src] or received
 
     def schedule(self, timed: TimedRecord, unreached: Collection[int]) -> None:
-        """Add a record to those waiting until their arrival times, and the nodes that it does not reach."""
+        """Let a record wait until its arrival time; it does not reach the nodes `unreached`."""
         self.only_initial = False
         if unreached:
             self._unreached[timed[1][:2]] = unreached
@@ -108,12 +110,12 @@ class SharedTable:
         del self.waiting[:arrived]
 
     def known_by(self, node: int, src: int) -> TimedRecord | None:
-        """Return the record of a source that a node has in this table, or in place of it."""
+        """Return the record that a node has of a source, an exception or from the table; None if it has no record."""
         own = self.exceptions.get(node, {})
         return own[src] if src in own else self.table.get(src)
 
     def table_of(self, node: int) -> Table:
-        """Return the table as a node knows it."""
+        """Return the table as a node knows it: with its exceptions, and without its own record."""
         known = self.table.copy()
         known.pop(node, None)
         for src, received in self.exceptions.get(node, {}).items():
@@ -124,7 +126,7 @@ class SharedTable:
         return known
 
     def matching_of(self, node: int) -> Table:
-        """Return the matching records of the table as a node knows it."""
+        """Return the matching records among the records in `table_of` the node."""
         known = self.matching.copy()
         known.pop(node, None)
         for src, received in self.exceptions.get(node, {}).items():
@@ -134,7 +136,7 @@ class SharedTable:
         return known
 
     def forget(self, node: int) -> None:
-        """Let a node have no record of the table."""
+        """Make a node forget all records of the table; it gets an exception for each."""
         self.exceptions[node] = {src: None for src in self.table if src != node}
         for src in self.exceptions[node]:
             self._excepted[src] = {node, *self._excepted.get(src, ())}
@@ -149,13 +151,14 @@ class SharedTable:
         Args:
             src: the source.
             unreached: the nodes that the next record of the source does not reach.
-            known: the record of the source in the table.
+            known: the present record of the source in the table; None if there is none.
         """
+        exceptions = self.exceptions
         for node in self._excepted.pop(src, ()):
             if node not in unreached:
-                del self.exceptions[node][src]
+                del exceptions[node][src]
         for node in unreached:
-            self.exceptions.setdefault(node, {}).setdefault(src, known)
+            exceptions[node].setdefault(src, known)
         if unreached:
             self._excepted[src] = unreached
 
@@ -166,23 +169,24 @@ class Records:
     Args:
         env: the clock of the simulation.
         size: number of nodes.
-        predicate: selects, by their bodies, the records that `matching` returns; if None, it returns no records.
+        predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
     """
 
     def __init__(self, env: Clock, size: int, predicate: Predicate | None):
         self._env, self._size, self._predicate = env, size, predicate
         self._shared = SharedTable(predicate)
-        # Records that do not reach all nodes at one instant are kept per reader: unread records, in the order of
-        # transmission (_waiting); records in flight at the last read (_still_in_flight); and the newest record per
-        # source (_tables). The first two are flat lists (arrival, record, arrival, record ...): the tuples (arrival,
-        # record) are created only on insertion into a table, so that the tuples of one table are adjacent in memory.
+        # Records that are not shared (`share`) are kept for each node that reads them (reader): unread records, in
+        # the order of transmission (_waiting); records in flight at the last read (_still_in_flight); and the newest
+        # record of each source (_tables). The first two are flat lists (arrival, record, arrival, record ...). The
+        # tuples (arrival, record) are created only on insertion into a table, so that the tuples of one table are
+        # adjacent in memory.
         self._waiting: list[list[Any]] = [[] for _ in range(size)]
         self._still_in_flight: dict[int, list[Any]] = {}
         self._tables: list[Table] = [{} for _ in range(size)]
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
-        self._relayed: set[int] = set()  # readers that get records by other ways, even before they are transmitted
+        self._relayed: set[int] = set()  # readers that also get records by `relay`, maybe twice, or after newer ones
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes an initial record now, unless they already have a record of the same source."""
@@ -191,18 +195,15 @@ class Records:
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival, unreached: Collection[int] = ()) -> None:
         """Store a record with its arrival times.
 
-        The cost is O(unreached nodes) if it reaches most of all nodes at one instant, else O(receivers).
+        The cost is O(unreached nodes) if the record is shared (`share`), else O(receivers).
 
         Args:
             record: newer than every record of its source that was scheduled before.
-            receivers: the nodes it reaches.
+            receivers: the nodes that the record reaches.
             arrival: the arrival times, ns.
-            unreached: nodes that it does not reach.
+            unreached: the nodes that the record does not reach.
         """
-        if isinstance(arrival, int) and self._is_shared(receivers, unreached):
-            self._shared.schedule((arrival, record), unreached)
-            if len(self._shared.waiting) > MAX_UNREAD:
-                self._shared.apply_arrived(self._env.now)
+        if isinstance(arrival, int) and self.share(record, len(receivers) + len(unreached), arrival, unreached):
             return
         waiting = self._waiting
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
@@ -211,19 +212,37 @@ class Records:
             pending.append(record)
         self._note_unread()
 
+    def share(self, record: Record, transmitted: int, arrival: int, unreached: Collection[int]) -> bool:
+        """Store a record once for all nodes, as `schedule`, if it reaches most of all nodes at one instant.
+
+        Args:
+            record: as for `schedule`.
+            transmitted: the number of nodes to which it was transmitted.
+            arrival: its arrival time at all nodes that it reaches, ns.
+            unreached: those of the nodes that it does not reach.
+
+        Returns:
+            Whether it has been stored.
+        """
+        if transmitted != self._size - 1 or 3 * len(unreached) > self._size:
+            return False
+        self._shared.schedule((arrival, record), unreached)
+        if len(self._shared.waiting) > MAX_UNREAD:
+            self._shared.apply_arrived(self._env.now)
+        return True
+
     def relay(self, node: int, record: Record) -> None:
-        """Store a record that a node has received by other ways than `schedule`; see `insert`."""
+        """Store a record that a node has received by other means than a scheduled arrival; see `insert`."""
         self._relayed.add(node)
         self.insert([node], record)
 
     def insert(self, nodes: list[int], record: Record, unreached: Collection[int] = ()) -> None:
         """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it.
 
-        The record does not reach the nodes `unreached`, or not by this call.
+        The nodes `unreached` do not get the record by this call.
         """
         now, waiting = self._env.now, self._waiting
-        if self._is_shared(nodes, unreached):
-            self._shared.schedule((now, record), unreached)
+        if self.share(record, len(nodes) + len(unreached), now, unreached):
             return
         for node in nodes:
             waiting[node] += now, record
@@ -231,7 +250,7 @@ class Records:
         self._note_unread()
 
     def receive(self, nodes: list[int], times: list[int], records: Sequence[Record]) -> None:
-        """Store transmitted records, each at a node that it reached at a time (ns); as `insert`, in any order."""
+        """Store transmitted records, in any order: record k reached node `nodes[k]` at `times[k]`, ns; see `insert`."""
         waiting = self._waiting
         for node, when, record in zip(nodes, times, records, strict=True):
             pending = waiting[node]
@@ -252,7 +271,7 @@ class Records:
         return known
 
     def matching(self, node: int) -> Table:
-        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
+        """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
         own, matching, shared = self._tables[node], self._matching[node], self._shared
         if not shared.table:
@@ -281,10 +300,6 @@ class Records:
         shared = [record for arrival, record in self._shared.waiting if arrival > now]
         return own + sum(self._size - 1 - self._shared.unreached(record) for record in shared)
 
-    def _is_shared(self, receivers: list[int], unreached: Collection[int]) -> bool:
-        """Return whether a record that reaches some nodes at one instant is stored once for all nodes."""
-        return len(receivers) + len(unreached) == self._size - 1 and 3 * len(unreached) <= self._size
-
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""
         if self._shared.waiting:
@@ -293,7 +308,7 @@ class Records:
             self._merge(node)
 
     def _not_older_than_shared(self, node: int, own: Table) -> Table:
-        """Return those records of a node's table that are not older than what the node knows from the shared table."""
+        """Return the records of a node's own table that are not older than its record in the shared table."""
         shared = self._shared.table_of(node) if node in self._shared.exceptions else self._shared.table
         return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
 
@@ -306,7 +321,7 @@ class Records:
             still_in_flight, fresh = self._move_in_any_order(node, _pairs(still_in_flight + fresh)), []
         elif node in self._out_of_order:
             still_in_flight, fresh = self._move_newer(node, _pairs(still_in_flight + fresh)), []
-            self._out_of_order.remove(node)  # what is transmitted from now on is newer than what was transmitted
+            self._out_of_order.remove(node)  # records of later transmissions are newer
         elif still_in_flight:
             still_in_flight = self._move_newer(node, _pairs(still_in_flight))
         for arrival, record in _pairs(fresh):
@@ -314,7 +329,8 @@ class Records:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             else:  # in the order of transmission, so newer than the record in the table
-                table[record[0]] = received = (arrival, record)  # src and body, by position for speed
+                # `| 0` copies a time > 1 s into 32 B: the sum that it was takes 48.
+                table[record[0]] = received = (arrival | 0, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
                         matching[record[0]] = received
@@ -335,13 +351,13 @@ class Records:
                 still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
                 if predicate is None:
-                    table[record[0]] = arrival, record
+                    table[record[0]] = arrival | 0, record
                 else:
                     _store((arrival, record), table, matching, predicate)
         return still_in_flight
 
     def _move_in_any_order(self, node: int, pending: Iterable[TimedRecord]) -> list[Any]:
-        """Do as `_move_newer` with records that also come by other ways, so that a record may arrive twice."""
+        """Do as `_move_newer` for a node with relayed records; if a record arrives twice, the first arrival counts."""
         still_in_flight: list[Any] = []
         now, table, matching = self._env.now, self._tables[node], self._matching[node]
         for arrival, record in pending:

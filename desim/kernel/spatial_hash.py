@@ -49,7 +49,7 @@ class CellList:
         self._enter(range(len(self._at)), self._cells)
 
     def around(self, node: int) -> Nodes:
-        """Return the nodes that may be within the radius of a node now, itself included, ascending; not to be changed.
+        """Return the nodes that may be within the radius of a node now, itself included, ascending; read-only.
 
         The result contains all nodes within the radius, and possibly others.
         """

@@ -23,16 +23,17 @@ SMALL_NETWORK = 400
 class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
-    Without a range the static graph is read once. With a range, distances are computed at every query, so the
-    neighbourhoods follow the positions. In a large complete graph, if reception has a maximum distance, a query uses a
-    cell list and computes only the distances of nearby nodes.
+    The static graph is read once. With a range, distances are computed at every query, so the neighbourhoods follow the
+    positions. In a large complete graph, if reception has a maximum distance, a query uses a cell list and computes
+    only the distances of nearby nodes.
 
     Args:
         graph: the communication graph.
-        range: the communication range of every node, m.
+        range: the communication range of every node, m; inf: there is no range.
         positions: the current positions of the nodes; required if the range is finite.
         reception: the probability of reception as a function of distance; a disk if None.
-        per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
+        per_link: whether random reception is drawn once per pair of nodes (fading per link); if not, it is drawn for
+            every message (fading per message).
         seed: the seed of the random draws.
         now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
             all positions.
@@ -85,6 +86,10 @@ class Topology:
         linked = self._lists[src]
         index = bisect_left(linked, dst)
         return index < len(linked) and linked[index] == dst
+
+    def links_to(self, src: int, nodes: Nodes) -> Bools:
+        """Return (k,) whether the graph links `src` to each of some nodes, regardless of range."""
+        return nodes != src if self._complete else np.isin(nodes, self._lists[src])
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
         """Return the nodes that a message of `node` reaches now, ascending.
@@ -164,6 +169,15 @@ class Topology:
             senders = self._near(node, _with_linked(node, self._senders[node])).tolist()
         return senders
 
+    def component(self, node: int) -> set[int]:
+        """Return `node` and all nodes whose messages can reach it now in any number of hops; cost O(nodes + links)."""
+        reached, ahead = {node}, [node]
+        while ahead and len(reached) < self.size:
+            new = set(self.audible(ahead.pop())) - reached
+            reached |= new
+            ahead += new
+        return reached
+
     @property
     def mean_degree(self) -> float:
         """The current mean number of neighbours of a node."""
@@ -215,10 +229,15 @@ class Topology:
         return received
 
     def _uniforms(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
-        """Return the (k,) uniform draws in (0, 1) of the pairs of a sender, one for all or (k,), and a receiver.
+        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver.
 
-        With fading per message, the number of the message, one for all or (k,), selects the draws; if it is None, each
-        draw is replaced by 0.5.
+        With fading per message, a draw also depends on the number of the message. If `message` is None, all draws are
+        then 0.5.
+
+        Args:
+            src: the sender, one for all or (k,).
+            dst: (k,) the receivers.
+            message: the number of the message, one for all or (k,), or None.
         """
         if not self._per_link:
             if message is None:
@@ -237,15 +256,20 @@ class _AllOthers(dict[int, list[int]]):
 
     def __init__(self, size: int):
         super().__init__()
-        self._all = list(range(size))
+        self._size = size
 
     def __missing__(self, node: int) -> list[int]:
-        if not 0 <= node < len(self._all):
+        if not 0 <= node < self._size:
             raise IndexError(f"there is no node {node}")
         others = self._all[:node] + self._all[node + 1 :]
-        if (len(self) + 1) * len(self._all) <= ROOM:
+        if (len(self) + 1) * self._size <= ROOM:
             self[node] = others
         return others
+
+    @cached_property
+    def _all(self) -> list[int]:
+        """All nodes: 40 B per node, and not needed with a range."""
+        return list(range(self._size))
 
 
 def _check(graph: "nx.Graph[int]") -> None:

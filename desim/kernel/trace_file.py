@@ -15,13 +15,19 @@ from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, g
 from unicodedata import is_normalized
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+from pydantic_core import to_json
 
 from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import LOST, Arrival, Body, Event, Nanoseconds
+from desim.kernel.events import LOST, Arrival, Body, Broadcast, Count, Event, Nanoseconds, NodeId
 
 Limits = Mapping[str, Any]
 """Additional pydantic constraints by mark (see `desim.kernel.events`), for instance {"node": Field(lt=5)}."""
+
+BLOCK = 256
+"""Number of events that are written together; a run then takes 0.9 of the time of writing them one by one."""
+LONG = 1000
+"""Number of receivers above which a broadcast is written at once, to bound the memory of a block."""
 
 
 class TraceFile:
@@ -31,7 +37,7 @@ class TraceFile:
             run(scenario, seed, file)
 
     The events are written to trace.jsonl.part, which is renamed to trace.jsonl at the end. After an error the .part
-    file remains, and an older trace.jsonl is not replaced.
+    file remains, and an older trace.jsonl is not replaced. If the process is killed, the last events are missing.
 
     Args:
         path: the path of the file.
@@ -40,6 +46,7 @@ class TraceFile:
     def __init__(self, path: str | Path):
         self._path = Path(path)
         self._part = self._path.with_name(self._path.name + ".part")
+        self._block: list[Event] = []
 
     def __enter__(self) -> Self:
         self._file = self._part.open("w", encoding="utf-8", newline="\n")
@@ -47,12 +54,23 @@ class TraceFile:
 
     def __call__(self, event: Event) -> None:
         """Write an event."""
-        self._file.write(line_of(event))
+        block = self._block
+        block.append(event)
+        if len(block) >= BLOCK or (type(event) is Broadcast and len(event.dst) > LONG):
+            self._write()
 
     def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
-        self._file.close()
+        try:
+            self._write()
+        finally:
+            self._file.close()
         if error is None:
             self._part.replace(self._path)
+
+    def _write(self) -> None:
+        """Write the events of the block; after an error, those before it are written, and those after it are not."""
+        block, self._block = self._block, []
+        self._file.writelines(map(line_of, block))
 
 
 def line_of(event: Event) -> str:
@@ -60,10 +78,11 @@ def line_of(event: Event) -> str:
 
     The arrival time of a lost message, `LOST`, is written as null.
     """
-    text, fields = _line_layout(type(event))
-    for value, (key, write) in zip(event, fields, strict=True):
-        text += key + write(value)
-    return text + "}\n"
+    template, conversions = _line_layout(type(event))
+    values = list(event)
+    for k, convert in conversions:
+        values[k] = convert(values[k])
+    return template % tuple(values)
 
 
 def events_of(
@@ -102,30 +121,40 @@ def events_of(
 
 _json = json.JSONEncoder(default=repr).encode
 _number = float.__repr__
-Written = tuple[str, Callable[[Any], str]]
-"""The text before the value of a field, and the function that writes the value."""
+Conversion = tuple[int, Callable[[Any], str]]
+"""The index of a field, and the function that converts its value to JSON."""
 
 
 @cache
-def _line_layout(kind: Any) -> tuple[str, tuple[Written, ...]]:
-    """Return the layout of the lines of an event type: the start of a line, and its fields."""
+def _line_layout(kind: Any) -> tuple[str, tuple[Conversion, ...]]:
+    """Return the layout of the lines of an event type: a template for `%`, and the conversions of the other fields.
+
+    The template converts node ids and counts itself.
+    """
     hints = get_type_hints(kind, include_extras=True)
-    fields = ((f", {_json(name)}: ", _writer(hints[name])) for name in kind._fields)
-    return f'{{"event": {_json(kind.__name__)}', tuple(fields)
+    parts = [f'"event": {_json(kind.__name__)}', *(f"{_json(name)}: %s" for name in kind._fields)]
+    conversions = [(k, _CONVERSIONS.get(hints[name], _as_json)) for k, name in enumerate(kind._fields)]
+    return f"{{{', '.join(parts)}}}\n", tuple((k, convert) for k, convert in conversions if convert is not str)
 
 
-def _writer(hint: Any) -> Callable[[Any], str]:
-    """Return the function that converts the value of a field to JSON, given the type of the field."""
-    is_time = any(each in {Nanoseconds, Arrival} for each in (hint, *get_args(hint)))
-    return _time_json if is_time else _body_json if hint is Body else _as_json
-
-
-def _time_json(time: Any) -> str:
-    if isinstance(time, tuple):
-        if LOST in time:
-            return f"[{', '.join(map(_time_json, time))}]"
-        return str([each / SECOND for each in time])  # the same text as JSON, twice as fast
+def _time_json(time: int) -> str:
     return "null" if time == LOST else _number(time / SECOND)
+
+
+def _times_json(times: tuple[int, ...]) -> str:
+    """Return times as JSON.
+
+    The serializer of pydantic writes a float in a sixth of the time of Python, and in the same way, except that Python
+    writes less than 100 us with an exponent.
+    """
+    text = to_json([None if time == LOST else time / SECOND for time in times]).decode()
+    if "0.0000" in text or "e" in text:
+        return f"[{', '.join(map(_time_json, times))}]"
+    return text.replace(",", ", ")
+
+
+def _nodes_json(nodes: tuple[int, ...]) -> str:
+    return to_json(nodes, fallback=repr).decode().replace(",", ", ")  # twice as fast as `json`
 
 
 def _as_json(value: Any) -> str:
@@ -142,16 +171,25 @@ def _body_json(value: Any) -> str:
 
 def _nested(value: Any) -> str:
     """Return a value as JSON, with named tuples as objects."""
+    if type(value) is int:
+        return repr(value)
     if isinstance(value, dict):
         return f"{{{', '.join([f'{_key_json(key)}: {_nested(each)}' for key, each in value.items()])}}}"
-    if isinstance(value, tuple | list):
-        names = field_names(value.__class__)
-        if names is None:
+    if isinstance(value, (tuple, list)):
+        keys = _keys_json(value.__class__)
+        if keys is None:
             return f"[{', '.join(map(_nested, value))}]"
-        return f"{{{', '.join([f'{_json(name)}: {_nested(each)}' for name, each in zip(names, value, strict=True)])}}}"
+        return f"{{{', '.join([key + _nested(each) for key, each in zip(keys, value, strict=True)])}}}"
     if value is True or value is False:
         return "true" if value else "false"
     return _number(value) if type(value) is float and isfinite(value) else _json(value)
+
+
+@cache
+def _keys_json(kind: type) -> tuple[str, ...] | None:
+    """Return the keys of the JSON objects of a type of named tuples, each with its colon; None for any other type."""
+    names = field_names(kind)
+    return names and tuple(f"{_json(name)}: " for name in names)
 
 
 def _key_json(key: Any) -> str:
@@ -159,6 +197,18 @@ def _key_json(key: Any) -> str:
     if isinstance(key, str):
         return _json(key)
     return _json(_json(key) if isinstance(key, int | float | None) else repr(key))
+
+
+_CONVERSIONS: Mapping[Any, Callable[[Any], str]] = {
+    Nanoseconds: _time_json,
+    Arrival: _time_json,
+    tuple[Arrival, ...]: _times_json,
+    NodeId: str,
+    Count: str,
+    tuple[NodeId, ...]: _nodes_json,
+    Body: _body_json,
+}
+"""The function that converts the value of a field to JSON, by the type of the field; for other types, `_as_json`."""
 
 
 def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:

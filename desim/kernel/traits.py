@@ -1,4 +1,4 @@
-"""The optional methods of link models; a user's model may have any of them."""
+"""The optional methods of latency, loss and reception models; a user's model may have any of them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,7 @@ from desim.config.traits import Traits
 
 
 class LinkTraits(Traits):
-    """The optional attributes of a latency or loss model, in addition to `__call__`."""
+    """The optional methods of a latency or loss model, in addition to `__call__`."""
 
     start_run: Callable[[int], Any] | None = None
     """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
@@ -28,7 +28,7 @@ def model_of_run(model: Any, size: int) -> Any:
 
 
 class ReceptionTraits(Traits):
-    """The optional attributes of a reception model, in addition to `__call__`."""
+    """The optional method of a reception model, in addition to `__call__`."""
 
     bound: Callable[[float], float] | None = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""

@@ -28,6 +28,21 @@ class Transmittable(Protocol):
         """Size, bytes."""
         ...
 
+    @property
+    def number(self) -> int:
+        """The number of the transmission."""
+        ...
+
+    @property
+    def receivers(self) -> list[int]:
+        """The nodes that it is meant for."""
+        ...
+
+    @property
+    def to_one(self) -> bool:
+        """Whether it is addressed to one node."""
+        ...
+
 
 Item = TypeVar("Item", bound=Transmittable)
 
@@ -101,12 +116,13 @@ class Transmitter(Generic[Item]):
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def transmitting(self, nodes: Integers, starts: int | Integers, ends: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether each of some nodes transmitted between a start and an end; None: all False.
+        """Return k booleans: whether each of some nodes transmitted while it received a message; None: all False.
 
         Args:
-            nodes: (k,) the nodes.
-            starts: ns, one for all or (k,); not before the last time given to `forget`.
-            ends: ns, one for all or (k,).
+            nodes: (k,) the receivers.
+            starts: starts of the receptions, ns, one for all or (k,). The messages must not arrive before the last time
+                given to `forget`.
+            ends: ends of the receptions, ns, one for all or (k,).
         """
         if not self._recent:
             return None
@@ -120,7 +136,7 @@ class Transmitter(Generic[Item]):
         return answer
 
     def forget(self, before: float) -> None:
-        """Forget the transmissions that are not needed to decide arrivals after a time (ns)."""
+        """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""
         while self._recent and self._recent[0][0] < before - 2 * self._longest - self._lag:
             self._recent.popleft()
 

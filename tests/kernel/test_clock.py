@@ -39,7 +39,7 @@ def test_phases_of_one_instant_happen_in_order_however_they_were_registered(reve
         Instant(clock, 5, priority).callbacks.append(lambda _, p=priority: order.append(p))
     clock.run()
     assert order == sorted(wanted)
-    names = ["FAULT", "DELIVERY", "RELAY", "CAPTURE", "DECISION", "HEARTBEAT", "MOTION", "SAMPLE"]
+    names = ["FAULT", "DELIVERY", "RELAY", "CAPTURE", "DECISION", "HEARTBEAT", "MOTION", "SAMPLE", "ACCESS"]
     assert [phase.name for phase in sorted(Phase)] == names
 
 

@@ -60,6 +60,7 @@ def test_loss_probabilities_0_and_1_are_certain_and_no_loss_draws_no_random_numb
 # Bursts, message by message.
 
 
+@pytest.mark.slow
 def test_a_link_that_advances_by_messages_keeps_its_two_rates():
     """Of bad links 1 / burst recover with a message, of good ones share / (1 - share) / burst fail: p = 0.05, r = 0.2.
 
@@ -113,6 +114,7 @@ def bursts_off(lost):
     return (lengths.mean() - 5.0) / sqrt(20.0 / lengths.size)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("advance", ["message", "time"])
 def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
     """With s = 0.3, r = 0.25 and p = r s / (1 - s): the mean is m = 0.3 x 0.7 + 0.7 x 0.1 = 0.28, and both of two
@@ -289,6 +291,7 @@ def test_loss_by_distance_rises_from_near_to_far():
     assert ByDistance(near=0.1, far=0.9, exponent=1.0).probability(d)[1] == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_losses_by_distance_have_their_probability():
     """25 000 receivers each at 2, 4, 6 and 8 m, 5 seeds, within 5 standard errors; the control is 5 % off."""
     radius = np.repeat([2.0, 4.0, 6.0, 8.0], 25_000)

@@ -1,6 +1,6 @@
 """What the links do to a transmission: models of single links, order, processing, draws ahead."""
 
-from math import sqrt
+from math import exp, hypot, sqrt
 
 import networkx as nx
 import numpy as np
@@ -22,8 +22,9 @@ from desim.kernel.latency import (
     Uniform,
 )
 from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott, _Row
 from desim.kernel.network import Network
+from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import BLOCK, LinkSampler
 from desim.kernel.seeds import stream
 
@@ -141,6 +142,7 @@ def test_a_link_inherits_unset_properties_from_the_network():
     assert sampler(links).losses(0, [1, 2], 0, 24) == [True, True]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("loss", [Bernoulli(), Bernoulli(p=0.2), GilbertElliott(share=0.2)])
 def test_a_link_of_its_own_loses_its_own_share(loss):
     """2000 messages: 50 % on the link from 0 to 2, 20 % or none on the others, +- sqrt(p q n); the control is 40 %."""
@@ -398,3 +400,108 @@ def test_a_link_may_keep_an_order_of_its_own(order, by_edge):
     found = np.array([arrivals_in_order(trip, 0, [1, 2], k * SECOND // 100) for k in range(100)])
     kept = (np.diff(found, axis=0) >= 0).all(axis=0)
     assert kept.tolist() == [order == "fifo", other == "fifo"]
+
+
+# Losses with a memory, or by distance: against a plain model that draws link by link.
+
+
+class Static(PositionSource):
+    """Nodes at random places, which they never leave."""
+
+    max_speed = 0.0
+
+    def __init__(self, size):
+        self.at_start = np.random.default_rng(size).random((size, 2))
+
+    def __call__(self):
+        return self.at_start
+
+
+class Drifting(Static):
+    """The same nodes, closer together at each query."""
+
+    max_speed = 1.0
+
+    def __call__(self):
+        self.at_start = 0.9995 * self.at_start
+        return self.at_start
+
+
+MODELS = [
+    ByDistance(distance=1.0),
+    ByDistance(near=0.2, far=0.9, distance=0.7, exponent=1.3),
+    GilbertElliott(share=0.3, burst=4.0),
+    GilbertElliott(share=0.3, burst=4.0, loss_good=0.1, loss_bad=0.7),
+    GilbertElliott(share=0.3, burst=0.02, advance="time"),
+    GilbertElliott(share=0.3, burst=0.02, advance="time", loss_good=0.1, loss_bad=0.7),
+]
+
+
+def plain_losses(model, history, places, uniform):
+    """Yield the losses of each transmission of a history, from a state per link and one uniform draw after another."""
+    states = {}  # by link: whether it was bad at its last message, and the time of that
+    for src, dst, now in history:
+        if isinstance(model, ByDistance):
+            at = places()
+            apart = [hypot(*(at[node] - at[src])) for node in dst]
+            yield [next(uniform) < model.probability(np.array([each]))[0] for each in apart]
+            continue
+        recovery = 1.0 / model.burst
+        failure = recovery * model.share / (1.0 - model.share)
+        bad = []
+        for node in dst:
+            chance = model.share
+            if (src, node) in states:
+                was_bad, since = states[src, node]
+                if model.advance == "time":
+                    chance += (was_bad - model.share) * exp((failure + recovery) * (since - now))
+                else:
+                    chance = 1.0 - recovery if was_bad else failure
+            bad.append(next(uniform) < chance)
+            states[src, node] = bad[-1], now
+        if model.loss_good == 0.0 and model.loss_bad == 1.0:
+            yield bad
+        else:
+            yield [next(uniform) < (model.loss_bad if each else model.loss_good) for each in bad]
+
+
+def losses_and_plain_losses(model, seed, moving):
+    """Return the losses of a random history, and those of the plain model: broadcasts, to all or some, and single."""
+    rng, size = np.random.default_rng(seed), 8
+    places = [(Drifting if moving else Static)(size) for _ in range(2)]
+    trip = sampler(Links(loss=model), size, seed=seed, positions=places[0])
+    others = [[node for node in range(size) if node != src] for src in range(size)]
+    history = []
+    for k in range(1500):
+        src = int(rng.integers(3))
+        some = sorted(rng.choice(others[src], int(rng.integers(1, size)), replace=False).tolist())
+        history.append((src, others[src] if rng.random() < 0.7 else some, k // 2 * 0.001))
+    found = [trip.losses(src, dst, round(now * SECOND), 24) for src, dst, now in history]
+    uniform = iter(stream(seed, "loss").random(30_000).tolist())
+    return found, list(plain_losses(model, history, places[1], uniform))
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.kind}")
+def test_losses_are_those_of_a_plain_model_that_draws_link_by_link(model, moving):
+    """Whatever is drawn in blocks, kept for the next broadcast of a sender, or put aside for a single message."""
+    for seed in range(3):
+        found, plain = losses_and_plain_losses(model, seed, moving)
+        assert found == plain
+        assert 500 < sum(map(sum, plain)) < sum(map(len, plain)) - 500
+
+
+@pytest.mark.parametrize("model", MODELS[2:])
+def test_the_comparison_detects_links_that_are_not_put_aside(model, monkeypatch):
+    """The control: each new list of receivers starts anew."""
+    select = _Row.select
+    monkeypatch.setattr(_Row, "select", lambda row, dst: row.__init__(0.3) or select(row, dst))
+    found, plain = losses_and_plain_losses(model, 0, moving=False)
+    assert found != plain
+
+
+def test_the_comparison_detects_distances_that_are_kept_though_nodes_move(monkeypatch):
+    """The control."""
+    monkeypatch.setattr(Drifting, "max_speed", 0.0)
+    found, plain = losses_and_plain_losses(MODELS[0], 0, moving=True)
+    assert found != plain

@@ -143,6 +143,7 @@ def test_the_share_of_per_link_faded_links_is_that_of_the_theory(model, off, law
 # Links drawn for every message.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("model", MODELS[1:])
 def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
     """20 receivers at 1 .. 20 m, 4000 messages each: binomial, within 5 standard errors, one by one and both ways in a
@@ -167,6 +168,7 @@ def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
     assert (np.abs((fixed[::2] * fixed[1::2]).mean(axis=0) - square) / error).max() > 5
 
 
+@pytest.mark.slow
 def test_a_single_message_is_drawn_like_a_broadcast():
     """At the range every second of 4000 messages arrives, +- sqrt(1000) = 32; the control is 60 % of them."""
     links = topology(np.array([[0.0, 0.0], [10.0, 0.0]]), LogDistance(), 1, per_link=False)

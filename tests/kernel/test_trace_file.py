@@ -1,8 +1,11 @@
 """A trace as a file: how events are written, and that they are read again as they were."""
 
 import json
+import subprocess
+import sys
 import tracemalloc
 from math import inf, nan
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
+from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.records import Record
-from desim.kernel.trace_file import TraceFile, events_of, line_of
+from desim.kernel.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
 from desim.pursuit.events import Decided, Ended, Started
 
 pytestmark = pytest.mark.own_trace
@@ -58,8 +62,10 @@ class ForwardedPayloads(NamedTuple):
     records: tuple[Record, ...]
 
 
+ROOT = Path(__file__).parents[2]
 KINDS = (Queued, Broadcast, Sent, Lost, MessageCounts)
-TIMES = st.integers(0, 2**51)  # 26 days: half a nanosecond is more than what a float of seconds is off
+TIMES = st.integers(0, 2**51) | st.integers(0, 200_000)
+"""Up to 26 days: half a nanosecond is more than what a float of seconds is off; below 100 us there is an exponent."""
 NODES = st.integers(0, 50)
 NUMBERS = st.floats(-1e30, 1e30)
 PAYLOADS = st.builds(Payload, st.booleans(), st.lists(NUMBERS, max_size=3).map(tuple))
@@ -72,7 +78,7 @@ BODIES = st.one_of(
     st.builds(ForwardedPayloads, st.lists(RECORDS, max_size=3).map(tuple)),
     st.tuples(PAYLOADS),
 )
-ARRIVALS = st.lists(st.just(LOST) | TIMES, max_size=4).map(tuple)
+ARRIVALS = st.lists(st.just(LOST) | TIMES, max_size=4).map(tuple) | st.lists(TIMES, max_size=4).map(tuple)
 EVENTS = st.one_of(
     st.builds(Queued, TIMES, NODES, NODES, st.lists(NODES).map(tuple), NODES),
     st.builds(Broadcast, TIMES, NODES, NODES, NODES, st.lists(NODES).map(tuple), ARRIVALS, TIMES, NODES, BODIES),
@@ -194,6 +200,81 @@ def test_a_file_has_the_lines_of_a_trace_and_the_events_come_back_one_by_one(tmp
         next(found)
 
 
+EDGES = [0, 1, 999, 1_000, 9_999, 10_000, 12_345, 99_999, 100_000, 100_001, SECOND - 1, SECOND, 10**13 + 1, 2**51]
+"""Times, ns, around those at which the text of a float changes its form."""
+
+
+@pytest.mark.parametrize("times", [*((each,) for each in EDGES), (SECOND, LOST), tuple(EDGES), (*EDGES, LOST)])
+def test_arrival_times_are_written_like_floats(times):
+    dst, seconds = tuple(range(len(times))), [None if each == LOST else each / SECOND for each in times]
+    line = line_of(Broadcast(0, 0, 0, 1, dst, times, 0, 24, None))
+    assert f', "dst": {json.dumps(dst)}, "arrival": {json.dumps(seconds)}, "created"' in line
+
+
+def broadcast(receivers):
+    """Return a broadcast to so many receivers, which it reaches at once."""
+    return Broadcast(0, 0, 0, 1, tuple(range(1, receivers + 1)), (5,), 0, 24, None)
+
+
+def written(path, events):
+    """Write events to a file and return the bytes of the file."""
+    with TraceFile(path) as file:
+        for event in events:
+            file(event)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
+@pytest.mark.parametrize("receivers", [2, LONG, LONG + 1])
+def test_a_file_has_all_events_in_order_whatever_is_written_together(tmp_path, count, receivers):
+    events = [*beating(count), broadcast(receivers), *beating(2)]
+    assert written(tmp_path / "trace.jsonl", events) == "".join(map(line_of, events)).encode()
+
+
+KILLED = """
+import os, sys
+from desim import TraceFile
+from tests.kernel.test_trace_file import beating
+with TraceFile(sys.argv[1]) as file:
+    for event in beating(2000):
+        file(event)
+    os._exit(3)
+"""
+
+
+@pytest.mark.slow
+def test_a_program_that_is_killed_leaves_the_first_lines(tmp_path):
+    """A line takes about 150 B; at most the last block and a buffer of 8 kB are missing."""
+    path = tmp_path / "trace.jsonl"
+    assert subprocess.run([sys.executable, "-c", KILLED, path], check=False, cwd=ROOT).returncode == 3
+    lines = list(map(line_of, beating(2000)))
+    left = (tmp_path / "trace.jsonl.part").read_text()
+    assert "".join(lines).startswith(left)
+    assert left.count("\n") > 2000 - BLOCK - 100
+
+
+def test_a_broadcast_to_many_is_not_kept_in_memory(tmp_path):
+    with TraceFile(tmp_path / "trace.jsonl") as file:
+        file(broadcast(LONG))
+        assert (tmp_path / "trace.jsonl.part").stat().st_size == 0
+        file(broadcast(20 * LONG))
+        assert (tmp_path / "trace.jsonl.part").stat().st_size > 20 * LONG
+
+
+class Indescribable:
+    """A value whose description fails."""
+
+    def __repr__(self):
+        raise ZeroDivisionError
+
+
+def test_the_events_before_one_that_cannot_be_written_are_in_the_file(tmp_path):
+    events = [*beating(3), Sent(9, 9, 0, 1, 9, 9, 24, Indescribable())]
+    with pytest.raises(ZeroDivisionError):
+        written(tmp_path / "trace.jsonl", events)
+    assert (tmp_path / "trace.jsonl.part").read_text() == "".join(map(line_of, events[:3]))
+
+
 def interrupted(path):
     with TraceFile(path) as file:
         file(next(beating(1)))
@@ -227,8 +308,8 @@ def test_a_file_keeps_nothing_in_memory(tmp_path):
         return size
 
     with TraceFile(tmp_path / "trace.jsonl") as file:
-        peak(file, 100)  # the buffer, and how such events are written
-        few, many = peak(file, 300), peak(file, 2400)
+        peak(file, 2 * BLOCK)  # a block, the buffer, and how such events are written
+        few, many = peak(file, 2 * BLOCK), peak(file, 16 * BLOCK)
         assert many < 1.1 * few + 10_000
     few, many = (peak(Trace().append, count) for count in (300, 2400))
     assert many > 6 * few

@@ -1,0 +1,245 @@
+"""The state of an access model in one run: it plans when each node senses the channel, and when it transmits.
+
+`method` returns the `AccessMethod` of a model. It plans the next action of each node in `Contenders.due`;
+`desim.kernel.contention` performs the actions.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from desim.config.arrays import Bools, Integers
+from desim.config.model import MAX_TIME
+from desim.kernel.access import Access, Csma, CsmaCa, SlottedAloha, Tdma
+from desim.kernel.clock import SECOND, NodeClock, nanoseconds, seconds
+
+NEVER = np.iinfo(np.int64).max
+"""The time of an action that is not planned, ns."""
+
+
+class Contenders:
+    """The state of n nodes that contend for a channel; each array has one item per node.
+
+    Attributes:
+        due: the time at which the node acts next, ns, or `NEVER`. It then transmits or senses the channel.
+        busy: number of frames that the node senses, its own included.
+        idle_since: the last time at which `busy` became 0, ns.
+        ready: whether the node has a frame to transmit, and is not transmitting.
+    """
+
+    def __init__(self, size: int):
+        self.due: Integers = np.full(size, NEVER)
+        self.busy: Integers = np.zeros(size, dtype=np.int64)
+        self.idle_since: Integers = np.zeros(size, dtype=np.int64)
+        self.ready: Bools = np.zeros(size, dtype=bool)
+
+
+class AccessMethod:
+    """An access model in one run; this base transmits each frame at once, as ALOHA does.
+
+    Args:
+        nodes: the contending nodes.
+        rng: the random stream.
+    """
+
+    senses: ClassVar[bool] = False
+    """Whether nodes sense the channel."""
+    longest: int = NEVER
+    """Longest airtime of a frame, ns."""
+
+    def __init__(self, nodes: Contenders, rng: np.random.Generator):
+        self._nodes, self._rng = nodes, rng
+
+    def prepare(self, node: int, now: int, *, arrived: bool) -> None:
+        """Plan the next action of a node that has become ready now (ns).
+
+        Args:
+            node: the node.
+            now: the present, ns.
+            arrived: whether its frame has just come to an empty queue; else it follows another frame of the node.
+        """
+        self._nodes.due[node] = now
+
+    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
+        """Perform the planned actions of some nodes now (ns).
+
+        Returns:
+            the nodes that start to transmit, and those that drop their frame. The action of all others is planned anew.
+        """
+        return due, due[:0]
+
+    def sense_busy(self, nodes: Integers, now: int) -> None:
+        """Plan the actions of nodes that sense now (ns) that the channel has become busy."""
+
+    def sense_idle(self, nodes: Integers, now: int) -> None:
+        """Plan the actions of nodes that sense now (ns) that the channel has become idle."""
+
+    def transmitted(self, node: int, *, acknowledged: bool) -> bool:
+        """Note the end of a frame of a node; return whether a frame without acknowledgement is transmitted again."""
+        return False
+
+    def reset(self, node: int) -> None:
+        """Forget the present frame of a node, whose queue is emptied."""
+        self._nodes.due[node] = NEVER
+
+
+class _SlottedAloha(AccessMethod):
+    def __init__(self, model: SlottedAloha, nodes: Contenders, rng: np.random.Generator):
+        super().__init__(nodes, rng)
+        self._slot, self._p = nanoseconds(model.slot), model.p
+
+    def prepare(self, node: int, now: int, *, arrived: bool) -> None:
+        first = -(-now // self._slot)
+        self._nodes.due[node] = min((first + int(self._rng.geometric(self._p)) - 1) * self._slot, NEVER)
+
+
+class _Nonpersistent(AccessMethod):
+    senses = True
+
+    def __init__(self, model: Csma, nodes: Contenders, rng: np.random.Generator):
+        super().__init__(nodes, rng)
+        self._backoff, self._limit = model.backoff, model.attempts
+        self._attempts = np.zeros(len(nodes.due), dtype=np.int64)
+
+    def prepare(self, node: int, now: int, *, arrived: bool) -> None:
+        self._attempts[node] = 0
+        super().prepare(node, now, arrived=arrived)
+
+    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
+        busy = due[self._nodes.busy[due] > 0]
+        self._attempts[busy] += 1
+        waits = self._rng.exponential(self._backoff, len(busy))
+        self._nodes.due[busy] = now + np.maximum(np.rint(np.minimum(waits, MAX_TIME) * SECOND).astype(np.int64), 1)
+        return due[self._nodes.busy[due] == 0], busy[self._attempts[busy] >= self._limit]
+
+
+class _Persistent(AccessMethod):
+    senses = True
+
+    def __init__(self, model: Csma, nodes: Contenders, rng: np.random.Generator):
+        super().__init__(nodes, rng)
+        self._p, self._slot = model.p, nanoseconds(model.slot)
+
+    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
+        idle = self._nodes.busy[due] == 0
+        starts = idle & (self._rng.random(len(due)) < self._p)
+        self._nodes.due[due] = np.where(idle, now + self._slot, NEVER)
+        return due[starts], due[:0]
+
+    def sense_idle(self, nodes: Integers, now: int) -> None:
+        waiting = nodes[self._nodes.ready[nodes] & (self._nodes.due[nodes] == NEVER)]
+        self._nodes.due[waiting] = now
+
+
+class _CsmaCa(AccessMethod):
+    """The distributed coordination function: with k slots left, a node transmits when DIFS + k slots have been idle.
+
+    Nodes without a frame count their slots, too. If none is left, their next frame is transmitted at once.
+    """
+
+    senses = True
+
+    def __init__(self, model: CsmaCa, nodes: Contenders, rng: np.random.Generator):
+        super().__init__(nodes, rng)
+        self._slot, self._difs = nanoseconds(model.slot), nanoseconds(model.difs)
+        self._window, self._doublings, self._retries = model.window, model.doublings, model.retries
+        self._left = np.zeros(len(nodes.due), dtype=np.int64)
+        """Number of slots that are left of the back-off of each node."""
+        self._failed = np.zeros(len(nodes.due), dtype=np.int64)
+        """Number of failed attempts to transmit the present frame of each node."""
+        self._immediate = np.zeros(len(nodes.due), dtype=bool)
+        """Whether each node waits for DIFS without a back-off, because its frame came while the channel was idle."""
+
+    def prepare(self, node: int, now: int, *, arrived: bool) -> None:
+        nodes = self._nodes
+        if nodes.busy[node]:
+            if arrived and not self._left[node]:
+                self._draw(node)
+            nodes.due[node] = NEVER
+        else:
+            nodes.due[node] = max(now, int(self._start(node)))
+            self._immediate[node] = arrived and not self._left[node]
+
+    def sense_busy(self, nodes: Integers, now: int) -> None:
+        elapsed = (now - self._nodes.idle_since[nodes] - self._difs) // self._slot
+        self._left[nodes] -= np.clip(elapsed, 0, self._left[nodes])
+        # A node that is due now has not sensed the frame in time; the sender of the frame has no back-off to draw.
+        later = nodes[self._nodes.ready[nodes] & (self._nodes.due[nodes] > now)]
+        self._nodes.due[later] = NEVER
+        for node in later[self._immediate[later]].tolist():
+            self._draw(node)
+
+    def sense_idle(self, nodes: Integers, now: int) -> None:
+        ready = nodes[self._nodes.ready[nodes]]
+        self._nodes.due[ready] = self._start(ready)
+
+    def transmitted(self, node: int, *, acknowledged: bool) -> bool:
+        again = not acknowledged and self._failed[node] < self._retries
+        self._failed[node] = self._failed[node] + 1 if again else 0
+        self._draw(node)
+        return bool(again)
+
+    def _start(self, nodes: Integers | int) -> Integers:
+        start: Integers = self._nodes.idle_since[nodes] + self._difs + self._left[nodes] * self._slot
+        return start
+
+    def reset(self, node: int) -> None:
+        super().reset(node)
+        self._failed[node], self._immediate[node] = 0, False
+
+    def _draw(self, node: int) -> None:
+        self._immediate[node] = False
+        self._left[node] = self._rng.integers(self._window << min(int(self._failed[node]), self._doublings))
+
+
+class _Tdma(AccessMethod):
+    def __init__(self, model: Tdma, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]):
+        super().__init__(nodes, rng)
+        self._slot, self._clocks = seconds(nanoseconds(model.slot)), clocks
+        self.longest = nanoseconds(model.slot) - nanoseconds(model.guard)
+        owners = model.owners(len(clocks))
+        self._round = len(owners)
+        self._slots: list[list[int]] = [[] for _ in clocks]
+        for slot, owner in enumerate(owners):
+            self._slots[owner].append(slot)
+        self._used = [-1] * len(clocks)
+        """The last slot that each node has used, from the start of the run."""
+
+    def prepare(self, node: int, now: int, *, arrived: bool) -> None:
+        clock = self._clocks[node]
+        rounds = max(int(clock.at(now) / self._slot) // self._round - 1, 0)
+        for k in (turn * self._round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]):
+            start = clock.when(k * self._slot)
+            if start >= now and k > self._used[node]:
+                self._nodes.due[node] = start
+                return
+        raise AssertionError("a node has a slot in every round")
+
+    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
+        for node in due.tolist():
+            self._used[node] = round(self._clocks[node].at(now) / self._slot)
+        return super().act(due, now)
+
+
+def method(model: Access, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]) -> AccessMethod:
+    """Return the state of an access model in one run.
+
+    Args:
+        model: the model; not `Ideal`.
+        nodes: the contending nodes.
+        rng: the random stream.
+        clocks: the clocks of the nodes.
+
+    Raises:
+        ValueError: if the nodes do not fit the slots of a TDMA.
+    """
+    if isinstance(model, SlottedAloha):
+        return _SlottedAloha(model, nodes, rng)
+    if isinstance(model, Csma):
+        return (_Nonpersistent if model.persistence == "nonpersistent" else _Persistent)(model, nodes, rng)
+    if isinstance(model, CsmaCa):
+        return _CsmaCa(model, nodes, rng)
+    if isinstance(model, Tdma):
+        return _Tdma(model, nodes, rng, clocks)
+    return AccessMethod(nodes, rng)

@@ -1,0 +1,255 @@
+"""Models of interference: which frames a receiver gets of those that overlap at it.
+
+A model is called with an `Overlap`: one frame, the frames that overlap it, and k of its receivers. Whether frames
+overlap is judged by the times at which they are transmitted; propagation delays are neglected. A receiver that
+transmits itself meanwhile gets nothing; models are not asked about it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Annotated, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Bools, Floats, Integers
+from desim.config.choice import OneOf
+from desim.config.model import RESOLUTION, Flag, Positive, Value
+from desim.kernel.portable_math import exp, log
+
+Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
+Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
+
+
+NEAREST = 1e-3
+"""Distance at and below which a frame has the same power, m."""
+LN_10 = math.log(10.0)
+SEPARATION = 30.0 / 125.0
+"""Smallest distance of two LoRa frequencies that do not interfere, in bandwidths."""
+ISOLATION = {
+    "goursaud": (
+        (6, -16, -18, -19, -19, -20),
+        (-24, 6, -20, -22, -22, -22),
+        (-27, -27, 6, -23, -25, -25),
+        (-30, -30, -30, 6, -26, -28),
+        (-33, -33, -33, -33, 6, -29),
+        (-36, -36, -36, -36, -36, 6),
+    ),
+    "croce": (
+        (1, -8, -9, -9, -9, -9),
+        (-11, 1, -11, -12, -13, -13),
+        (-15, -13, 1, -13, -14, -15),
+        (-19, -18, -17, 1, -17, -18),
+        (-22, -22, -21, -20, 1, -20),
+        (-25, -25, -25, -24, -23, 1),
+    ),
+}
+"""Smallest ratio of the powers of a frame and another with which the frame is received, dB. Rows are the spreading
+factors of the frame, 7 to 12, columns those of the other. The diagonals are not used."""
+
+
+class Signal(NamedTuple):
+    """The parameters of a LoRa frame."""
+
+    spreading_factor: int
+    bandwidth: float
+    """Hz"""
+    frequency: float
+    """Hz"""
+    preamble: int
+    """Number of symbols."""
+
+
+class Frame:
+    """A transmission on the air.
+
+    Attributes:
+        number: the number of the transmission; -1 for an acknowledgement.
+        draw: the number of its random draws, different for each attempt to send a transmission.
+        src: the node that transmits.
+        begin: start of the airtime, ns.
+        end: end of the airtime, ns.
+        overlapping: the frames that overlap it, by start.
+        sensed_by: the nodes that sense it, without its sender.
+        locked: (n,) which nodes lock on to its preamble; None: all.
+    """
+
+    __slots__ = ("begin", "draw", "end", "locked", "number", "overlapping", "sensed_by", "src")
+
+    def __init__(self, number: int, draw: int, src: int, begin: int, end: int, sensed_by: Integers):
+        self.number, self.draw, self.src, self.begin, self.end = number, draw, src, begin, end
+        self.sensed_by = sensed_by
+        self.overlapping: list[Frame] = []
+        self.locked: Bools | None = None
+
+
+class Overlap(NamedTuple):
+    """A frame, the frames that overlap it, and k of its receivers.
+
+    The functions take one of the frames, and return an array with one item per receiver.
+    """
+
+    frame: Frame
+    receivers: Integers
+    """(k,) the receivers."""
+    others: Sequence[Frame]
+    audible: Callable[[Frame], Bools]
+    """Whether each receiver is linked to the sender of the frame, and within range."""
+    distances: Callable[[Frame], Floats]
+    """The distances of the receivers from the sender of the frame, m."""
+    uniforms: Callable[[Frame], Floats]
+    """Uniform draws in (0, 1), the same in each call with the same frame and receiver."""
+    signal: Callable[[Frame], Signal]
+    """Returns the parameters of a LoRa frame; only for a medium of this kind."""
+
+
+class Interference(Protocol):
+    """A model of interference: `model(overlap)` returns (k,) whether each receiver gets the frame."""
+
+    needs_positions: ClassVar[bool]
+    """Whether the model uses distances."""
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether a frame may be lost although no other overlaps it."""
+        ...
+
+    def __call__(self, overlap: Overlap) -> Bools: ...  # noqa: D102
+
+
+class Collision(Value):
+    """Frames that overlap at a receiver are all lost there."""
+
+    needs_positions: ClassVar[bool] = False
+    has_noise: ClassVar[bool] = False
+    kind: Literal["collision"] = "collision"
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where no other frame is audible."""
+        found = np.ones(len(overlap.receivers), dtype=bool)
+        for other in overlap.others:
+            found &= ~overlap.audible(other)
+        return found
+
+
+class CaptureEffect(Value):
+    """A frame is received if it is stronger than each frame that overlaps it by a threshold.
+
+    The power of a frame decreases with distance d as d^-exponent (log-distance path loss). All nodes transmit with the
+    same power.
+    """
+
+    needs_positions: ClassVar[bool] = True
+    has_noise: ClassVar[bool] = False
+    kind: Literal["capture"] = "capture"
+    threshold: Annotated[float, Field(ge=0, le=300, strict=True)] = 6.0
+    """Smallest ratio of the powers of a frame and of each other frame, dB."""
+    exponent: Exponent = 3.0
+    """Path loss exponent: 2 in free space, 3 to 4 over ground."""
+    lock: Flag = False
+    """Whether a receiver stays with the first frame that it hears, and loses all that begin before the end of it."""
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where the frame is by the threshold stronger than each audible frame."""
+        power = _decibels(overlap.distances(overlap.frame), self.exponent)
+        found = np.ones(len(power), dtype=bool)
+        for other in overlap.others:
+            weaker = _decibels(overlap.distances(other), self.exponent) + self.threshold <= power
+            found &= weaker | ~overlap.audible(other)
+        return found
+
+
+class Sinr(Value):
+    """A frame is received if its power is above noise and the sum of all interference by a threshold.
+
+    The power of a frame at distance d is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential
+    variable of mean 1 for each frame and receiver. Interference has no range: all overlapping frames count.
+    """
+
+    needs_positions: ClassVar[bool] = True
+    kind: Literal["sinr"] = "sinr"
+    threshold: Decibels = 6.0
+    """Smallest ratio of the power of a frame and the sum of the powers of all others and noise, dB."""
+    exponent: Exponent = 3.0
+    """Path loss exponent: 2 in free space, 3 to 4 over ground."""
+    fading: Literal["none", "rayleigh"] = "rayleigh"
+    """Fading of the power of each frame at each receiver."""
+    power: Positive = 1.0
+    """Power at a distance of 1 m, in any unit."""
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)] = 0.0
+    """Power of noise, in the unit of `power`."""
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether there is noise."""
+        return self.noise > 0.0
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where the signal-to-interference-and-noise ratio reaches the threshold."""
+        received = self._power(overlap, overlap.frame)
+        interference = np.full(len(received), self.noise)
+        for other in overlap.others:
+            interference += self._power(overlap, other)
+        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * interference
+        return enough
+
+    def _power(self, overlap: Overlap, frame: Frame) -> Floats:
+        power: Floats = self.power * exp(-self.exponent * log(_apart(overlap.distances(frame))))
+        return power * -log(overlap.uniforms(frame)) if self.fading == "rayleigh" else power
+
+
+class LoRaInterference(Value):
+    """LoRa frames with capture (Bor, Roedig, Voigt & Alonso 2016, "Do LoRa Low-Power Wide-Area Networks Scale?").
+
+    Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
+    a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
+    received only if the other ends before the last five symbols of its preamble. Frames of different spreading factors
+    interfere if the other is stronger by the isolation between the two. Receivers hear all spreading factors and
+    frequencies, as gateways do.
+    """
+
+    needs_positions: ClassVar[bool] = True
+    has_noise: ClassVar[bool] = False
+    kind: Literal["lora"] = "lora"
+    threshold: Annotated[float, Field(ge=0, le=300, strict=True)] = 6.0
+    """Smallest ratio of the powers of two frames with which the stronger is received, dB."""
+    exponent: Exponent = 2.08
+    """Path loss exponent; 2.08 was measured by Bor et al."""
+    isolation: Literal["orthogonal", "goursaud", "croce"] = "orthogonal"
+    """Isolation between spreading factors: perfect, as computed by Goursaud & Gorce 2015, "Dedicated Networks for IoT",
+    or as measured by Croce et al. 2018, "Impact of LoRa Imperfect Orthogonality"."""
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where no other frame destroys the frame."""
+        own = overlap.signal(overlap.frame)
+        symbol = 2**own.spreading_factor / own.bandwidth / RESOLUTION
+        critical = overlap.frame.begin + round((own.preamble - 5) * symbol)
+        power = _decibels(overlap.distances(overlap.frame), self.exponent)
+        found = np.ones(len(power), dtype=bool)
+        for other in overlap.others:
+            signal = overlap.signal(other)
+            if abs(signal.frequency - own.frequency) > SEPARATION * own.bandwidth or other.end <= critical:
+                continue
+            advantage = power - _decibels(overlap.distances(other), self.exponent)
+            if signal.spreading_factor == own.spreading_factor:
+                found &= (advantage >= self.threshold) | ~overlap.audible(other)
+            elif self.isolation != "orthogonal":
+                least = ISOLATION[self.isolation][own.spreading_factor - 7][signal.spreading_factor - 7]
+                found &= (advantage >= least) | ~overlap.audible(other)
+        return found
+
+
+def _decibels(distances: Floats, exponent: float) -> Floats:
+    """Return the power, dB, at some distances, m, relative to the power at 1 m."""
+    return log(_apart(distances)) * (-10.0 * exponent / LN_10)
+
+
+def _apart(distances: Floats) -> Floats:
+    """Return distances of at least `NEAREST`."""
+    apart: Floats = np.maximum(distances, NEAREST)
+    return apart
+
+
+INTERFERENCES = OneOf(
+    Collision, CaptureEffect, Sinr, LoRaInterference, needs=("needs_positions", "has_noise"), takes=("overlap",)
+)
