@@ -20,6 +20,11 @@ from desim.config.packages import check_visible, explain_hidden_packages
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary as summary
     from desim.config.data_files import open_data as open_data
+    from desim.kernel.access import Aloha as Aloha
+    from desim.kernel.access import Csma as Csma
+    from desim.kernel.access import CsmaCa as CsmaCa
+    from desim.kernel.access import SlottedAloha as SlottedAloha
+    from desim.kernel.access import Tdma as Tdma
     from desim.kernel.faults import ClockSkew as ClockSkew
     from desim.kernel.faults import Crash as Crash
     from desim.kernel.faults import Jamming as Jamming
@@ -33,6 +38,10 @@ if TYPE_CHECKING:
     from desim.kernel.graphs import Link as Link
     from desim.kernel.graphs import Ring as Ring
     from desim.kernel.graphs import Star as Star
+    from desim.kernel.interference import CaptureEffect as CaptureEffect
+    from desim.kernel.interference import Collision as Collision
+    from desim.kernel.interference import LoRaInterference as LoRaInterference
+    from desim.kernel.interference import Sinr as Sinr
     from desim.kernel.latency import Constant as Constant
     from desim.kernel.latency import Empirical as Empirical
     from desim.kernel.latency import Gamma as Gamma
@@ -75,15 +84,17 @@ if TYPE_CHECKING:
     from desim.simulation.run import Result as Result
     from desim.simulation.run import run as run
     from desim.study.explain import explain as explain
-    from desim.study.folder import open as open  # noqa: A004 - as `desim.open`
+    from desim.study.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweep import sweep as sweep
 
 explain_hidden_packages()
 _NAMES = {
     "desim.analysis.metrics": ("summary",),
     "desim.config.data_files": ("open_data",),
+    "desim.kernel.access": ("Aloha", "Csma", "CsmaCa", "SlottedAloha", "Tdma"),
     "desim.kernel.faults": ("ClockSkew", "Crash", "Jamming", "Partition", "RandomCrashes", "RandomFaults"),
     "desim.kernel.graphs": ("Complete", "Edge", "Edges", "Grid", "Link", "Ring", "Star"),
+    "desim.kernel.interference": ("CaptureEffect", "Collision", "LoRaInterference", "Sinr"),
     "desim.kernel.latency": (
         "Constant",
         "Empirical",

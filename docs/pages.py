@@ -38,6 +38,7 @@ FIRST = (
     "flooding",
     "radio",
     "lora",
+    "contention",
     "search",
     "many",
 )

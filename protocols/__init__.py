@@ -1,6 +1,6 @@
 """How pursuers negotiate: protocols, learning rules, schedules, temperatures and disseminations.
 
-Nothing here knows of a scenario or a run.
+A dissemination determines how announcements spread. No module of this package depends on a scenario or a run.
 """
 
 from collections.abc import Mapping

@@ -99,8 +99,9 @@ def bids_of(claim: Any) -> list[Bid]:
 def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     """Return the function that updates a bid for an evader to the -phi of its bidder as sensed at this instant.
 
-    The update needs no message from the bidder. It never adds or withdraws a bid: only the bidder's own claims do.
-    Where positions are not sensed, the function returns bids unchanged; for a captured evader it returns `NO_BID`.
+    The update needs no message from the bidder. While the evader is at large, it never adds or withdraws a bid: only
+    the bidder's own claims do. Where positions are not sensed, the function returns bids unchanged. For a captured
+    evader it returns `NO_BID`.
     """
     if evader not in me.evaders():
         return lambda _: NO_BID

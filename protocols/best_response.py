@@ -6,7 +6,7 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
 Parameters: schedule, utility; for BetterReply alpha (probability of changing).
 Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
     one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game`) under any schedule. Better
-    reply with inertia ends in an equilibrium under any revision order.
+    reply with inertia (alpha < 1) ends in an equilibrium of any potential game under any schedule.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """

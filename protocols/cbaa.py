@@ -2,14 +2,15 @@
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2;
     the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
-    the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
-    overrides what others claim about that bid; where positions are sensed, all bids are updated at each turn.
+    the capture times phi, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own
+    bid overrides what others claim about that bid; where positions are sensed, all bids are updated at each turn.
 Parameters: schedule. The schedule `Rounds` gives the rounds of the paper; the default, one pursuer per slot, does not.
 Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds, where D is
     the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
-    one, in order of phi. If bids change: while a bidder chases, its phi falls and its bid rises, so of several reports
-    of its bid the highest is the newest. When a pursuer leaves an evader for another, its claim informs its neighbours.
-    Pursuers farther away infer the change, because a bidder has one evader at most (`one_each`).
+    one, in order of phi. If bids change, the highest of several reports of a chaser's bid is the newest, because the
+    phi of a pursuer falls and its bid rises while it chases. When a pursuer leaves an evader for another, its claim
+    informs its neighbours. Pursuers farther away infer the change, because a bidder has one evader at most
+    (`one_each`).
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
     by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress" of
     `scenarios.rivals` with a latency of 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the

@@ -1,11 +1,11 @@
 """Dissemination: how the announcements of a pursuer spread to its teammates.
 
-A dissemination has a method `broadcast`, which sends an announcement of the agent. Called with an agent, it returns a
-process that handles the announcements of teammates. In flooding, the process forwards them.
+A dissemination has a method `broadcast`, which sends an announcement of the agent. Called with an agent, the
+dissemination returns a process that handles the announcements of teammates. In flooding, the process forwards them.
 
-Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
-    1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
-    al. 1987).
+Paper: Flooding: in the paper, each receiver of a new announcement rebroadcasts it once, after a random delay (Ni,
+    Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records
+    (anti-entropy of Demers et al. 1987).
 Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay).
 Assumes: nothing; one hop is enough on a complete graph.
 Messages: one broadcast per announcement; in flooding, about one per pursuer and announcement. A gossip message carries
@@ -35,7 +35,10 @@ class Dissemination(Protocol):
         ...
 
     def __call__(self, me: Agent) -> Process:
-        """Handle received announcements, for example forward them; do nothing if `publish` delivers them."""
+        """Handle received announcements, for example forward them.
+
+        If `broadcast` uses `Agent.publish`, announcements are received without this process, which then does nothing.
+        """
         ...
 
 

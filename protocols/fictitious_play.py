@@ -7,7 +7,7 @@ Parameters: schedule, utility; for JointStrategyFictitiousPlay alpha (probabilit
     forgetting).
 Assumes: announcements of all teammates; revisions in any order. While capture times are constant, the empirical
     frequencies of fictitious play converge to the equilibria of every potential game. The frequencies are averages
-    over all turns, so they adapt slowly when capture times change.
+    over all past revisions (turns) of the pursuer, so they adapt slowly when capture times change.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats; at each turn the last action received from a teammate counts again, until that
     action expires (`announce.belief_timeout`).

@@ -17,7 +17,7 @@ Time: all pursuers compute the owner of each evader at the instants k * slot of 
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
     owner has stopped. With hysteresis all pursuers must store the same present owner; this requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
-Messages: with the payload "action" none, because positions are sensed. Otherwise announcements, see `announce` in the
+Messages: none if positions are sensed (`announce.payload = "action"`). Otherwise announcements, see `announce` in the
     scenario. The present owner is then the pursuer of least measure among those that announce a chase, so that
     disagreement about the owner is resolved.
 Robust to loss: yes if positions are sensed, because no messages are needed; otherwise with heartbeats.

@@ -7,9 +7,9 @@ Paper: LocalMin: the greedy maximal independent set of the communication graph, 
     heuristic.
 Parameters: schedule.
 Assumes: symmetric links. Then, under LocalMin, every pursuer that could capture in time is active or has an active
-    neighbour, and no two neighbours chase the same evader. ArgminKnown leaves one such pursuer active per evader in the
-    whole team if announcements reach all (if need be over several hops, see `announce.dissemination`); otherwise it may
-    leave a pursuer and all its neighbours inactive.
+    neighbour, and no two neighbours chase the same evader. If announcements reach the whole team, over several hops if
+    need be (see `announce.dissemination`), ArgminKnown leaves one pursuer of the team active for each evader, as long
+    as a free pursuer could capture it in time. Otherwise it may leave a pursuer and all its neighbours inactive.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """

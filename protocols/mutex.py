@@ -9,8 +9,9 @@ Parameters: rate (requests per second of an idle pursuer), attempts (unanswered 
 Assumes: symmetric links; a neighbour that does not answer `attempts` requests has crashed or is out of range. Mutual
     exclusion holds only between neighbours, and a pursuer has up-to-date knowledge only of its neighbours' actions.
 Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L, where L is the one-way
-    latency. If it takes longer than expected, requests are retransmitted, and neighbours that defer their reply answer
-    with `Deferred`. The transmission queues are stable if the channel can carry the 2 d_i messages of every decision.
+    latency. If a reply is missing at the time-out, the request is retransmitted, and a neighbour that defers its reply
+    answers with `Deferred`. The transmission queues are stable if the channel can carry the 2 d_i messages of every
+    decision.
 Robust to loss: yes. Requests are retransmitted until they are answered. The pursuer with the oldest request waits
     only for neighbours that do not answer. These are left out after `attempts` requests, so no pursuer waits for ever.
     A neighbour that was left out still gets requests. Once it answers one, its replies are awaited again.
@@ -72,8 +73,9 @@ class LocalMutex(Value):
     def mean_slot(self, me: Agent) -> float:
         """Return the mean time between two decisions of the team, s: (1 / rate + 2 L + A) / N, at least (d + 1) L / N.
 
-        The lower bound corresponds to one decision per L in each neighbourhood. d is the mean degree of the team, so
-        that all pursuers compute the same value; A is the airtime of requests to d neighbours and of their replies.
+        The lower bound corresponds to one decision per L in each neighbourhood. N is the team size and L the latency. d
+        is the mean degree of the team, so that all pursuers compute the same value; A is the airtime of requests to d
+        neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
@@ -111,7 +113,7 @@ class CriticalSection:
         self._me, self._attempts = me, attempts
         self._time_out = RetransmissionTimer(me, request_airtime(me, len(me.neighbours())), min_timeout)
         self._highest = 0  # highest Lamport time of the requests so far
-        self._own_request: Stamp | None = None  # stamp of its own request
+        self._own_request: Stamp | None = None  # stamp of its own request; None without one
         self._missing: dict[int, int] = {}  # by neighbour without a reply: number of unanswered requests
         self._deferred: dict[int, Stamp] = {}  # by neighbour that waits for a reply: stamp of its request
         self._silent: set[int] = set()  # neighbours that are left out

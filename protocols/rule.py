@@ -48,7 +48,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`, or 0 if it has no choice.
+        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if the pursuer has no choice.
 
         Raises:
             TypeError: if `actions` is not a generator.

@@ -4,7 +4,7 @@ Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pu
     Algorithms 1 and 2; the rule is log-linear learning (Blume 1993; Young 1998).
 Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: revisions one at a time and zero latency, for the stationary Gibbs distribution and the paper's results. On a
-    complete graph the team settles in an equilibrium as tau -> 0 even if both are violated.
+    complete graph the team settles in an equilibrium as tau -> 0 even if neither holds.
 Messages: announcements, see `announce` in the scenario: by default one broadcast per change of action and one per
     heartbeat. The schedule may send messages of its own.
 Robust to loss: yes, with heartbeats.

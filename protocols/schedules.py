@@ -92,8 +92,9 @@ class Poisson(Value):
 class Rounds(Value):
     """In every round each pursuer revises with probability `participation`; announcements follow all decisions.
 
-    The stationary distribution of log-linear learning is then not the Gibbs distribution. With `participation` = 1 the
-    team settles fastest in the game with one evader, because all pursuers revise at once.
+    In rounds, the stationary distribution of log-linear learning is not the Gibbs distribution. With a `participation`
+    of 1 the team settles fastest in the game with one evader, because all pursuers revise at once.
+
     The theorem of Marden & Shamma 2012 on independent revisions does not apply. In the theorem the probability of
     revising tends to 0 with tau, as exp(-m / tau) for a constant m; here `participation`, q, is constant.
     """

@@ -9,13 +9,14 @@ Time: every pursuer but the host reports at the start, and then every period wit
     `schedules.Periodic`.) The server decides when reports arrive, once for all reports of one instant. The host obeys
     at once, the others when an order arrives. A changed order is sent at once; the current order is repeated every
     period.
-Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
-    assume that a pursuer just ordered to chase is still inactive, and its orders would oscillate for ever. The server
-    therefore extrapolates each pursuer's last report, using the orders sent since. It assumes that each order, the
-    present one included, takes effect `me.latency` and an airtime after sending. The time until the present order takes
-    effect is lost for a pursuer that does not chase the evader; this lost time is added to its capture time phi. With
-    constant latency and no loss the server acts as an omniscient planner whose orders are delayed by L. At L = 0 it
-    acts as the centralised benchmark, deciding at the instants of the reports.
+Prediction: if a round trip lasts m periods, the reports do not yet show the effect of the last m decisions. A server
+    that ignored these decisions would assume that a pursuer just ordered to chase is still inactive, and its orders
+    would oscillate for ever. The server therefore extrapolates each pursuer's last report, using the orders sent since.
+    It assumes that each order, the present one included, takes effect after a delay L, which is `me.latency` plus an
+    airtime. The time until the present order takes effect is lost for a pursuer that does not chase the evader; this
+    lost time is added to its capture time phi. With constant latency and no loss the server acts as an omniscient
+    planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at the instants of
+    the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
     extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
@@ -66,7 +67,7 @@ class Server(Value):
 
     assumes: ClassVar[tuple[str, ...]] = ("host_in_range", "no_crashes")
     announces: ClassVar[bool] = False
-    """Reports take the place of heartbeats."""
+    """Reports take the place of announcements."""
     reckons: ClassVar[bool] = True
     """Reported states are extrapolated, whatever the payload of announcements."""
     kind: Literal["server"] = "server"

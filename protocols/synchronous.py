@@ -1,6 +1,6 @@
 """All pursuers revise together in every slot of a one-at-a-time schedule: a baseline for the cost of taking turns.
 
-Paper: none for this combination: synchronous learning (Marden & Shamma 2012) in the slots of another schedule.
+Paper: none for this combination of synchronous learning (Marden & Shamma 2012) and the slots of another schedule.
 Parameters: schedule (the other schedule).
 Assumes: equal clocks.
 Messages: none besides announcements; the other schedule does not send its messages.

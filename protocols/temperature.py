@@ -1,7 +1,7 @@
 """Temperatures of log-linear learning: the randomness of decisions and its cooling schedule.
 
-A temperature is a function of eta = t / delta, the number of slots that have passed, where delta is the mean time
-between two revisions in the team (`Schedule.mean_slot`). It returns the *inverse* temperature 1/tau in 1/s, which is 0
+A temperature is a function of eta, the number of slots that have passed. A slot lasts delta, the mean time between two
+revisions in the team (`Schedule.mean_slot`). The function returns the *inverse* temperature 1/tau in 1/s, which is 0
 for an infinite temperature.
 """
 
@@ -49,8 +49,8 @@ class ConstantTau(Value):
 class LogarithmicTau(Value):
     """tau = scale / ln(eta + offset). In a static game the probability of the best profile then tends to 1.
 
-    This holds only if `scale` is large enough: Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least
-    such value.
+    The best profile of actions is the one with the greatest potential. Its probability tends to 1 only if `scale` is
+    large enough: Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least such value.
     """
 
     kind: Literal["logarithmic"] = "logarithmic"
@@ -102,9 +102,10 @@ class AdaptiveTau(Value):
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield at each turn the number of slots (of length `slot`, s) since the last restart or reheating event.
+        """Yield at each turn the number of slots (of length `slot`, s) since the last reheating event.
 
-        Before the first such event, slots are counted from the start of the run.
+        Slots are counted from the start of the run, or from the last restart of the pursuer without memory, until the
+        first reheating event after it.
         """
         since, known, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:

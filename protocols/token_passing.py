@@ -5,10 +5,11 @@ Paper: Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the 
 Parameters: holding_time (time at each pursuer), attempts (transmissions of the token before a neighbour is given up);
     both belong to the schedule.
 Assumes: nothing; in the end each component of the graph has a single token. A token is not regenerated needlessly if a
-    round takes less than 3 N (L + holding_time).
+    round, in which it visits all N pursuers, takes less than 3 N (L + holding_time); L is the delay of a hop.
 Messages: two each time the token is forwarded: the token and its receipt. A node broadcasts a notice when it gives the
     token a new epoch, and when the token has not visited some pursuer for long. Receivers forward a new notice to those
-    of their neighbours that the sender of the notice does not reach.
+    of their neighbours that the sender of the notice does not reach. A probe is a notice to one absent neighbour, which
+    answers it with a receipt.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated; the time-out is shorter for lower ids. Crashes, partitions and delayed messages can
@@ -27,6 +28,7 @@ Epoch = tuple[int, int, float]
 Age = tuple[Epoch, int]
 """Epoch and hop of a token, or of a message about it. The greater age is the newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
+"""The epoch that a node knows before it has heard of any token; older than all others."""
 
 
 class Token(NamedTuple):
@@ -44,7 +46,7 @@ class Token(NamedTuple):
 
 
 class TokenReceipt(NamedTuple):
-    """Answers a token, a probe or an outdated message; a receipt with a newer epoch than the message rejects it."""
+    """Answers a token, a probe or an outdated message; a receipt whose epoch is newer than the message rejects it."""
 
     epoch: Epoch
     hop: int
@@ -75,7 +77,7 @@ def neglects(token: Token) -> bool:
 
 
 def longest_absent(token: Token, pursuers: list[int]) -> int | None:
-    """Return the one of these pursuers that is to be probed next, or None.
+    """Return the pursuer, among the given ones, to probe next; None if no probe is due.
 
     It is the absent pursuer whose last visit, failed delivery or probe was the longest ago, at least N hops.
     """

@@ -1,4 +1,8 @@
-"""The measurements of `python -m scenarios.benchmarks`."""
+"""The measurements of `python -m scenarios.benchmarks`.
+
+A way is an implementation that delivers the broadcasts of a workload, in this process (`scenarios.peers.ways`) or in
+another simulator (`scenarios.peers.elsewhere`). A lap is one run of a way on a workload.
+"""
 
 import gc
 import time
@@ -30,11 +34,11 @@ def short(workload: str) -> str:
 DESIM_WAYS = ("publish", "send")
 """The two ways of desim to deliver a broadcast, named after its methods; for all ways see `scenarios.benchmarks`."""
 BROADCASTS = "broadcasts"
-"""The value of `--parts` for the delivery rates, measured here; for the others see `scenarios.costs.PARTS`."""
+"""The value of `--parts` for the delivery rates, which this module measures; `scenarios.costs.PARTS` has the others."""
 SLOW_LAP = 5.0
-"""Limit of CPU time, s: a way whose first lap (run on a workload) takes longer has no further laps on this workload."""
+"""Limit of CPU time, s: a way whose first lap on a workload takes longer has no further laps on this workload."""
 Commands = Mapping[str, Sequence[str]]
-"""For each simulator other than desim, by its name: the command that runs its program."""
+"""For each simulator of `PEERS`, by its name: the command that runs its program."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +50,11 @@ class Rate:
     deliveries: int
     """Number of deliveries in a lap."""
     per_second: float
-    """Deliveries per second of CPU time, median of the laps, 1/s."""
+    """Deliveries in a lap, divided by the median CPU time of the laps, 1/s."""
 
 
 class Laps:
-    """The laps of all ways on one workload, where a lap is one run of a way.
+    """The laps of all ways on one workload.
 
     A simulator that fails is skipped from then on, and the reason is kept.
     """
@@ -65,8 +69,8 @@ class Laps:
         """Run a way once, unless its simulator is unavailable or its first lap took more than `SLOW_LAP`.
 
         Raises:
-            RuntimeError: if the number of deliveries or a final table of a way in this process differs from that of the
-                ways before it.
+            RuntimeError: if the way runs in this process and its outcome (the number of deliveries and the final table
+                of each node) differs from the outcome of the ways before it.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > SLOW_LAP:
             return
@@ -104,7 +108,7 @@ class Laps:
 
 @contextmanager
 def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Commands]:
-    """Create temporary environments of other simulators; note in `missing` why a simulator is unavailable.
+    """Create a temporary environment for each named simulator; note in `missing` why a simulator is unavailable.
 
     Yield the commands that run their programs.
     """

@@ -29,6 +29,7 @@ from desim.kernel.faults import Crash
 from desim.kernel.graphs import Complete
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
@@ -42,6 +43,7 @@ from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.desim_ways import Publish
 from scenarios.peers.workloads import LOGNORMAL, Workload
 from scenarios.study import SCENARIOS, Options
+from scenarios.sweep_costs import large_store, two_workers
 from scenarios.table1 import configuration, decentralised
 
 SIZES = (100, 1_000, 10_000, 100_000)
@@ -55,7 +57,7 @@ LARGE_TEAM, HORIZON = 1_000, 10.0
 SLOT = 0.001
 """Slot delta, s."""
 TABLE1_RUNS = 100
-STREAMED = (100_000, 1_000_000)
+STREAMED = (100_000, 10_000_000)
 """Numbers of messages streamed to disk: a small and a large one."""
 STARTS = 9
 """Number of times that each command is started."""
@@ -129,7 +131,7 @@ def disk_graphs(options: Options) -> list[Cost]:
 def large_team(count: int, horizon: float) -> Scenario:
     """Return a scenario of a team on a complete graph that runs until the horizon.
 
-    The area is so large that no evader is captured before.
+    The area is so large that the evader is not captured before the horizon.
     """
     return Scenario(
         name="large_team",
@@ -154,6 +156,23 @@ def complete(options: Options) -> list[Cost]:
     took, peak = apart(large_team_cost, LARGE_TEAM, HORIZON, options.seed)
     what = f"N = {LARGE_TEAM:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
     return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
+
+
+# Loss models.
+
+
+def losses(options: Options) -> list[Cost]:
+    """Measure the cost of a message under each loss model, relative to one that cannot be lost."""
+    plain = Workload("", nx.complete_graph(40), 2_000, LOGNORMAL, Links(latency=Constant(value=0.015)))
+    moving = "by_distance, all moving"
+    found: dict[str, Workload] = {"none": plain}
+    for model in (Bernoulli(p=0.1), ByDistance(distance=10.0), GilbertElliott(share=0.1, burst=5.0)):
+        found[model.kind] = replace(plain, links=Links(latency=Constant(value=0.015), loss=model))
+    found[moving] = replace(found["by_distance"], speed=1.0)
+    variants = {what: partial(published, work) for what, work in found.items()}
+    times = per_unit(variants, range(options.seed, options.seed + 5 * options.runs))
+    base = times.pop("none")
+    return [Cost(f"{what} / no loss", each / base, "", None if what == moving else 3.3) for what, each in times.items()]
 
 
 # Losses on arrival.
@@ -212,9 +231,10 @@ def table_1(_: Options) -> list[Cost]:
 
 
 def loop(options: Options) -> list[Cost]:
-    """Measure the CPU time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages.
+    """Measure the CPU time per slot of a run of the Table I study, relative to that of a bare loop.
 
-    The motion step h is one slot delta in one variant, and ten slots in another.
+    The bare loop is Algorithm 2 of Lee & Bakolas without messages. In the runs of desim, the motion step h is one slot
+    delta in one variant, and ten slots in another.
     """
     fine = decentralised(configuration(40), SLOT)
     coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
@@ -279,7 +299,7 @@ def recording(options: Options) -> list[Cost]:
     return [
         Cost("a message, none recorded", found["off"] * 1e6, "us"),
         Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
-        Cost("all on disk / none", found["streamed"] / found["off"], ""),
+        Cost("all on disk / none", found["streamed"] / found["off"], "", 1.5),
         Cost(f"rise of peak memory, {STREAMED[0]:,} to {STREAMED[1]:,} on disk", (many - few) / MEGABYTE, "MB", 10.0),
     ]
 
@@ -303,11 +323,14 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
     {
         "disk_graphs": disk_graphs,
         "complete": complete,
+        "losses": losses,
         "arrivals": arrivals,
         "table1": table_1,
         "loop": loop,
         "recording": recording,
         "start": start,
+        "sweeps": two_workers,
+        "large_store": large_store,
     }
 )
 

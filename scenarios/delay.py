@@ -5,8 +5,8 @@ is the integral of max(n - 1, 0) over time, where n is the number of active purs
 the decision rate of a pursuer, and the slot delta = 1 / (N lambda) the mean time between two decisions of the team.
 First, the function g is measured on static games, for several schedules. Then the sum of active times of a pursuit with
 motion is predicted, without any fit, over a grid of latencies and slots. The prediction is the active time of the
-centralised benchmark plus g N^2 delta. Where it exceeds about 30 s, the evader is captured before the excess has
-decayed, so the measured sum is lower.
+centralised benchmark plus g N^2 delta. Where the prediction exceeds about 30 s, the evader is captured before the
+excess has decayed, so the measured sum is lower.
 """
 
 from collections.abc import Sequence

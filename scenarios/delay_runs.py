@@ -52,7 +52,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Cell:
-    """The pursuit at one latency and slot: the mean sum of active times, and its prediction by the law; all in s."""
+    """The pursuit at one latency and slot: its mean active time, and the prediction of the law (`scenarios.delay`).
+
+    All values are in s. The active time is summed over the pursuers.
+    """
 
     latency: float
     slot: float

@@ -1,4 +1,4 @@
-"""Which evasion strategy survives longest against each protocol, and what does limited sensing of the evader cost?
+"""Which evasion strategy survives longest against each protocol, and what do pursuers lose by limited sensing?
 
 The first part uses the scenario of Lee & Bakolas, in which one pursuer is twice as fast as the others. Each strategy of
 the evader plays against Spatial Adaptive Play on an ideal network, and against several protocols with a latency
@@ -75,9 +75,9 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 
 def claims(cells: Sequence[Cell]) -> list[str]:
-    """Return a line for each of the two networks: whether an evader that ignores inactive pursuers survives longer.
+    """Return two lines that state whether an evader that ignores inactive pursuers survives longer than the reference.
 
-    The protocol is Spatial Adaptive Play in both.
+    One line is for the ideal network, the other for the network with latency; the protocol is Spatial Adaptive Play.
     """
     lines = []
     for each in cells:
@@ -93,7 +93,7 @@ def claims(cells: Sequence[Cell]) -> list[str]:
 
 
 def _grid(cells: Sequence[Cell], text: Callable[[Cell], str]) -> str:
-    """Return a table of the texts of the cells, with a row per strategy and a column per protocol."""
+    """Return a table with a row per strategy and a column per protocol; `text` returns the text of an entry."""
     here = {(each.strategy, each.protocol): text(each) for each in cells}
     names = dict.fromkeys(each.strategy for each in cells)
     return aligned([("", *PROTOCOLS), *((name, *(here[name, each] for each in PROTOCOLS)) for name in names)])

@@ -1,4 +1,7 @@
-"""The scenarios and measurements of `python -m scenarios.evaders`."""
+"""The scenarios and measurements of `python -m scenarios.evaders`.
+
+The first part of the study compares the strategies of the evader; the second part limits what the pursuers sense.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -171,7 +171,7 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
 def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: IndividualUtilities) -> None:
     """Write the id of each pursuer of `chain` where it begins to chase alone, which is where a bold line begins.
 
-    `chain` has the return value of `desim.analysis.activity.relays`.
+    `chain` is the return value of `desim.analysis.activity.relays`.
     """
     from desim.analysis import palette
     from desim.view.labels import label_points

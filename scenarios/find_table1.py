@@ -1,13 +1,13 @@
 """Find initial configurations that fit Table I, since the paper prints none; write table1_20.toml and table1_40.toml.
 
-Configurations are drawn at random from the paper's boxes (all coordinates of the pursuers in [0, 20] m, those of the
+Configurations are drawn at random from the paper's boxes (all coordinates of the pursuers in [0, 20] m, both of the
 evader in [8, 12] m, rounded to mm). A candidate is a configuration for which the active time of the *centralised*
 Algorithm 3 is within 0.5 % of the published time for each of the three slots delta. The first candidates, at most
 `--most`, are compared by their mean decentralised active times, with all pursuers initially active. The misfit of a
 candidate is the sum over delta of (ln(mean active time / published time))^2; the candidate of least misfit is chosen.
-The choice takes three rounds, each with fewer candidates and more runs per candidate than the one before; the first
-leaves out delta = 0.001 s. The seeds of these runs are not those of `scenarios.table1`. Nothing else is fitted: no
-parameter of the game, the protocol or the simulator.
+The choice takes three rounds, each with fewer candidates and more runs per candidate than the round before. The first
+round leaves out delta = 0.001 s. The seeds of these runs differ from the seeds of `scenarios.table1`. Nothing else is
+fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -72,7 +72,7 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
 def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int) -> list[Scenario]:
     """Draw configurations (`draws`, rounded up to whole batches), and return the candidates among them.
 
-    `published` has the published centralised active time, s, for each delta (s).
+    `published` contains the published centralised active time, s, for each delta (s).
     """
     rng = np.random.default_rng(seed)
     count, kept = base.team.count, []
@@ -99,8 +99,8 @@ def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Sce
 def misfits(candidates: list[Scenario], published: dict[float, float], runs: dict[float, int]) -> list[float]:
     """Run the candidates under the decentralised Algorithm 2 and return the misfit of each; see the top of this module.
 
-    `published` has the published decentralised active time, s, and `runs` the number of runs, for each delta (s). The
-    misfit is summed over the delta in `runs`.
+    `published` contains the published decentralised active time, s, for each delta (s), and `runs` the number of runs
+    for some of them. The misfit is summed over the delta in `runs`.
     """
     cells = [(c, delta) for c in candidates for delta in runs]
     tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(FIRST_SEED, runs[delta])]

@@ -3,8 +3,10 @@
 A pursuer receives announcements from the pursuers within range R. The study compares five rules. Three are Spatial
 Adaptive Play with different utilities: `local mean` is the paper's utility over the active neighbours only; `component`
 is the paper's utility over the whole network component, and needs flooding; `edge penalty` is the time left minus the
-pursuer's own capture time, minus a penalty for each active neighbour. The other two are the heuristics `local min` and,
-with flooding, `argmin known`.
+pursuer's own capture time, minus a penalty for each active neighbour. The other two are rules without a utility, for
+pursuers that can capture in time. Under `local min`, such a pursuer chases if no active neighbour has a smaller capture
+time. Under `argmin known`, with flooding, it chases if no other pursuer that it knows of has a smaller one, whether
+active or not.
 
 For the games at t = 0, the study also gives the number of network components, the size of the greedy maximal
 independent set, and the share of games without a pure equilibrium under the utility `local mean`. This share is found

@@ -32,7 +32,7 @@ RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """Communication ranges R, m."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 GAMES_PER_RUN = 20
-"""Number of games at t = 0 that are enumerated per run requested with --runs."""
+"""Number of games at t = 0 per run requested with --runs; their equilibria are found by enumeration."""
 CLOCKS = Poisson(rate=10.0)
 HEARTBEAT = 0.3
 """Time, s, between two heartbeats: announcements that are sent even without a change of action."""
@@ -83,7 +83,7 @@ class Pursuits:
 
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
-    """Return the scenario of the paper with a team, a communication range (m) and a protocol of this study."""
+    """Return the scenario of Lee & Bakolas with a team, a communication range (m) and a protocol of this study."""
     chosen, dissemination = PROTOCOLS[protocol]
     settings = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(

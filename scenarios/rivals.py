@@ -1,14 +1,15 @@
 """Compare all protocols with equal initial states, random draws and announcement rates, over a range of latencies.
 
-There are three scenarios: that of the paper, with one pursuer twice as fast as the others; one with all pursuers
-equally fast, so that the relay pursuer, the one that should chase, may change often; and that of the paper without
-sensing of teammates, so that announcements also carry positions. A pursuer announces exactly ten times a second, so
-protocols make equally many transmissions, of unequal sizes. There are three exceptions. The centralised benchmark sends
-nothing. The geometric rules send nothing where positions are sensed. Under `server`, reports and orders replace the
-announcements, with about as many transmissions. A pursuer, or the planner of the centralised benchmark, decides ten
-times a second on average; the server decides whenever reports arrive. The value of communication is the decrease of
-active time compared with a silent team, in which each pursuer decides alone. The cost of delay is the increase of the
-potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same seeds and without delay.
+There are three scenarios: the scenario of the paper, with one pursuer twice as fast as the others; one with all
+pursuers equally fast, so that the relay pursuer (the pursuer that should chase) may change often; and the scenario of
+the paper without sensing of teammates, so that announcements also carry positions. A pursuer announces exactly ten
+times a second, so protocols make equally many transmissions, of unequal sizes. There are three exceptions. The
+centralised benchmark sends nothing. The geometric rules send nothing where positions are sensed. Under `server`,
+reports and orders replace the announcements, with about as many transmissions. A pursuer, or the planner of the
+centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The value of
+communication is the decrease of active time compared with a silent team, in which each pursuer decides alone. The cost
+of delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
+seeds and without delay.
 """
 
 from collections import defaultdict

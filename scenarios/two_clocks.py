@@ -26,7 +26,7 @@ VALUES = (0.001, 0.003, 0.01, 0.03, 0.1)
 
 @dataclass(frozen=True)
 class Cell:
-    """The mean over the runs of the sum of active times, s, at one slot and one step."""
+    """The mean over the runs of the sum of active times, s, for one slot delta and one motion step h."""
 
     slot: float
     step: float

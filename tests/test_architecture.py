@@ -115,6 +115,7 @@ def for_methods(path):
     return METHODS.get(name_of(path), set()) & set(imports(path, list(methods_of(path))))
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_a_module_imports_only_what_lies_below_it(path):
     name = name_of(path)
@@ -185,6 +186,7 @@ def rounded_by_processor(source):
     return found
 
 
+@pytest.mark.slow
 def test_no_last_digit_depends_on_the_processor():
     found = {name_of(path): rounded_by_processor(path.read_text(encoding="utf-8")) for path in MODULES}
     assert {name: uses for name, uses in found.items() if uses} == {}

@@ -151,6 +151,7 @@ def test_the_key_that_is_suggested_for_an_override_can_be_set(file):
     accepted("check", path, "--set", "network.latency=0.1")
 
 
+@pytest.mark.slow
 def test_a_page_of_the_other_command_is_suggested_for_a_folder(file, tmp_path):
     path, run, runs, sweep = file(DUEL), tmp_path / "a run", tmp_path / "runs", tmp_path / "sweep"
     accepted("run", path, "-o", run)
@@ -870,6 +871,7 @@ def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
     assert (folder / "out" / "sweep.txt").read_text() == result.stdout
 
 
+@pytest.mark.slow
 def test_a_sweep_over_a_key_without_effect_is_warned_of(file, tmp_path):
     """Under local_min only the pursuer of least capture time stays active, however late the others hear of it.
 
@@ -915,6 +917,7 @@ def test_the_runs_of_a_sweep_have_the_seeds_of_the_option(file, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_sweep_as_json_is_one_document_on_stdout(file, tmp_path):
     made = swept(file(COINS), "-o", tmp_path / "out", "--metric", "energy", "--metric", "switches")
     assert (made["name"], made["grid"]) == ("coins", ["network.range", "protocol.kind"])
@@ -1133,6 +1136,7 @@ def test_an_option_of_a_sweep_out_of_range_is_refused(file, options):
     assert any("Invalid value for" in line for line in refused("sweep", file(COINS), *options))
 
 
+@pytest.mark.slow
 def test_the_store_of_another_sweep_is_refused_with_the_differences(file, tmp_path):
     path, out = file(COINS), tmp_path / "out"
     accepted("sweep", path, "-o", out, "-n", 1)

@@ -178,6 +178,7 @@ def test_recording_and_watching_change_nothing_that_happens():
     assert list(run(quiet, 2, lambda event: None).trace) == events
 
 
+@pytest.mark.slow
 def test_scenarios_with_one_seed_share_their_random_streams():
     """A swept value moves no stream: start and order of decisions are the same at any latency and loss."""
     near, far = (

@@ -5,11 +5,14 @@ import inspect
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 import desim
 import protocols
+from desim.kernel.access import ACCESSES, Ideal
+from desim.kernel.interference import INTERFERENCES
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from scenarios.study import SCENARIOS
@@ -44,6 +47,23 @@ def test_type_checkers_see_the_same_names(facade):
 def test_every_schedule_and_temperature_is_public():
     parts = {each.__name__ for models in (SCHEDULES, TEMPERATURES) for each in models.choices().values()}
     assert parts <= set(protocols.__all__)
+
+
+def test_every_access_and_interference_model_is_public():
+    models = {each for family in (ACCESSES, INTERFERENCES) for each in family.choices().values()}
+    assert {each.__name__ for each in models - {Ideal}} <= set(desim.__all__)
+
+
+def test_no_other_class_has_the_name_of_a_public_one():
+    """`Capture` is the condition of a capture, so the interference model is `CaptureEffect`."""
+    folder = Path(desim.__file__).parent
+    classes = [
+        (node.name, ".".join(file.relative_to(folder.parent).with_suffix("").parts))
+        for file in sorted(folder.rglob("*.py"))
+        for node in ast.parse(file.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef) and node.name in desim.__all__
+    ]
+    assert sorted(classes) == sorted((name, desim._HOMES[name]) for name, _ in dict.fromkeys(classes))
 
 
 def test_the_names_are_known_without_importing_their_modules():

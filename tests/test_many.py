@@ -159,6 +159,7 @@ def test_a_scenario_has_at_least_one_evader(evader, why):
         Scenario(evader=evader)
 
 
+@pytest.mark.slow
 def test_more_evaders_than_pursuers_are_legal_and_the_others_wait():
     """Two pursuers and five evaders: never are more than two engaged, and after the first captures they go on."""
     team = Team(positions=((0.0, 0.0), (20.0, 20.0)), speeds=3.0)

@@ -61,6 +61,7 @@ def test_a_run_shows_what_it_was_and_how_it_ended():
     assert set(table.tags) == {"table", "tr", "th", "td", "img"}
 
 
+@pytest.mark.slow
 def test_the_trajectories_are_shown_if_they_were_recorded():
     """A picture of PNG, which a page shows without a request."""
     (picture,) = re.findall(r'<img src="data:image/png;base64,([^"]*)"', run(NEVER)._repr_html_())
@@ -68,10 +69,12 @@ def test_the_trajectories_are_shown_if_they_were_recorded():
     assert "<img" not in run(NEVER.model_copy(update={"record": Recording(trajectory=0.0)}))._repr_html_()
 
 
+@pytest.mark.slow
 def test_a_run_without_a_capture_is_shown_as_such():
     assert ["ended", "not captured within 0.1 s"] in Table(run(NEVER)._repr_html_()).rows
 
 
+@pytest.mark.slow
 def test_a_run_with_several_evaders_shows_their_number():
     """All of them stand where a pursuer does, or none of them is ever reached."""
     two = {"evader": (Evader(position=(0.0, 0.0), speed=0.0), Evader(position=(0.0, 0.0), speed=0.0))}

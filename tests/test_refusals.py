@@ -223,6 +223,8 @@ def test_a_bound_that_is_missing_or_not_enforced_is_detected(tmp_path, monkeypat
     assert {each.split(" = ")[0] for each, *_ in missed} == {"whatever", "unenforced"}
 
 
+RADIO = "[network.medium]\nkind = 'bitrate'\nbitrate = 9600.0\n"
+ACCESS = "[network.medium.access]\n"
 FAULTS = [
     "name = 'x'\nhorizn = 3.0",
     "name = 'x'\n\nzzz = 3.0",
@@ -269,6 +271,19 @@ FAULTS = [
     "team.count = 4\nnetwork.graph = { kind = 'edges', edges = [{ src = 0, dst = 4 }] }",
     "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
     "network.graph = { kind = 'edges', file = 'no.json' }",
+    "[network.medium]\naccess = { kind = 'csma' }",
+    "[network.medium]\nkind = 'unlimited'\naccess = 'csma'",
+    "[network.medium]\nkind = 'bitrate'\naccess = 'csma'",
+    f"{RADIO}access = 'cmsa'",
+    f"{RADIO}shared = true\n\naccess = 'aloha'",
+    f"{RADIO}access = 'aloha'\n\nreception = 'lora'",
+    f"team.count = 4\n{RADIO}{ACCESS}kind = 'tdma'\nslot = 0.1\nslots = [0, 1, 2]",
+    f"team.count = 2\n{RADIO}{ACCESS}kind = 'tdma'\nslot = 0.1\nslots = [0, 1, 2]",
+    f"{RADIO}{ACCESS}kind = 'tdma'\nguard = 0.001\nslot = 0.02",
+    f"{RADIO}{ACCESS}kind = 'tdma'\nguard = 0.1\nslot = 0.1",
+    f"{RADIO}{ACCESS}kind = 'csma_ca'\nsifs = 0.1",
+    "team.count = 3\n[network.medium]\nkind = 'lora'\naccess = 'aloha'\nspreading_factors = [7, 8]",
+    "team.count = 2\n[network.medium]\nkind = 'lora'\n\nfrequencies = [868e6, 869e6]",
     "fault = [{ kind = 'crash', node = 1, start = 2.0 }, { kind = 'crash', node = 20, start = 2.0 }]",
     "[evader]\nposition = [[1.0, 2.0]]",
     "[protocol]\nkind = 'sap'\nsap = 1\ntau = { kind = 'constant', value = -1.0 }",

@@ -1,9 +1,9 @@
 """Metrics that need only the actions of the pursuers: active times, changes of action, handovers.
 
 The action of a pursuer is the number of the evader that it chases, or 0; a pursuer that chases is active. n(t) is the
-number of active pursuers; integrals run from 0 to the end of the run. With several evaders n_j(t) is the number of
-pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet captured), so
-the integral of an n_j ends at the capture of j.
+number of active pursuers. Integrals, written "int", run from 0 to the end of the run. With several evaders n_j(t) is
+the number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet
+captured), so the integral of an n_j ends at the capture of j.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -32,7 +32,7 @@ class Released(NamedTuple):
 
 
 Change = Decided | BrokeDown | Released
-"""The events that change an action."""
+"""The events that may change an action."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,8 @@ def excess_time(result: Result) -> float:
 def energy(result: Result) -> float:
     """Return the energy of the chase, m^2/s: int sum_i v_i^2 a_i dt with a_i = 1{i is active}.
 
-    In a static game, where no pursuer moves, it is the energy that pursuers with the same actions would need to move.
+    v_i is the speed of pursuer i. In a static game, where no pursuer moves, the result is the energy that pursuers with
+    the same actions would need to move.
     """
     end = ended(result).t
     own = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
@@ -203,7 +204,10 @@ def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
 
 
 def handovers(result: Result) -> int:
-    """Return the number of handovers: changes of the only pursuer of an evader (n_j = 1), over all evaders."""
+    """Return the number of handovers: changes of the only pursuer of an evader (n_j = 1), over all evaders.
+
+    Before the new pursuer is the only one, no pursuer or several may chase the evader for a time.
+    """
     return sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 

@@ -3,7 +3,7 @@
 The age of information of a reader about a source is the time since the source announced the newest record that the
 reader has received (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). The age grows at
 rate 1 and drops at each reception of a newer record, so it is a sawtooth. `desim.analysis.knowledge` defines records,
-sources and readers.
+sources and readers. A piece is a period in which a reader has the same newest record of a source.
 
 These metrics need the messages of a run: `record.messages = true`.
 """
@@ -91,7 +91,7 @@ def age_peak(result: Result) -> float:
 
 
 def age_at_decision(result: Result) -> float:
-    """Return the age of information, s, at the decisions of the reader, averaged over these and then over pairs.
+    """Return the age of information, s, at the decisions of the reader, averaged over decisions and then over pairs.
 
     The result is nan without a measurement.
 
@@ -157,7 +157,7 @@ class _TrueActions:
     did: Integers
     """(k,) the actions: the number of an evader, or 0."""
     total: Integers
-    """(M + 1, k) cumulative time of each action at the start times, ns."""
+    """(M + 1, k) cumulative time of each action at the start times, ns, for M evaders."""
 
     def time(self, action: int | Integers, t: Integers) -> Integers:
         """Return the cumulative time, ns, of one action, or of each of (n,) actions, at each of (n,) times, ns."""

@@ -18,9 +18,9 @@ that is exact; in other games the error depends on the interval between samples.
 scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every 0.002 s does not change the
 misassigned time or the time to relay. It changes the potential gap by 0.01 % and the regret by 0.02 %. With all speeds
 1.1 m/s, i* may change at every motion step, when the evader runs between two equally near pursuers. Sampling every
-0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the error is 0.16 s. A change of
-i* ends S = {i*} until S follows, so the time to relay starts anew; it is 1.25 s instead of 1.34 s. If such errors
-matter, sample at every motion step.
+0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the error is 0.16 s. After a
+change of i*, S differs from {i*} until S follows, so the times of these changes also determine the time to relay. With
+the coarse samples it is 1.25 s instead of 1.34 s. If such errors matter, sample at every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -206,8 +206,9 @@ def settling_window(result: Result) -> float:
 
     L is the mean latency of the scenario's links, with processing delays and the airtime of a message, but without
     queueing. delta is the mean time between two decisions of the team, so N delta is the mean time between two
-    decisions of one pursuer. N delta is the `slot` of the protocol, or its `period` if it has no `slot`. If it has
-    neither, N delta is the mean in this run, and W is inf if there were no decisions.
+    decisions of one pursuer. A protocol with a `slot` or a `period` of its own decides for every pursuer once in this
+    time, so N delta is the `slot` or, without one, the `period`. For any other protocol, N delta is the mean in this
+    run, and W is inf if there were no decisions.
     """
     protocol = result.scenario.protocol_traits
     between = protocol.period if protocol.slot is None else protocol.slot

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from desim.config.arrays import Points
 
 ROUNDING = 1e-9
-"""Tolerance for rounding of lengths (m) and times (s), absolute and relative."""
+"""Tolerance for rounding errors, absolute (in m, s or m^2/s) and, except for the potential, relative."""
 
 
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
@@ -158,16 +158,18 @@ class MotionWatcher:
 
 
 class PotentialWatcher:
-    """A watcher that checks that no decision lowers the potential; the invariant needs the assumptions below.
+    """A watcher that checks that no decision lowers the potential; use it only under the assumptions below.
 
     The potential is the global utility Phi of the profile (the actions of all pursuers), with the capture times and the
-    time left at the instant of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean` of the
-    paper, a change of action changes the pursuer's utility and Phi by the same amount. So no decision lowers Phi if
+    time left at the instant of the decision (`desim.pursuit.assignment.welfare`). In a static game, the time left is
+    always the whole horizon. With the utility `mean` of the paper, a change of action changes the pursuer's utility and
+    Phi by the same amount. So no decision lowers Phi if
 
     - each decision is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
     - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
-    - the beliefs of pursuers are true: an ideal complete network, a warm start, every change announced, no time-out of
-      beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any payload).
+    - the beliefs of pursuers are true: an ideal complete network, known initial actions (`announce.warm_start`), every
+      change announced, no time-out of beliefs, no faults, exact clocks, and all players sensed (`announce.payload` is
+      "action" or, in a static game, any payload).
 
     Players may move, because positions do not change during a decision; the potential may fall between decisions. In a
     static game all decisions are judged, otherwise only the decisions at the instant of a sample of the trajectory.

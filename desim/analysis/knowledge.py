@@ -23,7 +23,7 @@ from desim.simulation.run import Result
 Pieces = NDArray[np.void]
 """Rows of `PIECE`: each is a period in which a reader had the same newest record of a source.
 
-They are in order of reader, period between losses of memory, source and time.
+They are sorted by reader, then by the reader's period between two losses of memory, then by source and time.
 """
 
 PIECE = np.dtype(
@@ -34,9 +34,9 @@ PIECE = np.dtype(
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
         ("presumed", np.bool_),  # whether it is an initial belief, not a record received
         ("begin", np.int64),  # time of arrival, ns; for an initial belief, the start of the run or the loss of memory
-        ("after", np.int64),  # position in the trace: at time `begin`, the record was known at later positions only
+        ("after", np.int64),  # trace position; of the events at `begin`, only the later ones find the record known
         ("until", np.int64),  # time at which a newer record arrived, the memory was lost or the run ended, ns
-        ("before", np.int64),  # position in the trace: at time `until`, the record was known at earlier positions only
+        ("before", np.int64),  # trace position; of the events at `until`, only the earlier ones find the record known
         ("superseded", np.bool_),  # whether the arrival of a newer record ended the period
     ]
 )
@@ -86,11 +86,12 @@ class _Announcements:
 
 @dataclass(frozen=True, slots=True)
 class _Receptions:
-    """The columns of a table of receptions, one row each, in order of receiver, arrival and position in the trace."""
+    """The columns of a table of receptions, one row each, in order of receiver, arrival and `place`."""
 
     dst: Integers
     arrival: Integers
     place: Integers
+    """The position of the transmission in the trace."""
     first: Integers
     """The row in `_Announcements` of the first record carried."""
     count: Integers

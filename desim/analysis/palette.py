@@ -30,7 +30,9 @@ CAPTURE_MARK = "*"
 HANDOVER_MARK = "s"
 """The place and time at which a pursuer takes over the chase of an evader from another pursuer."""
 LOST_MARK = "x"
+COLLISION_MARK = (8, 2, 0)
+"""A message that collided with others at its receiver: an asterisk of eight rays."""
 EVADER_MARKS = (EVADER_MARK, "^", "v", "P")
-"""Marks of the evaders, if there are several."""
+"""Marks of the evaders, if there are several; they repeat from the fifth evader on."""
 HUES = (BLUE, GREEN, PURPLE)
 """Hues of the pursuers that chase the first, second, ... of several evaders; they repeat from the fourth evader on."""

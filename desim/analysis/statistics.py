@@ -1,12 +1,12 @@
 """Means with their uncertainty, and the number of runs for a target precision.
 
-All intervals are 95 % intervals, unless a function takes another confidence. A *look* is an interim check whether the
-runs of a study suffice.
+All intervals are 95 % intervals, unless a function takes another confidence. A *look* is an interim check of whether
+the runs of a study suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are from 40,000 sequential studies each (s.e. at
-most 0.22). Their target is the half width of 20 values with a known sigma, 1.96 sigma / sqrt(20). A study ends as soon
-as a look finds a half width of at most the target. Its looks begin at 3 or at 30 values.
+most 0.22). A study ends as soon as a look finds a half width of at most a target. The target is 1.96 sigma / sqrt(20),
+the half width of 20 values with a known sigma. The first look is at 3 or at 30 values.
 
     distribution                             2 values   5 values   30 values   looks from 3   looks from 30
     normal                                       94.9       95.0        95.0           91.6            95.2
@@ -25,6 +25,8 @@ from math import ceil, isnan, nan, sqrt
 from typing import TypeGuard
 
 import numpy as np
+
+from desim.config.arrays import Floats
 
 NORMAL_975 = 1.959963984540054
 """The 97.5 % quantile of the standard normal distribution."""
@@ -62,7 +64,7 @@ class Estimate:
         return float(stdtrit(self.count - 1, quantile) * self.standard_error) if self.count > 1 else float("nan")
 
 
-def estimate(values: Sequence[float]) -> Estimate:
+def estimate(values: Sequence[float] | Floats) -> Estimate:
     """Return the mean of independent values with its standard error.
 
     Raises:
@@ -75,16 +77,17 @@ def estimate(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.mean(values)), error, count)
 
 
-def mean(values: Sequence[float]) -> Estimate:
+def mean(values: Sequence[float] | Floats) -> Estimate:
     """Return the mean of independent values; without any, the count is 0 and the mean nan."""
-    return estimate(values) if values else Estimate(nan, nan, 0)
+    return estimate(values) if len(values) else Estimate(nan, nan, 0)
 
 
-def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
+def paired(values: Sequence[float | None] | Floats, others: Sequence[float | None] | Floats) -> Estimate:
     """Return the mean of `values - others` over pairs of runs with common random numbers.
 
-    Its variance is (var + var' - 2 cov) / n, less than for independent runs if the two values of a pair are
-    positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
+    The variance of this mean over n pairs is (var + var' - 2 cov) / n, where var and var' are the variances of the two
+    values of a pair, and cov is their covariance. If cov > 0, the variance is less than for independent runs (Law &
+    Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
     then holds only for the seeds with both values, so report with it how many runs of each side have a value. Without
@@ -100,9 +103,10 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
     """
     if len(values) != len(others):
         raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
-    pairs = zip(values, others, strict=True)
-    differences = [float(one) - float(other) for one, other in pairs if _is_present(one) and _is_present(other)]
-    return mean(differences)
+    one, other = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
+    both = ~(np.isnan(one) | np.isnan(other))
+    with np.errstate(invalid="ignore"):  # inf - inf
+        return mean(one[both] - other[both])
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -130,8 +134,8 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 
     The study ends with the first look that finds a half width of at most `target`, or with `at_most` runs. If the given
     values do not end it, the number of runs that its next look needs is returned. Looks are taken at the same numbers
-    of runs however many runs exist already, so an interrupted study ends at the same number of runs. See `next_look`
-    for the arguments.
+    of runs however many runs exist already. A study that is interrupted and resumed therefore ends at the same number
+    of runs as an uninterrupted one. See `next_look` for the arguments.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
@@ -145,12 +149,12 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
     """Return the number of runs that the next look needs, given the values of the first n runs; n if the study ends.
 
-    A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
-    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The first look is at
-    `first_look` runs. Each later look is at the number of runs predicted from the values, n (half width / target)^2,
-    but at no fewer than 1.1 n and no more than 2 n runs. No look is at more than `at_most` runs. The limit 2 n bounds
-    the effect of a bad estimate of the variance: at most half of the runs are superfluous. The limit 1.1 n keeps the
-    looks few, because each may end the study too early by chance.
+    The looks compute a sequential fixed-width confidence interval: the study ends at the first look at which the half
+    width is at most the target (Chow & Robbins 1965, "On the asymptotic theory of fixed-width sequential confidence
+    intervals for the mean"). The first look is at `first_look` runs. Each later look is at the number of runs predicted
+    from the values, n (half width / target)^2, but at no fewer than 1.1 n and no more than 2 n runs. No look is at more
+    than `at_most` runs. The limit 2 n bounds the effect of a bad estimate of the variance: at most half of the runs are
+    superfluous. The limit 1.1 n keeps the looks few, because each may end the study too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least

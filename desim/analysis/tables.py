@@ -12,7 +12,7 @@ from desim.scenario.scenario import Scenario
 PER_EVADER = {"captures", "mean_capture_time"}
 """The metrics that have no row in the table of several runs if there is one evader.
 
-They then repeat `captured` and `capture_time`.
+With one evader they repeat `captured` and `capture_time`.
 """
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
@@ -33,7 +33,7 @@ def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
 def run_table(scenario: Scenario, run: Summary, wall_time: float, shown: Sequence[str] = ()) -> str:
     """Return the table of one run; `wall_time` in s.
 
-    A built-in metric without a note has a row only if it is among `shown`.
+    A built-in metric whose `Metric.note` is None has a row only if its name is in `shown`.
     """
     rate = run.messages_sent / wall_time
     rows = [

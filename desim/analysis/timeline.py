@@ -23,7 +23,7 @@ from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
 PART = 1 << 18
-"""Largest number of capture times in one part of a timeline, unless a single piece has more; a part is never empty."""
+"""Largest number of capture times in one part of a timeline; a part with a single piece may have more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ class Commands(Program, click.Group):
         """Return the name of the command that the arguments begin with, the command, and the remaining arguments.
 
         Raises:
-            click.UsageError: if there is no such command; for a name in `RENAMED`, with the right name.
+            click.UsageError: if there is no such command; for a name in `RENAMED` the message gives the right name.
         """
         if args[0] in RENAMED:
             ctx.fail(f"No such command {args[0]!r}. Did you mean {RENAMED[args[0]]!r}?")

@@ -1,4 +1,7 @@
-"""A model as text: its parameters, their defaults, and the models that they may hold."""
+"""A model as text: its parameters, their defaults, and the models that they may hold.
+
+If a parameter can hold one of several models, the `kind` of a model is the name that selects it in a scenario file.
+"""
 
 from collections.abc import Iterator, Sequence
 from types import MethodType
@@ -31,7 +34,10 @@ def described(
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
-    """Yield lines with the traits (`desim.config.traits`) of a model that are not parameters, and their values."""
+    """Yield a line for each trait of a model, with its value and description; traits that are parameters are left out.
+
+    A trait is an optional attribute of a model (`desim.config.traits`); a parameter can be set in a scenario file.
+    """
     yield "    traits:"
     fields = fields_of(type(traits))
     for name in traits.names():
@@ -92,7 +98,10 @@ def summary(model: Any) -> str:
 
 
 def default_of(field: FieldInfo) -> str:
-    """Return " = " and the default of a field; for a model, its kind. Return "" without a default or a kind."""
+    """Return " = " and the default of a field; "" if it has none.
+
+    If the default is a model, it is shown by its kind; the text is "" if the model has no kind.
+    """
     if field.is_required():
         return ""
     default = field.get_default(call_default_factory=True)

@@ -220,7 +220,7 @@ def export(store: Path, file: Path) -> None:
     path, *others = _store_files((store,))
     if others:
         fail(f"{store}: has {len(others) + 1} stores: merge them first, or give one of them")
-    with storing(), Store(path, read_only=True) as kept:
+    with storing(), Store(path, read_only=True, verify=False) as kept:
         result = SweepResult.of(kept)
     try:
         result.write(file)
@@ -264,7 +264,7 @@ def _plan_text(
         (*(str(each[configuration.key]) for each in counts), *map(str, configuration.columns.values()))
         for configuration in plan.configurations
     ]
-    least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
+    least = f" at most, and at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
     head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 

@@ -174,7 +174,7 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
 def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Return the names of the metrics to show, each once.
 
-    They are those of --metric or, without it, `usual` and the metrics of the scenario.
+    They are the metrics of --metric or, without this option, `usual` and the metrics of the scenario.
     """
     names = tuple(dict.fromkeys(each.rpartition(":")[2] for each in metrics))
     return names or (*usual, *(each.name for each in scenario.record.metrics))

@@ -18,9 +18,9 @@ from desim.cli.options import ALLOW_IMPORT, SET, TIMEOUT, echo, is_import_allowe
 @ALLOW_IMPORT
 @SET
 def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: tuple[str, ...]) -> None:
-    """Change the keys of a scenario FILE on a page, and see each run beside one that is pinned.
+    """Change the keys of a scenario FILE on a page, and compare each run with a run that you have pinned.
 
-    Without a FILE, the example `relay` is played with. The page is served to this machine only. Ctrl-C ends the
+    Without a FILE, the page shows the example `relay`. The page is served to this machine only. Ctrl-C ends the
     server, and so does closing the page. A run takes at most 30 s, unless --timeout says otherwise.
     """
     from desim.scenario.examples import example

@@ -42,7 +42,7 @@ def is_recorded(source: Path) -> bool:
 
 
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Read the run in a folder, or run a scenario file; end the program if the source is unreadable or a sweep."""
+    """Read the run in a folder, or run a scenario file; end the program if it is no single run."""
     from desim.simulation.run import Result
 
     found = results_of(source, seed, overrides)
@@ -55,7 +55,7 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
 
 
 def check_no_run(folder: Path) -> None:
-    """End the program if a folder contains recorded runs, but no store of a sweep."""
+    """End the program if a folder has no store of a sweep, but it or one of its subfolders has a recorded run."""
     if (folder / STORE).exists():
         return
     traces = [each for each in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if each.exists()]
@@ -69,7 +69,7 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
     """Read the run or the sweep in a folder, or run a scenario file; end the program if the source is unreadable.
 
     Raises:
-        click.UsageError: if results in a folder are given with a seed or overrides.
+        click.UsageError: if a seed or overrides are given for recorded results.
     """
     if not is_recorded(source):
         return _simulated(source, seed, overrides)

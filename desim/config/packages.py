@@ -1,6 +1,6 @@
 """The packages `protocols` and `scenarios`, installed beside `desim`: their folders, and a check that none is hidden.
 
-A folder or module of the same name that comes earlier in `sys.path`, such as one beside a script, hides a package.
+A package or module of the same name that comes earlier in `sys.path`, for example beside a script, hides a package.
 """
 
 import sys

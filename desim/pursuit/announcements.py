@@ -119,8 +119,8 @@ def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
 class Eavesdropper:
     """A listener of the network that knows when an announcement of a change of action is in flight.
 
-    An announcement is overheard when its transmission begins, not while it is queued. The orders of a server are not
-    announcements. A change of action that a server has ordered is overheard in the next report of the pursuer.
+    An announcement is overheard when its transmission begins, not while it is queued. If a central server orders the
+    actions, its orders are not announcements; a change of action is then overheard in the next report of the pursuer.
 
     Args:
         profile: the initial action of each pursuer.

@@ -119,7 +119,7 @@ def optimum(phi: ArrayLike, reward: float) -> float:
 
 
 def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:
-    """Return the greedy assignment of pairs in order of (phi, pursuer, evader): a pair is taken if both are still free.
+    """Return the greedy assignment: it takes each pair, in order of (phi, pursuer, evader), if both are still free.
 
     Args:
         phi: the capture times, s, by evader and then by pursuer; nan if unknown.

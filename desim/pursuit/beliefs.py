@@ -102,7 +102,10 @@ class Beliefs:
         return own, chasing, [self._capture_time(matching[j][1], evader) for j in chasing]
 
     def about_teammates(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return the belief about each trusted teammate, with its capture time for an evader; see `Agent.beliefs`."""
+        """Return the belief about each teammate whose announcement has not expired; see `Agent.beliefs`.
+
+        The capture time of a belief is that of the teammate for the given evader.
+        """
         now = self._clock.stamp
         return {
             j: Belief(record.body.active, self._capture_time(record, evader, orders), (now - record.stamp) / SECOND)

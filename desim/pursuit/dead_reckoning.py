@@ -37,7 +37,7 @@ class TrackSegment(NamedTuple):
 class EvaderTrack:
     """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
 
-    Calls of `see` must be in order of time, and so must calls of `position` with the same start of the chase.
+    Calls of `see` must be in order of time, and so must calls of `position` for the same chase (see there).
 
     Attributes:
         last: the present step.
@@ -59,9 +59,9 @@ class EvaderTrack:
     def position(self, position: complex, speed: float, since: int, now: int) -> complex:
         """Return the position, m, at time `now` of a pursuer that began to chase at `position` (m) at time `since`.
 
-        Times are in ns. The position at the start of the last retraced motion step is cached for each start of a chase,
-        so the cost is O(motion steps since the previous call). A `since` before time 0 counts as 0, because nothing
-        moves before time 0.
+        Times are in ns. The first three arguments identify a chase. For each chase, the position at the start of the
+        last retraced motion step is cached, so the cost is O(motion steps since the previous call). A `since` before
+        time 0 counts as 0, because nothing moves before time 0.
         """
         assert self._remembers
         known = (position, speed, since)

@@ -116,7 +116,7 @@ class EvaderBody:
     It is at large until `captured` is set. From then on it stands still, and its `capture_times` are inf.
 
     Args:
-        number: 1 .. M, the action of a pursuer that chases it.
+        number: its number, 1 .. M; a pursuer that chases it has this number as its action.
         speed: its speed, m/s.
         controller: its controller, which chooses its heading.
         path: its path, as pursuers observe it.
@@ -215,7 +215,7 @@ class EvaderBody:
     def contact(
         self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]
     ) -> tuple[float, int] | None:
-        """Return the first capture up to `until` if all velocities stay constant; None if there is none.
+        """Return the first capture that `test` finds up to `until` if all velocities stay constant, or None.
 
         Args:
             now: the present, ns.
@@ -230,8 +230,8 @@ class EvaderBody:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # Up to this time no velocities lead to a capture, with a margin for rounding. The time is in the past if a
-        # pursuer is within the radius.
+        # Whatever the velocities, no capture is possible up to this time; the factor 0.999 is a margin for rounding.
+        # The time is in the past if a pursuer is within the radius.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

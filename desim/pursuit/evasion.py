@@ -1,4 +1,4 @@
-"""Evasion strategies: a strategy maps the observation of an evader to a heading.
+"""Evasion strategies: a strategy maps what an evader observes of the pursuit to a heading.
 
 A strategy is an immutable object without memory: the observation contains the previous heading and the time since it
 was chosen. No parameter refers to the motion step, so a strategy needs no change if the step changes.
@@ -72,7 +72,7 @@ class WeightedFlee(Fleeing):
     """Exponent p of the weights 1 / distance^p; inf: only the nearest counts."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the direction of sum_i xi_i / |xi_i|^(p + 1), xi_i = x_e - x_i; 0 if the sum or an xi_i is 0."""
+        """Return the direction of sum_i xi_i / |xi_i|^(p + 1), where xi_i = x_e - x_i; 0 if the sum or an xi_i is 0."""
         fled_from = self.fled_from(state)
         if not away(fled_from):
             return 0j
@@ -92,7 +92,8 @@ class MaxMin(Fleeing):
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the candidate heading u with the greatest min_i phi_i(u).
 
-        Of equally good candidates, the first counter-clockwise from the heading of pure evasion is chosen.
+        phi_i(u) is the least time in which pursuer i can intercept an evader that keeps the heading u. Of equally good
+        candidates, the first counter-clockwise from the heading of pure evasion is chosen.
         """
         fled_from = self.fled_from(state)
         straight = away(fled_from)
@@ -232,7 +233,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return the (K,) least intercept times, s, over all pursuers, one for each of (K,) constant headings."""
+    """Return for each of (K,) constant headings the least intercept time, s, over all pursuers; (K,)."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)

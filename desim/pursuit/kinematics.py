@@ -1,7 +1,8 @@
 """Kinematics: the positions of all players (pursuers and evaders), on piecewise straight paths with common breakpoints.
 
-A position is given in closed form, origin + velocity * (t - since), without numerical integration. The position of one
-player is computed without those of the others.
+A piece is the straight motion of a player between two breakpoints. A position is given in closed form, origin +
+velocity * (t - since), without numerical integration. The position of one player is computed without the positions of
+the others.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -72,7 +73,7 @@ class Kinematics:
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
     def positions_at(self, players: NDArray[np.intp], times: int | Integers) -> Points:
-        """Return the (k,) positions of some players, each at a time of the present piece, one or (k,), ns."""
+        """Return the (k,) positions of some players, m, at times (ns) of the present piece: one for all, or (k,)."""
         if self._static:
             return self._positions[players]
         return self._origins[players] + self.velocities[players] * ((times - self._since) / SECOND)

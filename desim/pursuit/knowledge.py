@@ -129,8 +129,9 @@ class Knowledge:
             period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
                 It counts only if `belief_timeout` is "auto".
             evader: the evader to which the capture times refer.
-            orders: orders sent to teammates by a server; see `Orders`. An announced position is extrapolated along the
-                announced action until the first order of the teammate takes effect, and then along its orders.
+            orders: the orders that this pursuer, as a server, has sent to each teammate; see `Orders`. An announced
+                position is extrapolated with the announced action until the first order to the teammate takes effect,
+                and then with the ordered actions.
         """
         return self._beliefs.about_teammates(period, evader, orders)
 
@@ -160,7 +161,8 @@ class Knowledge:
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""
-        return self._network.neighbours(self.id if of is None else of)
+        found: list[int] = self._network.topology.neighbours(self.id if of is None else of).tolist()
+        return found
 
     @property
     def mean_degree(self) -> float:
@@ -168,14 +170,16 @@ class Knowledge:
         return self._network.mean_degree
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:
-        """Return the pursuers whose actions count in its utility: all, those it hears directly, or its component.
+        """Return the pursuers whose actions count in its utility, given the scope of the utility.
 
-        The component contains all pursuers whose messages can reach it now over any number of hops. If this
-        pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
+        They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or its component
+        ("component"). The component contains all pursuers whose messages can reach it now over any number of hops. If
+        this pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
-        return self._network.audible(self.id) if scope == "neighbours" else self._network.component(self.id)
+        topology = self._network.topology
+        return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
 
     @property
     def latency(self) -> float:

@@ -25,8 +25,8 @@ class State:
         active: (N,) whether each pursuer chases the evader.
         offsets: (N,) vectors from each pursuer to the evader, m.
         distances: (N,) distances from each pursuer to the evader, m.
-        nearest: index of the pursuer nearest to the evader, active or not; the lowest of equally near ones; -1 if there
-            are no pursuers.
+        nearest: index of the pursuer nearest to the evader, active or not; the lowest index if several are equally
+            near; -1 if there are no pursuers.
     """
 
     def __init__(self, stamp: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
@@ -45,9 +45,9 @@ class State:
 
 
 def lengths(vectors: Points) -> Floats:
-    """Return the (k,) lengths of complex vectors, equal to the last bit to what `abs` returns.
+    """Return the (k,) lengths of complex vectors, bit for bit as the built-in `abs` returns them.
 
-    The last bits of `np.abs` depend on the processor.
+    `np.abs` is not used, because the last bits of its results depend on the processor.
     """
     found: Floats = np.hypot(vectors.real, vectors.imag)
     return found

@@ -45,8 +45,8 @@ class ProtocolTraits(Assuming):
     omniscient: Flag = False
     """Whether pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     embodied: Flag = True
-    """Whether the process of a pursuer runs on its robot: it stops while the robot is broken down, and uses its clock,
-    which may have an error."""
+    """Whether the process of a pursuer runs on its robot. If so, the process stops while the robot is broken down, and
+    uses the clock of the robot, which may have an error."""
     reckons: Flag = False
     """Whether the protocol extrapolates announced positions, whatever `announce.payload` is."""
     claim_size: Callable[[int, int], int] | None = None
@@ -83,8 +83,8 @@ class UtilityTraits(Assuming):
     """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
     expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
-    """`expected(own, others, chances, reward)` returns the mean gain, s, if each of the other pursuers is independently
-    active with its probability in `chances`."""
+    """`expected(own, others, chances, reward)` returns the mean gain, s, from being active if each of the other
+    pursuers is independently active with its probability in `chances`."""
 
 
 class DisseminationTraits(Assuming):

@@ -82,7 +82,7 @@ class Mean(Value):
 
 
 class LocalMean(Mean):
-    """As `mean`, over the neighbours heard now. Not a potential game: a path graph of 3 may have no equilibrium."""
+    """As `mean`, over the neighbours heard now. Not a potential game: on a path graph of 3 it may lack equilibria."""
 
     assumes: ClassVar[tuple[str, ...]] = ()
     kind: Literal["local_mean"] = "local_mean"  # type: ignore[assignment]

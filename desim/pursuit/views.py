@@ -33,8 +33,8 @@ class EvaderEstimate(NamedTuple):
 class View:
     """The knowledge of a pursuer about the evaders; this view sees all of them at any distance.
 
-    A view with limited sensing redefines `sees`, `estimate` and `unlimited`; the rest follows. The positions, speeds
-    and actions of pursuers are in `state`.
+    A view with limited sensing redefines `sees`, `estimate` and `unlimited`, on which the other methods are based. The
+    positions, speeds and actions of pursuers are in `state`.
 
     Args:
         state: the true state of the world.
@@ -100,7 +100,7 @@ class View:
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.
 
-        The evader must be at large, of known or estimated position, and not excluded by `prune`.
+        The evader must be at large, its position must be known or estimated, and `prune` must not exclude the pursuer.
         """
         body = self.state.body(evader)
         if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
@@ -136,7 +136,7 @@ class View:
             exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
                 assumed to head straight for the evader's present position, as estimated.
             ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
-                stand still since its end. A later call with the same start must not give an earlier end of the chase.
+                have stood still since then. A later call with the same start must not give an earlier end of the chase.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:

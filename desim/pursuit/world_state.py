@@ -1,4 +1,4 @@
-"""The true state of a pursuit: positions, velocities and actions of all players.
+"""The true state of a pursuit: positions and velocities of all players, and the actions of the pursuers.
 
 The views of the pursuers (`desim.pursuit.views`) read the state; the world (`desim.simulation.world`) changes it.
 """
@@ -106,7 +106,7 @@ class WorldState:
             body.set_chasers(np.equal(actions, body.number))
 
     def capture(self, body: EvaderBody) -> None:
-        """Mark an evader as captured: it stands still, and its chasers are inactive until their actions are set."""
+        """Mark an evader as captured: it stands still, and its chasers stop and become inactive."""
         body.captured = self.now
         self.at_large = tuple(each for each in self.at_large if each != body.number)
         chasing = self.actions == body.number

@@ -117,7 +117,7 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
 
 
 def read(path: Path) -> Document:
-    """Return the document in the run.json of runs, a sweep or a study.
+    """Return the document in a run.json.
 
     Raises:
         ProvenanceError: if the file is not a run.json; the message names all missing keys or wrong values.
@@ -150,7 +150,7 @@ def other_format(found: object, expected: int) -> str:
 
 
 def home(path: Path, made: Document) -> Path:
-    """Return the recorded folder of the scenario file; the folder of the run.json if it is not recorded or is gone."""
+    """Return the recorded folder of the scenario file; if there is none or it is gone, the folder of the run.json."""
     folder = None if made["folder"] is None else Path(made["folder"])
     return folder if folder is not None and folder.is_dir() else path.parent
 

@@ -28,7 +28,7 @@ EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, Mess
 
 
 class WriteError(OSError):
-    """Raised when the files of a run cannot be written, unlike an OSError of the code of a scenario."""
+    """Raised when the files of a run cannot be written, to tell this from an OSError in the code of a scenario."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Assumptions of protocols about a scenario, and checks whether a scenario satisfies them.
+"""Assumptions of protocols about a scenario, and checks of whether a scenario satisfies them.
 
 A protocol, its schedule, its utility or a dissemination lists the names of its assumptions in `assumes`. Each
 assumption is a function of the scenario that returns the reason why it does not hold, or None if it holds. The first
@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING
 
 import networkx as nx
 
+from desim.kernel.access import Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
 from desim.kernel.implicit_complete import is_complete
+from desim.kernel.medium import Medium, Radio
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
@@ -77,7 +79,8 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     if network.range < inf and not scenario.motion.static:
         return "a pursuer that comes into range does not receive earlier announcements (`announce.trigger`)"
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
-    drops = network.medium.half_duplex or network.medium.queue_limit < inf
+    medium = network.medium
+    drops = medium.half_duplex or medium.queue_limit < inf or _may_collide(medium)
     sampler = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
@@ -107,7 +110,7 @@ def rounds(scenario: "Scenario") -> str | None:
 
 
 def no_crashes(scenario: "Scenario") -> str | None:
-    """No pursuer breaks down."""
+    """No pursuer crashes; a crash of the radio alone counts, too."""
     return "pursuers break down" if _has_fault(scenario, "crash", Crash | RandomCrashes) else None
 
 
@@ -148,7 +151,7 @@ def times_known(scenario: "Scenario") -> str | None:
 
 
 def positions_known(scenario: "Scenario") -> str | None:
-    """Every pursuer knows all positions: pursuers are sensed or announce theirs to all, and the evaders are seen."""
+    """Every pursuer knows all positions: teammates are sensed or announce their positions, and the evaders are seen."""
     if scenario.announce.payload == "time":
         return "announcements contain no positions (`announce.payload`)"
     return times_known(scenario)
@@ -203,8 +206,13 @@ def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> boo
     )
 
 
+def _may_collide(medium: Medium) -> bool:
+    """Return whether frames may overlap at a receiver; those of a TDMA do not, unless clocks differ."""
+    return isinstance(medium, Radio) and medium.contends and not isinstance(medium.access, Tdma)
+
+
 def _reached_by_schedule(scenario: "Scenario") -> str | None:
-    """Return the receivers of the actions that a schedule repeatedly sends: "all", "neighbours" or None."""
+    """Return which pursuers a schedule repeatedly sends actions to: "all", "neighbours", or None if it sends none."""
     return scenario.schedule_traits.spreads_to
 
 

@@ -7,9 +7,14 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
+from desim.kernel.access import SlottedAloha
+from desim.kernel.clock import nanoseconds
 from desim.kernel.faults import Fault
+from desim.kernel.graphs import Complete
+from desim.kernel.interference import Collision
 from desim.kernel.latency import mean_latency
 from desim.kernel.links import Links
+from desim.kernel.medium import Radio
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
@@ -21,7 +26,8 @@ ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 LONG_LATENCY = 0.1
 """The share of the horizon above which a mean latency gives a warning.
 
-With a longer latency, at most ten one-way messages follow each other in a run, so the pursuers can hardly negotiate.
+With a longer latency, a chain of messages, each sent on arrival of the one before, has fewer than ten messages in a
+run, so the pursuers can hardly negotiate.
 Latencies in seconds are usually far below it: in the files of `scenarios`, outside of grids, at most 1.5 % of the
 horizon. Latencies given in milliseconds by mistake are above it: even the 5 ms of a fast radio become 5 s, a sixth of
 the default horizon.
@@ -56,7 +62,7 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
     Args:
         fastest: greatest speed of the pursuers, m/s.
         evader_speeds: speeds of the evaders, m/s.
-        pruned: whether pursuers may not chase an evader that they cannot capture.
+        pruned: whether pursuers are barred from chasing an evader that they cannot capture.
     """
     quick = [speed for speed in evader_speeds if speed >= fastest]
     which, they, whose, whom = (
@@ -102,7 +108,7 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     """
     known = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in known)
-    reported = any(scenario.sensing.limited for scenario in scenarios)  # sightings are, by messages of their own
+    reported = any(scenario.sensing.limited for scenario in scenarios)  # limited sensing: sightings are sent
     tables = ("announce.",) if reported else ("network.", "announce.")
     unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
     if unread and all(map(_senses_instead, scenarios)):
@@ -184,15 +190,37 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for k, fault in enumerate(scenario.fault):
         if isinstance(fault, Fault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
-    claim_size = scenario.protocol_traits.claim_size
-    size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
-    airtime = network.medium(size)
+    yield from _channel_warnings(scenario)
+    size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
-    load = airtime / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
+    contend = isinstance(network.medium, Radio) and network.medium.contends
+    all_hear_all = network.range == inf and isinstance(network.graph, Complete)
+    is_one_channel = network.medium.shared or (contend and all_hear_all)
+    load = airtime / announce.heartbeat * (scenario.team.count if is_one_channel else 1)
     if _has_heartbeats(scenario) and load > 1.0:
         yield (
             "announce.heartbeat",
             f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
-            " bound, or messages are dropped",
+            f" bound, or messages {'collide or ' if contend else ''}are dropped",
+        )
+
+
+def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about access to a channel and interference."""
+    medium = scenario.network.medium
+    if not isinstance(medium, Radio):
+        return
+    if not medium.contends:
+        if medium.reception != Collision():
+            yield "network.medium.reception", "it has no effect, because no frames overlap with access.kind 'ideal'"
+        return
+    if medium.half_duplex:
+        yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
+    access, airtime = medium.access, scenario.announcement_airtime
+    if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
+        yield (
+            "network.medium.access.slot",
+            f"an announcement of {scenario.announcement_size} bytes takes {airtime:g} s on the air, longer than a slot"
+            f" of {access.slot:g} s: frames of neighbouring slots overlap",
         )

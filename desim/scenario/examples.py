@@ -12,7 +12,7 @@ from desim.config.trust import write_new
 
 
 def examples() -> Mapping[str, Path]:
-    """Return the path of each example scenario file by its name, sorted: `load(examples()["relay"])`."""
+    """Return the path of each example scenario file by its name, sorted; use it as in `load(examples()["relay"])`."""
     return {path.stem: path for path in sorted(folder_of("scenarios").glob("*.toml"))}
 
 

@@ -1,4 +1,7 @@
-"""All keys of scenario files: the table, the allowed kinds and the unit of each key."""
+"""All keys of scenario files: the table, the allowed kinds and the unit of each key.
+
+The kind of a table is the value of its key `kind`, which selects one of several models.
+"""
 
 import re
 from collections.abc import Iterator
@@ -35,7 +38,8 @@ class Key(NamedTuple):
 def all_keys() -> tuple[Key, ...]:
     """Return every key of scenario files; keys of outer tables come first.
 
-    A key may occur several times, because the tables that contain it may have several kinds or forms.
+    A key occurs several times if the table that contains it may have several kinds, or be one of several models
+    without a kind.
     """
     return tuple(sorted(_keys(Scenario, (), None, ()), key=lambda key: len(key.place)))
 

@@ -39,7 +39,8 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     An untrusted scenario may name only code that `protocols.KINDS` or an entry point of desim lists.
 
     Raises:
-        ValueError: if the value is not such a function or name, or the code is not trusted or cannot be imported.
+        ValueError: if the value is neither a function of one argument nor the name of one, or if the code is not
+            trusted or cannot be imported.
     """
     if isinstance(value, NamedMetric):
         return value

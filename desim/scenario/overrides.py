@@ -34,9 +34,9 @@ class Source:
     origins: dict[KeyPath, str] = field(default_factory=dict)
     """For each key that was overridden, a description of the override."""
     folder: Path | None = None
-    """The folder in which files and modules that the scenario names are looked up; None: that of the scenario file."""
+    """The folder in which files and modules that the scenario names are looked up; None: the folder of the file."""
     allow_import: bool = False
-    """Whether the scenario may name code to be run, and files outside of that folder."""
+    """Whether the scenario may name code to be run, and files outside of `folder`."""
     files: dict[KeyPath, str] = field(default_factory=dict)
     """For each key that is set only in a base (a file that the key `base` names), the path of this base."""
 
@@ -55,7 +55,7 @@ class Source:
     def where(self, place: KeyPath) -> str:
         """Return the place where a key was set: `file:line`, or the description of the last override.
 
-        If the source has no lines, it is the name of the source.
+        For a key without override in a source without lines, it is the name of the source.
         """
         origin, line = self._set_at(place)
         return f"{origin}:{line}" if line else origin
@@ -65,9 +65,10 @@ class Source:
         return self._set_at(place)[1]
 
     def _set_at(self, place: KeyPath) -> tuple[str, int]:
-        """Return (origin, line) of a key: the file where it was set and the line, or its last override and 0.
+        """Return (origin, line) of a key.
 
-        An override is given by its description. If the source has no lines, its name and 0 are returned.
+        If the key was overridden, the origin is the description of the last override and the line is 0. Otherwise, they
+        are the file and the line where the key was set; in a source without lines, the name of the source and 0.
         """
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
@@ -92,8 +93,8 @@ class Source:
     def over(self, base: Self) -> Self:
         """Return this source with the keys that it lacks taken from a base; neither may have overrides.
 
-        Tables are merged key by key; any other value replaces that of the base. When the kind of a table changes, the
-        keys of the base that the new kind does not have are left out.
+        Tables are merged key by key; any other value replaces the value of the base. When the kind of a table
+        changes, the keys of the base that the new kind does not have are left out.
         """
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
@@ -106,7 +107,7 @@ class Source:
         return merged
 
     def _lay(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
-        """Merge tables into the present ones at the place `above`, and yield the place of every value that is set."""
+        """Merge tables into the table of this source at `above`, and yield the place of every value that is set."""
         present = value_at(self.tables, above)
         if "kind" in tables and tables["kind"] != present.get("kind"):
             self._remove_misfits(above, tables["kind"])
@@ -162,10 +163,10 @@ class Source:
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
 
-        A bare string or number in place of a table becomes the table that it stands for.
+        A bare string or number in place of a table becomes the table that it stands for: "cbba", for instance, stands
+        for { kind = "cbba" }.
 
-        When the kind of a table changes, the keys that the new kind does not have are removed, except those that were
-        overridden.
+        When the kind of a table changes, the keys that the new kind does not have are removed, except overridden keys.
 
         Raises:
             ScenarioError: if the name is not a key of a table or leads into an empty list, or if a model that was
@@ -206,7 +207,7 @@ class Source:
         return reduce(lambda value, one_of: one_of.as_table(value), choices_of(info) if info else (), value)
 
     def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
-        """Remove the keys of a table that a new kind does not have, except those that were overridden."""
+        """Remove the keys of a table that a new kind does not have, except overridden keys."""
         info = _field_at(self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
         for model in filter(None, models):
@@ -236,9 +237,9 @@ def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
 
 
 def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
-    """Return the model field of a place in the tables of a scenario, or of the list that contains the place.
+    """Return the model field of a place in the tables of a scenario; for a list item, the field of the list.
 
-    It is None if no model has such a field.
+    Return None if no model has such a field.
     """
     model: type[BaseModel] | None = Scenario
     info: FieldInfo | None = None
@@ -277,7 +278,7 @@ def _tables(model: Value) -> dict[str, Any]:
 
 
 def _table(value: Any, info: FieldInfo) -> Any:
-    """Return the value of a field with models as tables, and tuples as lists."""
+    """Return the value of a field, with its models as tables and its tuples as lists."""
     if isinstance(value, tuple):
         return [_table(each, info) for each in value]
     choices = choices_of(info)

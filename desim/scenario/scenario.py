@@ -36,8 +36,11 @@ from desim.config.model import (
     Value,
 )
 from desim.config.traits import name_of
+from desim.kernel.access import Tdma
+from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.links import Links
+from desim.kernel.medium import LoRa, Radio
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
@@ -318,6 +321,20 @@ class Scenario(Value):
         announces = self.protocol_traits.announces
         return self.announce.payload != "action" if announces == "unseen" else announces
 
+    @property
+    def announcement_size(self) -> int:
+        """Size of an announcement, bytes."""
+        claim_size = self.protocol_traits.claim_size
+        return claim_size(self.team.count, len(self.evaders)) if claim_size else self.announce.payload_size
+
+    @property
+    def announcement_airtime(self) -> float:
+        """Longest airtime of an announcement, s; nodes differ if they have spreading factors of their own."""
+        medium, size = self.network.medium, self.announcement_size
+        if isinstance(medium, LoRa) and medium.spreading_factors is not None:
+            return max(medium.airtime(size, node) for node in range(self.team.count))
+        return medium(size)
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         found = list(self._misfits())
@@ -349,6 +366,7 @@ class Scenario(Value):
             for src, dst in link.ways() if not unknown else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
+        yield from self._channel_misfits()
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
                 ("capture", "captures_to_end"),
@@ -368,6 +386,32 @@ class Scenario(Value):
         for k, fault in enumerate(self.fault):
             key = "groups" if isinstance(fault, Partition) else "node"
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
+
+    def _channel_misfits(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
+        medium, count = self.network.medium, self.team.count
+        if not isinstance(medium, Radio):
+            return
+        access = medium.access
+        try:
+            medium.check(count)
+            if not isinstance(access, Tdma):
+                return
+            access.owners(count)
+        except ValueError as error:
+            key, _, why = str(error).partition(": ")
+            yield tuple(key.split(".")), why
+            return
+        airtime, guard = nanoseconds(self.announcement_airtime), nanoseconds(access.guard)
+        free = nanoseconds(access.slot) - guard
+        if self.announces and airtime > free:
+            least = -(-(airtime + guard) // 1000) / 1e6
+            yield (
+                ("network", "medium", "access", "slot"),
+                f"an announcement of {self.announcement_size} bytes takes {seconds(airtime):g} s on the air, but a slot"
+                f" without its guard time only {seconds(free):g} s: it should be at least {least:.10g} s"
+                f" (got {access.slot:g})",
+            )
 
 
 def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:

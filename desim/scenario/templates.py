@@ -43,7 +43,7 @@ latency = { kind = "constant", value = 0.05 }           # s, one way
 loss = { kind = "bernoulli", p = 0.05 }
 
 [record]
-messages = true                                         # for ages, beliefs and pictures of messages
+messages = true                                         # needed for the age of information and pictures of messages
 
 [sweep]
 reps = 20                                               # runs of each configuration
@@ -80,7 +80,8 @@ class CLASS(LearningRule):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield an action at each turn of a pursuer: 0 to be inactive, j to chase evader j.
 
-        Local variables are the memory of the pursuer. It knows what `Agent` offers, and draws from `me.rng` only.
+        Local variables are the memory of the pursuer. Use only what `Agent` offers: a pursuer knows nothing else. Draw
+        from `me.rng` only.
         """
         while True:
             utilities = self.utilities(me)  # of each action that it may choose, s
@@ -152,8 +153,8 @@ class CLASS(Value):
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading, a complex number of length at most 1; 0 stands still.
 
-        `state.offsets` are the (N,) vectors from the pursuers that it senses to the evader, m, and `state.nearest` is
-        the index of the nearest, -1 without any. Draw from `rng` only.
+        `state.offsets` are the (n,) vectors, m, to the evader from each of the n pursuers that it senses.
+        `state.nearest` is the index of the nearest of them, or -1 if there are none. Draw from `rng` only.
         """
         if state.nearest < 0:
             return 0j
@@ -176,7 +177,7 @@ from desim.simulation.run import Result
 
 
 def longest_pause(result: Result) -> float | None:
-    """Return the longest time between two decisions of a pursuer, s; None if no pursuer decided twice.
+    """Return the longest time between two consecutive decisions of a pursuer, s; None if no pursuer paused.
 
     `result.trace` has the events of the run; the reference page "Events of a trace" lists their fields. The functions
     of `desim.analysis.metrics` are the built-in metrics.

@@ -95,15 +95,16 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
 
 
 def _relocate(source: Source, node: Any, above: KeyPath) -> None:
-    """Make the paths of data files that bases set relative to the folder of the file itself.
+    """Convert the paths of data files in bases: make each relative to the folder of the file that uses the bases.
 
-    Such a path is the key `file` of a table with an installed kind, or a value of such a key in the grid. In a table of
-    the kind "module:name", this key may mean anything else. The kind may be set in another file than the path.
+    Such a path is the value of the key `file` in a table, or one of the values of such a key in the grid of a sweep.
+    Only tables whose kind is the name of an installed model are converted, because the key `file` may mean anything
+    else in a table of the kind "module:name". The kind and the path may be set in different files.
 
     Args:
         source: the source of the file, merged with its bases.
         node: a value in its tables.
-        above: the place of this value.
+        above: the place of this value: the keys and list indices that lead to it.
     """
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, each in inner:
@@ -256,7 +257,7 @@ def _reason(
 ) -> str:
     """Return the text of an error, with the allowed values.
 
-    `owner` is the model of the table that contains the key; `more` are keys that are allowed beside its fields.
+    `owner` is the model of the table that contains the key; `more` are keys that are allowed in addition to its fields.
     """
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None

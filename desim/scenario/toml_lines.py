@@ -52,14 +52,14 @@ MAX_PARTS = 100
 def deep_key(text: str) -> int | None:
     """Return the index at which the first key of more than `MAX_PARTS` parts starts in a TOML text; None without one.
 
-    Strings and comments may contain such a text.
+    Text within strings and comments is not a key, however many dots it has.
     """
     return next((found.start() for found in _DEEP_KEY.finditer(text) if found["key"]), None)
 
 
 # The four kinds of strings, and comments. They are matched as a whole, because a dot, a bracket or a line end within
-# them has no meaning. `tomllib` stops at a string without an end, so this pattern takes the rest of the text with it;
-# otherwise the rest would be searched again from every quotation mark.
+# them has no meaning. `tomllib` stops at a string without an end, so every pattern except that of '...' matches such a
+# string up to the end of the text; otherwise the rest of the text would be searched again from every quotation mark.
 _QUOTED = (
     r'"""(?:(?:\\.|[^\\])*?"{3,5}(?!")|.*)|\'\'\'(?:.*?\'{3,5}(?!\')|.*)'
     r'|"(?:\\.|[^"\\\n])*(?:"|.*)|\'[^\'\n]*\'|#[^\n]*'

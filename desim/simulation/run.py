@@ -59,10 +59,11 @@ class Result:
 
         Args:
             kind: trajectory: the paths of all players; spacetime: a line per pursuer and an arrow per message.
-            begin: the start of the window of a space-time diagram, s.
-            end: the end of the window, s.
-            pursuers: the pursuers in a space-time diagram, from top to bottom.
-            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm".
+            begin: the start of the window of a space-time diagram, s; None = the start of the run.
+            end: the end of the window, s; None = the end of the run, or earlier so that the messages stay legible.
+            pursuers: the pursuers in a space-time diagram, from top to bottom; None = all, or in a large team the six
+                with the most changes of action.
+            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
 
         Raises:
             ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
@@ -82,7 +83,8 @@ class Result:
         """Create the replay, a page to show in a notebook or to save with `write`; needs jinja2 (the extra `plot`).
 
         Args:
-            ghost: another run, drawn faint in the same plane; for example, the same seed with another latency.
+            ghost: another run, drawn faint in the same plane, for example with the same seed and another latency; None
+                = no other run.
         """
         from desim.view.replay import Replay
 
@@ -156,6 +158,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.fault, state.size, scenario.horizon, seed)
     positions = _PursuerPositions(state)
+    skews = scenario.fault if scenario.protocol_traits.embodied else ()
+    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(
         env,
         scenario.network.graph(state.size),
@@ -165,9 +169,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         trace=trace,
         fault_state=FaultState(positions) if faults else None,
         predicate=announces_chase,
+        clocks=clocks,
     )
-    skews = scenario.fault if scenario.protocol_traits.embodied else ()
-    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     sensor = _sensor(scenario, state, network, clocks)
     views = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)

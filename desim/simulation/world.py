@@ -46,7 +46,7 @@ class World:
 
     Attributes:
         state: the true state of the world.
-        eavesdropper: overhears the network for evaders that listen; None if none do.
+        eavesdropper: overhears the network for evaders that listen; None if no evader listens.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class World:
         self._steering.set_actions(actions)
 
     def _move(self, _: simpy.Event) -> None:
-        """Set new velocities for a motion step and schedule the next one, up to the horizon."""
+        """Set new velocities for a motion step and schedule the next step; do nothing at the horizon."""
         now, state = self._env.now, self.state
         if now == state.horizon:
             return

@@ -108,9 +108,10 @@ def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str
 
 
 def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[Control]:
-    """Yield the control of one value of a field, and the controls of the keys of the model that the value is.
+    """Yield the controls of one value of a field.
 
-    A field that takes kinds has no control if its value is None.
+    If the value is a model, these are the controls of its keys, preceded by a control of its kind if it has one. If the
+    value is anything else, this is one control. A field that takes kinds has no control if its value is None.
     """
     choice, plain = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
     inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else plain

@@ -30,8 +30,8 @@ def label_points(
 ) -> list[Text]:
     """Write a short label beside each point and return the texts.
 
-    Each label takes one of eight positions around its point: the one that overlaps least with points, earlier labels
-    and the outside of the axes.
+    There are eight positions around each point. The label takes the position with the least overlap with points,
+    earlier labels and the outside of the axes.
 
     Args:
         axes: the axes to write on. They must have their final limits, and their figure its final layout

@@ -1,4 +1,4 @@
-"""Two runs side by side on one clock: one self-contained HTML page; equal runs give equal bytes."""
+"""A self-contained HTML page that plays two runs side by side on one clock; equal runs give equal bytes."""
 
 from collections.abc import Iterator
 from importlib.resources import files
@@ -25,7 +25,7 @@ class Difference(NamedTuple):
     """A key of a scenario file with different values in two scenarios."""
 
     key: str
-    """The dotted key of the value; if the value is in models of different kinds, the key of the models."""
+    """The dotted key of the value. If two models differ in kind, only the key of the models is given."""
     first: str
     """The value in the first scenario as text."""
     second: str

@@ -145,8 +145,9 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     """Draw the paths of evaders and active pursuers, with a square at each handover and a star at each capture.
 
     The path of a pursuer is bold while it chases alone and thin while it chases with others. Of a pursuer that was
-    never active, only the circle at its initial position is drawn. The first square of an evader marks the first
-    pursuer that chases it alone. `label_handovers` adds the numbers of the pursuers.
+    never active, only the circle at its initial position is drawn. At a handover, a pursuer begins to chase an evader
+    alone. The first square of an evader therefore marks the first pursuer that chases it alone. `label_handovers` adds
+    the numbers of the pursuers.
 
     Raises:
         ValueError: if no positions were recorded.

@@ -4,8 +4,8 @@ The format is that of Google's document "Trace Event Format", as Perfetto reads 
 (https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source). Times
 `ts` and durations `dur` are in microseconds, with decimals. The phases `ph` are "M", which names a process or a thread;
 "X", a slice of a thread; "i", an instant; "C", a counter; "b" and "e", the start and end of an asynchronous slice. The
-two events of an asynchronous slice have the same pid, cat, id and name. Asynchronous slices may overlap. Asynchronous
-slices of equal name in one process share a track.
+scope `s` of an instant is "t" (its thread) or "g" (global). The two events of an asynchronous slice have the same pid,
+cat, id and name. Asynchronous slices may overlap. Asynchronous slices of equal name in one process share a track.
 
 The pursuers are the threads of one process. Each receiver is a process whose tracks are its incoming links.
 """
@@ -133,8 +133,8 @@ def _counts(result: Result) -> Iterator[Entry]:
 def _messages(result: Result) -> Iterator[Entry]:
     """Yield the start and end of each delivery.
 
-    The slice of a message in flight at the end of the run lasts until its arrival. The slice of a message still queued
-    then is after the end, and has zero duration.
+    The slice of a message in flight at the end of the run lasts until its arrival. For a message that is still queued
+    at the end of the run, a slice of zero duration follows the end.
     """
     size, over = len(started(result).active), ended(result).t
     for each in deliveries(result):

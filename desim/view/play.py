@@ -1,5 +1,6 @@
-"""A scenario to play with: its keys are changed one by one, and each run is compared with a run that was pinned.
+"""A scenario to play with: its keys are changed one by one, and each run is compared with a pinned run.
 
+A pinned run is one that the user has chosen as the reference. A control is the part of a page that changes one key.
 The page of `desim play` (`desim.view.play_server`) and the widget of notebooks (`desim.view.widget`) show what the
 functions here return. Each answer to a request of a page is a JSON object.
 """
@@ -98,7 +99,7 @@ class Playground:
         return with_recordings(validate(self.changed(changes)))
 
     def result(self, changes: Changes) -> Result:
-        """Run the scenario with changes.
+        """Run the scenario with changes, or return the result of an earlier equal call if it is still kept (`KEPT`).
 
         Raises:
             ScenarioError: if it is not valid.
@@ -238,7 +239,7 @@ class Session:
         self._comparisons = Counter[str]()
 
     def warm_up(self) -> None:
-        """Let the workers import what a run needs, without waiting for it."""
+        """Let the workers import what a run needs, and return without waiting for them."""
         for _ in range(self.workers.count):
             self._submit(partial(self.playground.answer, self.playground.start, None))
 
@@ -267,7 +268,7 @@ class Session:
         self._comparisons[page] += 1
 
     def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
-        """Run both scenarios with equal seeds, and yield after each pair what is known of their differences.
+        """Run both scenarios with equal seeds, and yield after each pair of runs what is known of the differences.
 
         The first seed is that of the scenario with the changes `now`, and each later one is greater by 1. An earlier
         comparison of the same page is cancelled.
@@ -300,7 +301,7 @@ class Session:
                 future.cancel()
 
     def _submit(self, call: "partial[Any]") -> "Future[Any]":
-        """Submit a call; workers that died since the last one are replaced."""
+        """Submit a call; workers that died since the last call are replaced."""
         try:
             return self.workers.submit(call)
         except Exception as error:
@@ -405,7 +406,7 @@ def _row(name: str, found: Summary, own: Mapping[str, Metric]) -> Answer:
 
 
 def _ordered(found: Summary) -> list[str]:
-    """Return the names of the metrics that are numbers, those of `FIRST` first."""
+    """Return the names of the metrics that are numbers, beginning with `FIRST`."""
     names = [name for name in found if name not in METRICS or METRICS[name].is_number]
     return [*FIRST, *(name for name in names if name not in FIRST)]
 
@@ -422,7 +423,7 @@ def _formatted(value: Any, sign: str = "") -> str:
 
 
 def _by_key(text: str, changes: Changes) -> dict[str, str]:
-    """Return the message of each key in the lines of a ScenarioError; under "" those that name no key."""
+    """Return the message of each key in the lines of a ScenarioError; under "" the lines that name no key."""
     found: dict[str, list[str]] = {}
     for line in text.splitlines():
         change = next((each for each in changes if line.startswith(f"--set {each}: ")), None)

@@ -157,7 +157,8 @@ class _Handler(BaseHTTPRequestHandler):
         if length.isdecimal() and len(length) < 10:
             body = self.rfile.read(min(int(length), MAX_BODY))
             left = int(length) - len(body)
-            while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):  # else the client may miss the answer
+            # If a part of the request stays unread, the client may miss the answer.
+            while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):
                 left -= len(rest)
             try:
                 found: Any = json.loads(body) if int(length) <= MAX_BODY else None
@@ -228,7 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _lines(answers: Iterator[Answer]) -> Iterator[bytes]:
-    """Yield answers as lines of JSON; if computing them raises an exception, the last line is an `error`."""
+    """Yield answers as lines of JSON; if computing them raises an exception, the last line has the key `error`."""
     try:
         for each in answers:
             yield json.dumps(each, allow_nan=False).encode() + b"\n"

@@ -41,7 +41,7 @@ from desim.kernel.implicit_complete import is_complete
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Unlimited
+from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 from desim.pursuit.events import BrokeDown, Captured, Decided
@@ -78,7 +78,10 @@ class Replay:
 
     @classmethod
     def of(cls, result: Result, ghost: Result | None = None) -> Self:
-        """Return the replay of a run, by default without a ghost; see `replay`; needs jinja2 (the extra `plot`)."""
+        """Return the replay of a run and, if a ghost is given, of the other run to compare it with.
+
+        See `replay`; needs jinja2 (the extra `plot`).
+        """
         return cls(replay(result, ghost), run_name(result))
 
     def write(self, path: str | Path) -> Path:
@@ -106,7 +109,7 @@ def replay(result: Result, ghost: Result | None = None) -> str:
         result: the run.
         ghost: another run to compare it with, perhaps with other players or another duration; None = no other run. The
             players of the ghost and their trails are drawn faint in the same plane, and its number of active pursuers
-            is dashed on the time axis.
+            is a dashed line on the time axis.
     """
     from jinja2 import Environment
 
@@ -198,6 +201,8 @@ def conditions(scenario: Scenario) -> str:
         parts.append(f"graph {_model(links.graph)}")
     if not isinstance(links.medium, Unlimited):
         parts.append(f"medium {_model(links.medium)}")
+    if isinstance(links.medium, Radio) and links.medium.contends:
+        parts.append(f"access {_model(links.medium.access)}, interference {_model(links.medium.reception)}")
     if links.link:
         parts.append(f"{len(links.link)} link{'s' if len(links.link) > 1 else ''} with other models")
     return ", ".join(parts)
@@ -409,12 +414,12 @@ def _acts(result: Result) -> Iterator[Change]:
 
 
 def _kind(result: Result) -> str:
-    """Return the dtype of a column of actions: 0 .. M, and M + 1 for unknown."""
+    """Return the dtype of a column of actions, with M evaders: 0 .. M, and M + 1 for unknown."""
     return "u1" if len(started(result).evaders) < 255 else "<u2"
 
 
 def _relays(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return the handovers as columns."""
+    """Return the handovers (`desim.view.deliveries.Handover`) as columns."""
     found = handover_events(result)
     return {
         "t": ticks([each.t for each in found]),

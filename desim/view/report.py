@@ -65,7 +65,7 @@ class Study:
             OSError: if a file cannot be read, or the store is missing or damaged (StoreError).
             ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
-        with Store(folder / STORE, read_only=True) as kept:
+        with Store(folder / STORE, read_only=True, verify=False) as kept:
             result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
             commands = kept.commands
         path = folder / provenance.FILE
@@ -94,11 +94,7 @@ class Study:
         """The numeric metrics with a value in at least one run, except `captured`, which every table includes."""
         names = [name for name, metric in METRICS.items() if metric.is_number and name != "captured"]
         groups = self.result.groups
-        return [
-            name
-            for name in (*names, *self.result.units)
-            if any(each is not None for group in groups for each in group.values(name))
-        ]
+        return [name for name in (*names, *self.result.units) if any(len(group.present(name)) for group in groups)]
 
 
 def report(study: Study) -> str:
@@ -299,7 +295,7 @@ def _inline(figure: "Figure", name: str, label: str) -> "Markup":
         element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
     for key in ("height", "version"):
         root.attrib.pop(key, None)
-    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # font sizes as in print
+    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # at this width, fonts are as large as in print
     root.set("role", "img")
     root.set("aria-label", label)
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree

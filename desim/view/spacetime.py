@@ -3,7 +3,7 @@
 After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
 a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
 arrival time: it is drawn as if it took the mean latency of the drawn messages that are not lost, and ends just short of
-the line of its receiver. A message lost on arrival ends on the line of its receiver.
+the line of its receiver. A message lost on arrival ends on the line of its receiver, with an asterisk if it collided.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
-from desim.analysis.palette import CAPTURE_MARK, GREY, LOST, LOST_MARK
+from desim.analysis.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
@@ -131,7 +131,7 @@ def _window(
     about this number of messages. Messages transmitted at the same time stay together.
 
     Raises:
-        ValueError: if there are more than `most` deliveries, the number that can be told apart.
+        ValueError: if there are more than `most` deliveries; `most` is the number that can be told apart.
     """
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
@@ -227,7 +227,7 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 
 def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
-    """Draw lost messages as dotted lines to a cross, and all others as arrows."""
+    """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
 
     def kind(each: Delivery) -> tuple[str, str]:
         announced = announced_action(each.body)
@@ -246,14 +246,21 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
     if not lost:
         return
     t, row = _ends(lost, rows)
-    at_once = t[1] == t[0]
+    collided = np.array([each.cause == "collision" for each in lost])
+    at_once = (t[1] == t[0]) & ~collided  # an acknowledged message that is given up has collided at its receiver
     way = np.where(at_once, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
     t[1] += np.where(at_once, latency * way, 0.0)
     row[1] = row[0] + way * (row[1] - row[0])
     gaps = np.full(len(lost), np.nan)
     axes.plot(np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=LOST, ls=":", lw=0.8, zorder=3)
-    axes.plot(t[1], row[1], LOST_MARK, color=LOST, ms=4, mew=1.0, zorder=4)
-    axes.plot([], [], color=LOST, ls=":", marker=LOST_MARK, ms=4, lw=1.0, label="lost message")
+    marks: list[tuple[str, Any, float, Any]] = [
+        ("lost message", LOST_MARK, 4.0, ~collided),
+        ("collision", COLLISION_MARK, 6.5, collided),
+    ]
+    for label, mark, size, chosen in marks:
+        if chosen.any():
+            axes.plot(t[1][chosen], row[1][chosen], color=LOST, marker=mark, ls="", ms=size, mew=1.0, zorder=4)
+            axes.plot([], [], color=LOST, ls=":", marker=mark, ms=size, lw=1.0, label=label)
 
 
 def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:

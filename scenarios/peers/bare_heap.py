@@ -1,9 +1,10 @@
 """Deliver the broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and no simulator.
 
-Each pass of the loop is one turn, except the last, which is at the end of the run. A pass delivers the messages that
-have arrived since the previous pass, and then sends the broadcast of its turn. Nodes read only at turns. A pass
-therefore takes the broadcast at the top of the heap and writes all its arrivals until now at once. If later arrivals of
-this broadcast remain, it goes back into the heap with the time of the next one.
+The nodes take turns: at each turn, one node reads its messages and broadcasts (`scenarios.peers.workloads`). Each pass
+of the loop is one turn, except the last, which is at the end of the run. A pass delivers the messages that have arrived
+since the previous pass, and then sends the broadcast of its turn. The last pass sends a broadcast that never arrives.
+Nodes read only at turns. A pass therefore takes the broadcast at the top of the heap and writes all its arrivals until
+now at once. If later arrivals of this broadcast remain, it goes back into the heap with the time of the next arrival.
 """
 
 from heapq import heappop, heappush, heapreplace

@@ -1,5 +1,7 @@
 """Deliver the broadcasts of a workload in desim: as published records, and as messages to inboxes."""
 
+from math import sqrt
+
 import numpy as np
 
 from desim.config.arrays import Floats, Integers
@@ -66,12 +68,13 @@ class _Moving(PositionSource):
         rng = np.random.default_rng(workload.seed)
         self._env, self._start = env, rng.random((workload.size, 2))
         self._velocity = rng.uniform(-workload.speed, workload.speed, (workload.size, 2))
+        self.max_speed = sqrt(2.0) * workload.speed
 
     def __call__(self) -> Floats:
         return self._start + self._velocity * seconds(self._env.now)
 
     def of(self, nodes: Nodes) -> Floats:
-        return self.at(nodes, self._env.now)
+        return self._start[nodes] + self._velocity[nodes] * seconds(self._env.now)
 
     def at(self, nodes: Nodes, times: int | Integers) -> Floats:
         return self._start[nodes] + self._velocity[nodes] * (np.atleast_1d(times) / SECOND)[:, np.newaxis]

@@ -35,7 +35,7 @@ def turn(number: int) -> None:
 
 
 def deliver(table: dict[int, int], src: int, number: int) -> None:
-    """Write an arriving number into the table of its receiver."""
+    """Write an arriving number into the table of its receiver, unless the table has a newer one from the same node."""
     global delivered
     if table.get(src, -1) < number:
         table[src] = number

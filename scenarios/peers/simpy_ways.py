@@ -150,7 +150,7 @@ class PerBroadcast(PlainSimPy):
         self.delivered += len(tables)
 
     def one_by_one(self) -> Turns:
-        """Use one event per broadcast, which visits the receivers in the order of arrival."""
+        """Use one event per broadcast, which writes into the tables of its receivers in the order of arrival."""
         env, end, size, arrivals = self.env, self.work.end, self.work.size, Arrivals(self.work)
         for number in range(self.work.turns):
             now = env.now
@@ -163,7 +163,11 @@ class PerBroadcast(PlainSimPy):
 
 
 class _Visits(simpy.Event):
-    """A broadcast in flight: one event, scheduled again after each visit for the first arrival not yet written."""
+    """A broadcast in flight: one event, scheduled first at the earliest arrival.
+
+    Each time it is processed (`visit`), it writes all arrivals up to the next read into the tables of their receivers.
+    It is then scheduled again at the first arrival after that read.
+    """
 
     def __init__(self, way: PerBroadcast, number: int, arrivals: Iterator[tuple[float, int]]):
         self.env, self._ok, self._value = way.env, True, None
@@ -177,7 +181,7 @@ class _Visits(simpy.Event):
         self.env.schedule(self, delay=when - self.env.now)
 
     def visit(self, _: simpy.Event) -> None:
-        """Write into the tables of all receivers that are reached before the next node reads."""
+        """Write into the tables of all receivers that are reached by the time at which a node reads next."""
         way, src, number, tables, visited = self.way, self.src, self.number, self.way.tables, 1
         table = tables[self.node]
         if table.get(src, -1) < number:

@@ -1,4 +1,4 @@
-"""The workloads: senders, receivers, times and latencies of broadcasts.
+"""The workloads of the speed comparison: senders, receivers, times and latencies of broadcasts.
 
 In each workload the nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the
 number of the turn. The table of a node contains the newest number received from each other node.
@@ -35,12 +35,12 @@ class Workload:
     turns: int
     latency: Constant | Lognormal
     links: Links | None = None
-    """The links that the ways of desim use; if None, links with the field `latency` that are otherwise ideal. The other
-    ways always use `latency`."""
+    """The links in desim; if None, links with the field `latency` that are otherwise ideal. The other implementations
+    always use `latency`."""
     faults: tuple[Fault, ...] = ()
     """Planned faults; in desim only."""
     speed: float = 0.0
-    """The largest component of the nodes' velocities, m/s; in desim only."""
+    """Upper bound of the absolute value of each component of the nodes' velocities, m/s; in desim only."""
     seed: int = 0
 
     @property

@@ -166,6 +166,7 @@ def test_a_styled_figure_has_its_size_in_inches():
         assert mpl.rcParams["svg.fonttype"] == "none"
 
 
+@pytest.mark.slow
 def test_a_figure_keeps_its_labels_when_it_is_resized():
     """Of 9 points in 2.5 in, they are cut unless the layout follows the size; as without one."""
     for is_live in (True, False):

@@ -241,6 +241,7 @@ class Unequal:
                 me.announce()
 
 
+@pytest.mark.slow
 def test_a_winner_without_turns_is_kept_as_long_as_its_records_arrive():
     """Pursuer 1 wins at 0.2 s, and from 0.3 s on only repeats it.
 

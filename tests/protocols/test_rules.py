@@ -139,6 +139,7 @@ def test_binary_log_linear_tries_another_action_and_selective_sap_any(rule, trie
         assert all(abs(n - 6000 / len(among)) < 4 * 40 for n in counts.values())
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=4))
 def test_an_action_is_drawn_with_its_probability_by_one_number(weights):
     """The share of 2000 equidistant numbers that each action takes is its chance to 1/2000; without one it has none."""

@@ -122,6 +122,7 @@ def test_a_document_that_cannot_be_written_leaves_no_part_of_it(tmp_path, monkey
     assert (tmp_path / "run.json").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_it_loads_nothing_that_takes_time_to_import():
     program = "import sys, desim.results.provenance; sys.exit(bool({'numpy', 'pydantic', 'simpy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

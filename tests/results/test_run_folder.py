@@ -65,6 +65,7 @@ def seen() -> Scenario:
     return SCENARIO.model_copy(update={"record": Recording(trajectory=0.1)})
 
 
+@pytest.mark.slow
 def test_there_are_pictures_if_positions_were_recorded(seen, tmp_path):
     write(run(seen), tmp_path)
     assert names(tmp_path) == DATA | PICTURES
@@ -78,6 +79,7 @@ def test_there_are_no_pictures_without_matplotlib(seen, tmp_path, monkeypatch):
     assert names(tmp_path) == DATA
 
 
+@pytest.mark.slow
 def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_one(seen, result, tmp_path):
     write(run(seen), tmp_path)
     write(result, tmp_path)
@@ -99,6 +101,7 @@ def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_pa
     assert names(tmp_path / "seed-4") == DATA | PICTURES
 
 
+@pytest.mark.slow
 def test_files_of_others_in_the_folder_stay(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")

@@ -7,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario
+from desim.kernel.access import CsmaCa, Tdma
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.graphs import Edge, Edges, Link, Ring
 from desim.kernel.links import Links
@@ -148,6 +149,9 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": Links(medium=Bitrate(bitrate=1e6))}, False),
         ({"network": Links(medium=Bitrate(bitrate=1e6, half_duplex=True))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, access=CsmaCa()))}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma()))}, False),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma())), "fault": [ClockSkew(offset=0.1)]}, True),
         ({"network": Links(range=50.0), "motion": Motion(static=True)}, False),
         ({"network": Links(range=50.0, reception=QuasiUnitDisk()), "motion": Motion(static=True)}, False),
         ({"network": Links(range=50.0, fading="message"), "motion": Motion(static=True)}, False),

@@ -205,6 +205,7 @@ def test_a_base_is_a_key_of_files_only(files):
     assert "bas: unknown key, did you mean 'base'?; allowed: announce, base, capture, " in said
 
 
+@pytest.mark.slow
 def test_what_is_written_of_a_run_is_complete(files, tmp_path):
     path, out = files(mine="base = 'relay.toml'\nhorizon = 0.5\n", relay=RELAY), tmp_path / "out"
     accepted("run", path, "-o", out)
@@ -215,6 +216,7 @@ def test_what_is_written_of_a_run_is_complete(files, tmp_path):
     assert accepted("run", "--from", out / "run.json").stdout.startswith("relay: 4 pursuers")
 
 
+@pytest.mark.slow
 def test_keys_and_the_schema_have_the_key():
     assert accepted("keys", "base").stdout.startswith("base: Path of another scenario file")
     assert "\n    base: Path of another scenario file" in accepted("keys").stdout

@@ -5,8 +5,11 @@ from math import inf
 import pytest
 
 from desim import Scenario, run
+from desim.kernel.access import Aloha, SlottedAloha
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.graphs import Ring
+from desim.kernel.interference import CaptureEffect
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.reception import QuasiUnitDisk
@@ -25,6 +28,10 @@ from protocols.server import Server
 
 BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 """240 bytes a second: an announcement of 24 bytes takes a tenth of a second."""
+
+
+FAST = {"kind": "bitrate", "bitrate": 8 * 24e3}
+"""An announcement of 24 bytes takes a millisecond."""
 
 
 def warned(**given):
@@ -80,6 +87,30 @@ def test_the_default_is_not_warned_of():
             "the airtime of 24 bytes, 2e-11 s, rounds to 0",
         ),
         (
+            {
+                "network": Links(medium=BITS | {"access": Aloha()}),
+                "team": Team(count=3),
+                "announce": {"heartbeat": 0.2},
+            },
+            "announce.heartbeat",
+            "need 1.5 times the capacity of the channel: queues grow without bound, or messages collide or are dropped",
+        ),
+        (
+            {"network": Links(medium=FAST | {"reception": CaptureEffect()})},
+            "network.medium.reception",
+            "no frames overlap with access.kind 'ideal'",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Aloha(), "half_duplex": True})},
+            "network.medium.half_duplex",
+            "nodes that contend never receive while they transmit",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": SlottedAloha(slot=0.999e-3)})},
+            "network.medium.access.slot",
+            "an announcement of 24 bytes takes 0.001 s on the air, longer than a slot of 0.000999 s",
+        ),
+        (
             {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
             None,
             "",
@@ -125,6 +156,12 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
         {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2)), "motion": Motion(step=0.05)},
         {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.15, jitter=0.0)), "motion": Motion(step=0.05)},
+        {"network": Links(medium=BITS | {"access": Aloha()}, range=9.0), "team": Team(count=3)},
+        {"network": Links(medium=BITS | {"access": Aloha()}, graph=Ring()), "team": Team(count=3)},
+        {"network": Links(medium=BITS | {"access": Aloha()}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
+        {"network": Links(medium=FAST | {"access": Aloha(), "reception": CaptureEffect()})},
+        {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-3)})},
+        {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-4)}), "protocol": Centralised()},
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},

@@ -81,6 +81,7 @@ PIECES = {
 }
 
 
+@pytest.mark.slow
 @given(st.fixed_dictionaries({}, optional=PIECES))
 def test_a_scenario_of_a_script_is_restored_from_its_source(pieces):
     scenario = Scenario(**pieces)

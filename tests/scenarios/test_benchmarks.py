@@ -15,7 +15,7 @@ from desim.analysis.metrics import end_time
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.latency import Constant
 from desim.kernel.seeds import stream
-from scenarios import benchmarks, benchmarks_runs, costs, measuring
+from scenarios import benchmarks, benchmarks_runs, costs, measuring, sweep_costs
 from scenarios.peers import elsewhere, ways
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.elsewhere import PROGRAMS, Peer, UnavailableError
@@ -211,6 +211,7 @@ def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
     assert (path > 0.3).any()  # some node has been thrown back
 
 
+@pytest.mark.slow
 def test_a_large_team_is_not_captured_and_many_messages_are_as_many_as_asked():
     assert end_time(run(costs.large_team(30, 0.5), 0)) == 0.5
     scenario = costs.many_messages(20_000)
@@ -246,6 +247,18 @@ def test_the_study_measures_other_costs(few, monkeypatch):
     assert disks["N = 50 / N = 30"] == pytest.approx(disks["a message, N = 50"] / disks["a message, N = 30"])
     assert measured["complete"]["peak memory"] == pytest.approx(measuring.memory("VmHWM") / 1e6, rel=0.5)
     assert 0.5 < measured["recording"]["all kept / none"] < 10.0
+
+
+@pytest.mark.slow
+def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch):
+    monkeypatch.setattr(sweep_costs, "SWEPT", 40)
+    monkeypatch.setattr(sweep_costs, "STORED", 2_000)
+    monkeypatch.setattr(sweep_costs, "apart", lambda function, *given: function(*given))
+    found = few("--parts", "sweeps,large_store")["costs"]
+    measured = {each["what"]: each["measured"] for part in found.values() for each in part}
+    assert 0.0 < measured["driver, share of a core"] < 1.0
+    assert min(measured.values()) > 0.0
+    assert len(measured) == 10
 
 
 @pytest.mark.slow

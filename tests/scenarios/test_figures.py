@@ -74,6 +74,7 @@ def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(drawn, resu
         assert max(thin) == (2.0 if name != "delta = 0.1 s" else 0.7)
 
 
+@pytest.mark.slow
 def test_the_utilities_of_a_run_are_computed_once(monkeypatch):
     """Also if its beginning is drawn enlarged, and handovers are labelled."""
     computed, utilities = [], figures.individual_utilities

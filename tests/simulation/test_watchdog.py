@@ -208,6 +208,7 @@ def test_the_place_of_an_instruction_without_a_line_is_the_begin_of_its_function
         assert place_of(caught.value) == f"simulation/test_watchdog.py:{line} (interrupted)"
 
 
+@pytest.mark.slow
 def test_no_limit_is_lost_in_a_serialiser():
     """Of 87 limits raised once 15 were lost here, and 69 became a PydanticSerializationError."""
 
@@ -236,6 +237,7 @@ def test_an_endless_loop_is_ended_and_the_state_of_every_pursuer_reported():
     assert own[1].endswith("yield me.sleep(0.5), at 0.5 s")
 
 
+@pytest.mark.slow
 def test_a_run_in_which_no_time_passes_is_ended():
     with pytest.raises(TimedOut, match=r"(?s)at 0 s of simulated time, in .*pursuer 2: "), within(0.3):
         run(scenario(endless))

@@ -42,6 +42,7 @@ def moved(artist):
     return line_of(artist) if np.isfinite(artist.get_xydata()).any() else ""
 
 
+@pytest.mark.slow
 def test_frames_of_runs_by_hand_are_golden():
     """All positions, sampled every 100 ms, have the style of the action; pursuer 0 runs 4 m in 400 ms.
 
@@ -58,6 +59,7 @@ def test_frames_of_runs_by_hand_are_golden():
     golden("animation.txt", {"by hand": alone, "pair": two, "mute": mute})
 
 
+@pytest.mark.slow
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     """What is drawn in a hue stays near it: the green of the chasers of evader 2 is in the picture."""
     image = frames(pair(), [800 * MS])[0]
@@ -93,12 +95,14 @@ def test_a_frame_depends_on_the_one_before_only_by_what_ended_since():
     assert after.tobytes() == same.tobytes() != frames(history(), [200 * MS, 300 * MS])[1].tobytes()
 
 
+@pytest.mark.slow
 def test_the_first_frame_has_no_marks_of_messages_that_ended_earlier():
     """The loss at 100 ms and the arrival at 200 ms precede the window."""
     (first,), (_, later) = frames(history(), [300 * MS]), frames(history(), [290 * MS, 300 * MS])
     assert first.tobytes() == later.tobytes()
 
 
+@pytest.mark.slow
 def test_frames_are_in_the_colours_of_one_palette_and_only_what_moves_changes():
     first, last = frames(history(), [0, 1000 * MS])
     assert first.getpalette() == last.getpalette()
@@ -108,6 +112,7 @@ def test_frames_are_in_the_colours_of_one_palette_and_only_what_moves_changes():
     assert not changed[-60:].any()  # the legend
 
 
+@pytest.mark.slow
 def test_nothing_is_cut_off_at_the_edge():
     for image in frames(history(), [0, 500 * MS, 1000 * MS]):
         pixels = np.asarray(image.convert("RGB"))

@@ -22,7 +22,7 @@ from desim.view.paths import active_periods
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
 SHORT = ("horizon=1.0", "record.messages=true")
-SLOW = (("faults.toml",), *((f"{name}.toml", *SHORT) for name in ("radio", "lora", "token_ring")))
+SLOW = (("faults.toml",), *((f"{name}.toml", *SHORT) for name in ("radio", "lora", "contention", "token_ring")))
 RUNS = [("soak.toml", *SHORT), *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
 
 

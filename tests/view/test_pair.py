@@ -94,6 +94,7 @@ def other_seed(result, seed):
     return Result(result.scenario, seed, result.trace)
 
 
+@pytest.mark.slow
 def test_the_header_names_both_runs_and_the_differences():
     assert "p: the same scenario, seeds 3 and 4" in lines(history(), other_seed(history(), 4))
     assert "p: the same scenario and the same seed" in lines(history(), history())

@@ -81,6 +81,7 @@ def test_names_of_crowded_places_lie_neither_over_each_other_nor_over_places():
     assert not [1 for box in found for x, y in markers if box.x0 < x < box.x1 and box.y0 < y < box.y1]
 
 
+@pytest.mark.slow
 def test_a_name_at_the_edge_stays_inside():
     with styled((COLUMN, COLUMN), font=7) as figure:
         axes = figure.add_subplot()
@@ -93,6 +94,7 @@ def test_a_name_at_the_edge_stays_inside():
         assert axes.bbox.y0 - 1 <= box.y0 < box.y1 <= axes.bbox.y1 + 1
 
 
+@pytest.mark.slow
 def test_a_label_avoids_the_given_places():
     """Alone, it is to the upper right; with something there, elsewhere."""
 

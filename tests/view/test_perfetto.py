@@ -19,7 +19,7 @@ from tests.view.by_hand import INACTIVE, MS, history, pair
 
 SHORT = ("horizon=1.0", "record.messages=true")
 RUNS = [("soak.toml", *SHORT), *(pytest.param(each, marks=pytest.mark.slow) for each in (
-    ("faults.toml",), ("radio.toml", *SHORT), ("token_ring.toml", *SHORT), ("many.toml",)
+    ("faults.toml",), ("radio.toml", *SHORT), ("contention.toml", *SHORT), ("token_ring.toml", *SHORT), ("many.toml",)
 ))]  # fmt: skip
 
 

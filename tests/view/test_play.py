@@ -98,6 +98,7 @@ def test_a_wrong_value_is_reported_at_its_key_and_the_controls_stay(small, chang
     assert any(each["key"] == "team.count" for each in found["controls"])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # raised where Python drops exceptions
 def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
     """The evader is faster than all pursuers, so the run would last to its horizon, which takes a minute."""
@@ -253,6 +254,7 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
     assert row["difference"].startswith("+3.000 +- ")
 
 
+@pytest.mark.slow
 def test_a_worker_that_died_is_replaced(small):
     """It dies in one run and, at the same time, in a comparison."""
     workers = Processes(1, kept=True)

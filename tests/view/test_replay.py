@@ -20,10 +20,12 @@ from desim import Scenario, load, run
 from desim.analysis.age import belief_error
 from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
+from desim.kernel.access import Tdma
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
 from desim.kernel.graphs import Edge, Edges, Link, Ring
+from desim.kernel.interference import CaptureEffect
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -41,7 +43,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
 from tests.view.browser import in_chromium
-from tests.view.by_hand import MS, chase, history, pair
+from tests.view.by_hand import ACTIVE, MS, chase, history, pair
 from tests.view.elements import Elements
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -78,7 +80,7 @@ COLD = FORTY.model_copy(
     }
 )
 FILES = {"relay": ("relay.toml", *SHORT), "soak": ("soak.toml", *SHORT), "faults": ("faults.toml",)} | {
-    "radio": ("radio.toml", *SHORT), "many": ("many.toml",)
+    "radio": ("radio.toml", *SHORT), "many": ("many.toml",), "contention": ("contention.toml", *SHORT)
 }  # fmt: skip
 OWN = {"crowded": CROWDED, "cold": COLD}
 
@@ -167,7 +169,7 @@ def wrong_now(result, t):
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("name", ["soak", "faults", "crowded", "radio"])
+@pytest.mark.parametrize("name", ["soak", "faults", "crowded", "radio", "contention"])
 def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name, result_of):
     """At ticks of nanoseconds, nothing is rounded in runs of up to 2.1 s; else the times between events are judged."""
     result = result_of(name)
@@ -540,8 +542,17 @@ def test_a_page_lists_what_was_not_recorded():
             "latency <lambda>, loss 0 %, unlimited range, heartbeat 5.5 s, medium bitrate (bitrate 10,000), "
             "1 link with other models",
         ),
+        (
+            {
+                "network": Links(
+                    medium=Bitrate(bitrate=1e4, access=Tdma(slot=0.03, guard=0.002), reception=CaptureEffect())
+                )
+            },
+            "latency 0 s, loss 0 %, unlimited range, heartbeat 5.5 s, medium bitrate (bitrate 10,000), "
+            "access tdma (slot 0.03, guard 0.002), interference capture (threshold 6, exponent 3)",
+        ),
     ],
-    ids=["constant", "without heartbeats", "models", "own"],
+    ids=["constant", "without heartbeats", "models", "own", "contention"],
 )
 def test_the_header_names_the_conditions_of_the_network(change, said):
     assert conditions(FORTY.model_copy(update=change)) == said
@@ -554,6 +565,17 @@ def test_the_key_has_only_what_the_run_contains():
     assert "group of a partition" not in one
     assert not {"crashed pursuer", "jammed area", "lost message", "evader"} & set(two)
     assert "evader 2, captured" in two
+
+
+def test_the_key_tells_collisions_from_other_losses():
+    """By hand: losses by chance, in the crash and from the queue; then a collision at 1, too."""
+    sent = Broadcast(200 * MS, 9, 0, 9, (1,), (300 * MS,), 200 * MS, 24, ACTIVE)
+    lost = Lost(300 * MS, 9, 0, 1, "collision")
+    entries = {"lost message", "collision at its receiver"}
+    shown = [
+        {line.removeprefix(": ") for line in Elements(replay(each)).lines} for each in (history(), history(sent, lost))
+    ]
+    assert [entries & each for each in shown] == [{"lost message"}, entries]
 
 
 def test_a_run_without_messages_lacks_none():
@@ -603,6 +625,7 @@ def test_a_scenario_file_is_run_with_all_that_can_be_looked_at(tmp_path):
     assert document["messages"]["begin"]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_trace_is_beside_it(tmp_path, monkeypatch):
     """As a picture of it is, wherever the command is called; the page of two is named after their folders."""
     monkeypatch.chdir(tmp_path)
@@ -618,6 +641,7 @@ def test_the_page_of_a_trace_is_beside_it(tmp_path, monkeypatch):
     assert sorted(each.name for each in tmp_path.rglob("*.html")) == ["one-other.html", "replay.html"]
 
 
+@pytest.mark.slow
 def test_data_that_cannot_be_shown_are_reported_on_stderr(tmp_path):
     write(run(COLD.model_copy(update={"horizon": 0.1, "record": Recording()})), tmp_path)
     done = invoke(tmp_path)

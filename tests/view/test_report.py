@@ -25,7 +25,8 @@ from desim.results import provenance
 from desim.scenario.scenario import Team
 from desim.study.explain import Variants
 from desim.study.history import shell_lines, wanted
-from desim.study.store import Row, Store
+from desim.study.row import Row
+from desim.study.store import Store
 from desim.study.sweep import SweepPlan
 from desim.study.workers import workers_for
 from desim.view.report import MAX_FAILURES, Study, findings, report

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
+from desim.analysis.palette import COLLISION_MARK, LOST, LOST_MARK
+from desim.kernel.events import Broadcast, Lost, Queued
 from desim.kernel.faults import Crash, FaultStarted, Partition
 from desim.pursuit.events import Decided
 from desim.view.deliveries import deliveries
 from desim.view.spacetime import MAX_DENSITY, spacetime
 from tests.drawn import described
 from tests.golden import golden
-from tests.view.by_hand import MS, history, pair
+from tests.view.by_hand import ACTIVE, MS, history, pair
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,23 @@ def test_diagrams_of_runs_by_hand_are_golden():
     golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
 
 
+def test_a_collision_is_an_asterisk_on_the_line_of_its_receiver_also_if_it_was_acknowledged():
+    """0 sends to 1 from 0.2 to 0.3 s; 2 gives up a message to 1 at 0.6 s; neither mark is that of other losses."""
+    collided = [
+        Broadcast(200 * MS, 8, 0, 9, (1,), (300 * MS,), 200 * MS, 24, ACTIVE),
+        Lost(300 * MS, 8, 0, 1, "collision"),
+        Queued(590 * MS, 9, 2, (1,), 24),
+        Lost(600 * MS, 9, 2, 1, "collision"),
+    ]
+    (axes,) = spacetime(history(*collided)).axes
+    drawn = {str(line.get_marker()): line for line in axes.lines if line.get_color() == LOST and len(line.get_xdata())}
+    asterisks, crosses = drawn[str(COLLISION_MARK)].get_xydata(), drawn[LOST_MARK].get_xydata()
+    assert asterisks.tolist() == [[0.3, 1.0], [0.6, 1.0]]
+    assert len(crosses) == 4
+    assert not (crosses[:, 1] == 1.0).any()
+
+
+@pytest.mark.slow
 def test_the_names_of_two_faults_at_once_are_below_each_other():
     figure = spacetime(history(FaultStarted(700 * MS, Partition(groups=((0,),), start=0.7))))
     figure.draw_without_rendering()
@@ -71,6 +90,7 @@ def test_no_text_lies_over_another_or_outside_of_the_picture(crowded, width):
     assert figure.get_size_inches()[0] == pytest.approx(width / 2.54)
 
 
+@pytest.mark.slow
 def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
     """The message names a possible end of the window, and how many fit."""
     with pytest.raises(ValueError, match="fewer pursuers") as refused:

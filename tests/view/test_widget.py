@@ -39,6 +39,7 @@ def test_a_scenario_makes_its_widget():
     assert made.name == "small"
 
 
+@pytest.mark.slow
 def test_a_request_is_answered_with_its_number(widget):
     made, sent = widget
     asked(made, 7, "run", now=["team.count=4"], pinned=[])
@@ -49,6 +50,7 @@ def test_a_request_is_answered_with_its_number(widget):
     assert "page" in told["answer"]
 
 
+@pytest.mark.slow
 def test_a_comparison_is_told_pair_by_pair_and_can_be_cancelled(widget):
     made, sent = widget
     asked(made, 1, "seeds", now=["team.count=4"], pinned=[], count=3)
@@ -62,6 +64,7 @@ def test_a_comparison_is_told_pair_by_pair_and_can_be_cancelled(widget):
     assert len(sent) < 1000
 
 
+@pytest.mark.slow
 def test_two_views_of_a_widget_compare_independently(widget):
     made, sent = widget
     asked(made, 1, "seeds", now=["team.count=4"], pinned=[], count=10, page="first")
