@@ -10,8 +10,8 @@ import click
 import click.utils
 
 from desim.cli.options import OUT_OF_TIME, echo, fail
+from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
-from desim.simulation.interrupts import exit_code, raising
 from desim.simulation.watchdog import TimedOut
 
 

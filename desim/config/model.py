@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
 
 if sys.version_info >= (3, 14):
@@ -122,6 +123,18 @@ class Value(BaseModel):
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
         """Yield the fields that `repr` shows; see `given`."""
         yield from self.given().items()
+
+    # pydantic swallows or wraps an exception that a signal raises in a serializer written in Python.
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """Return the fields, see `pydantic.BaseModel.model_dump`; interrupts are deferred."""
+        with deferred():
+            return super().model_dump(**options)
+
+    def model_dump_json(self, **options: Any) -> str:
+        """Return the fields as JSON text, see `pydantic.BaseModel.model_dump_json`; interrupts are deferred."""
+        with deferred():
+            return super().model_dump_json(**options)
 
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""

@@ -1,6 +1,6 @@
 """Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
-Worker processes ignore the signals of `desim.simulation.interrupts`, because the driver, the process that dispatches
+Worker processes ignore the signals of `desim.config.interrupts`, because the driver, the process that dispatches
 the runs, handles them. On POSIX systems, worker processes exit when the driver has died.
 """
 
@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
+from desim.config.interrupts import SIGNALS, deferred
 from desim.config.trust import NO_CWD_IMPORT
-from desim.simulation.interrupts import SIGNALS
 from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
@@ -250,26 +250,18 @@ def _block_signals() -> Iterator[None]:
     """Block the signals of `SIGNALS` while processes start, so that the processes inherit the block.
 
     Signals that arrive meanwhile are delivered afterwards. A signal may also reach another thread that does not block
-    it; Python would then run the handler of the signal in the main thread, which is starting the processes. To prevent
-    this, temporary handlers only record signals; afterwards the first recorded signal is raised again.
+    it; Python would then run the handler of the signal in the main thread, which is starting the processes. So the
+    signals are deferred, too.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    received: list[int] = []
-    is_main = threading.current_thread() is threading.main_thread()
-    handlers = {each: handler for each in SIGNALS if is_main and (handler := signal.getsignal(each)) is not None}
-    for each in handlers:
-        signal.signal(each, lambda number, _: received.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for each, handler in handlers.items():
-            signal.signal(each, handler)  # pending signals have been recorded by now
-        for number in received[:1]:
-            signal.raise_signal(number)
+    with deferred():
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)  # pending signals are recorded now
 
 
 def _init_worker(driver: int) -> None:

@@ -5,7 +5,7 @@ from math import exp, inf, sqrt
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.optimize import brentq
@@ -111,24 +111,24 @@ def throughputs(access, nodes, load, frames, *, graph=None, replications=REPLICA
 def test_the_throughput_of_many_aloha_nodes_is_abramson_s(load, number):
     """S = G e^(-2G), Abramson 1970; the control is the formula of slotted ALOHA.
 
-    With 400 sources the finite number changes S by less than 0.3 %; the standard error is 0.3 to 0.8 %.
+    With 400 sources the finite number changes S by less than 0.3 %; the standard error is 0.5 to 1.4 %.
     """
-    found = throughputs(Aloha(), 400, load, 2000, graph=nx.star_graph(400))
+    found = throughputs(Aloha(), 400, load, 700, graph=nx.star_graph(400))
     assert load * exp(-2 * load) == pytest.approx(number, abs=5e-6)
     assert abs(z_score(found, number)) < 3
     assert z_score(found, load * exp(-load)) < -3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "load"), [(10, 0.1), (10, 0.5), (20, 0.5)])
+@pytest.mark.parametrize(("nodes", "load"), [(10, 0.5), (20, 0.5)])
 def test_a_few_aloha_nodes_do_not_collide_with_themselves_and_are_deaf_while_they_send(nodes, load):
     """A broadcast is received if no other node is busy when it starts, nor starts while it is on the air.
 
     The queue of each node is an M/D/1 queue of utilisation r = G/N, so this probability is ((1 - r) e^-r)^(N-1),
-    which is e^(-2G(N-1)/N) up to a share of (N-1) r^2/2: 0.05 %, 1.1 % and 0.6 %. The controls are the limit of
-    many nodes and slotted ALOHA. The standard error is 0.3 to 0.6 %.
+    which is e^(-2G(N-1)/N) up to a share of (N-1) r^2/2: 1.1 % and 0.6 %. The controls are the limit of
+    many nodes and slotted ALOHA. The standard error is 0.6 to 1 %.
     """
-    found = throughputs(Aloha(), nodes, load, 4000)
+    found = throughputs(Aloha(), nodes, load, 1500)
     own = load / nodes
     theory = load * ((1 - own) * exp(-own)) ** (nodes - 1)
     assert theory == pytest.approx(load * exp(-2 * load * (nodes - 1) / nodes), rel=0.013)
@@ -145,19 +145,19 @@ def test_the_number_of_the_finite_aloha_is_the_one_of_the_formula():
 @pytest.mark.slow
 def test_the_throughput_of_slotted_aloha_with_poisson_traffic_is_roberts_s():
     """S = G e^-G, Roberts 1975: 0.36788 at G = 1; the control is pure ALOHA, which has 0.13534."""
-    found = throughputs(SlottedAloha(slot=0.001), 400, 1.0, 2000, graph=nx.star_graph(400))
+    found = throughputs(SlottedAloha(slot=0.001), 400, 1.0, 700, graph=nx.star_graph(400))
     assert abs(z_score(found, 0.36788)) < 3
     assert z_score(found, exp(-2.0)) > 3
-    pure = throughputs(Aloha(), 400, 1.0, 1000, graph=nx.star_graph(400))
+    pure = throughputs(Aloha(), 400, 1.0, 500, graph=nx.star_graph(400))
     assert z_score(pure, 0.36788) < -3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 36_000), (10, 0.2, 12_000), (5, 0.4, 12_000)])
+@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 16_000), (10, 0.2, 6000), (5, 0.4, 6000)])
 def test_saturated_slotted_aloha_succeeds_if_one_node_of_n_transmits(nodes, p, slots):
     """S = N p (1-p)^(N-1), which is 0.38742 with N = 10 and p = 0.1; the controls are e^-1 and p + 0.05.
 
-    The slots are independent: the standard error is sqrt(S (1-S) / slots), 0.0026 to 0.004.
+    The slots are independent: the standard error is sqrt(S (1-S) / slots), 0.004 to 0.006.
     """
     clock, graph = Clock(), nx.star_graph(nodes)
     radio = Bitrate(bitrate=800_000.0, access=SlottedAloha(slot=0.001, p=p))
@@ -189,19 +189,20 @@ def persistent(load, a):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("load", "number", "frames"), [(1.0, 0.49255, 10_000), (3.0, 0.72234, 5000), (9.44, 0.8151, 10_000)]
+    ("load", "number", "frames"), [(1.0, 0.49255, 4000), (3.0, 0.72234, 4000), (9.44, 0.8151, 5000)]
 )
 def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, number, frames):
     """S = G e^(-aG) / (G (1+2a) + e^(-aG)), with a = 0.01; a node that finds the channel busy drops its frame.
 
-    So G is the offered load. The control is a = 0.02: S(1) = 0.48520, S(3) = 0.69558, S(9.44) = 0.7342. The standard
-    error is 0.0005 to 0.0036.
+    So G is the offered load. The controls are a = 0.02, S(3) = 0.69558 and S(9.44) = 0.7342, and 1-persistent CSMA,
+    S(1) = 0.52864 and S(3) = 0.18817. The standard error is 0.0008 to 0.006.
     """
     access = Csma(attempts=1, sensing_delay=1e-5)
     found = throughputs(access, 300, load, frames, graph=complete_graph(301), queue_limit=0)
     assert nonpersistent(load, 0.01) == pytest.approx(number, abs=5e-5)
     assert abs(z_score(found, number)) < 3
-    assert z_score(found, nonpersistent(load, 0.02)) > 3
+    assert load == 1.0 or z_score(found, nonpersistent(load, 0.02)) > 3
+    assert abs(z_score(found, persistent(load, 0.01))) > 3
 
 
 @pytest.mark.slow
@@ -209,7 +210,7 @@ def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, nu
 def test_the_throughput_of_1_persistent_csma_is_kleinrock_and_tobagi_s(load, number):
     """The formula with a = 0.01; the control is the nonpersistent formula: 0.49255 and 0.72234."""
     access = Csma(persistence="p_persistent", sensing_delay=1e-5)
-    found = throughputs(access, 300, load, 4000, graph=complete_graph(301))
+    found = throughputs(access, 300, load, 1500, graph=complete_graph(301))
     assert persistent(load, 0.01) == pytest.approx(number, abs=5e-6)
     assert abs(z_score(found, number)) < 3
     assert abs(z_score(found, nonpersistent(load, 0.01))) > 3
@@ -251,7 +252,7 @@ def unicast_share(nodes, window):
     return nodes * tau * (1 - tau) ** (nodes - 1) / (1 - (1 - tau) ** nodes)
 
 
-def saturated_broadcast(nodes, seed, *, window=16, duration=0.3):
+def saturated_broadcast(nodes, seed, *, window=16, duration=0.15):
     """Return the share of busy periods with one frame of nodes that always have a frame of 0.1 ms to broadcast."""
     clock, trace = Clock(), Trace()
     radio = Bitrate(bitrate=8_000_000.0, access=CsmaCa(window=window))
@@ -269,7 +270,7 @@ def saturated_broadcast(nodes, seed, *, window=16, duration=0.3):
 def test_saturated_broadcasts_succeed_with_the_share_of_ma_and_chen(nodes, number):
     """A node that has just transmitted can draw 0 and start again after DIFS; all others have at least one slot left.
 
-    The standard error of 12 replications of some 2000 busy periods is about 0.002. The controls are the share if
+    The standard error of 12 replications of some 1000 busy periods is about 0.003. The controls are the share if
     tau is 2/(W+1) at all times, 0.5342 and 0.2376 with 10 and 20 nodes; and a window of 20. With 5 nodes the first
     control, 0.7665, is too near to be told apart.
     """
@@ -306,7 +307,7 @@ def bianchi(nodes, window, doublings=3):
     return one * 8184 / ((1 - some) * 50 + one * success + (some - one) * failure)
 
 
-def saturated_unicast(nodes, seed, *, window=32, duration=15.0):
+def saturated_unicast(nodes, seed, *, window=32, duration=8.0):
     """Return the throughput of nodes that always have a frame to their successor, at 1 Mbit/s, without headers."""
     access = CsmaCa(slot=50e-6, sifs=28e-6, difs=128e-6, window=window, doublings=3, retries=1000, ack=240e-6)
     clock = Clock()
@@ -321,7 +322,7 @@ def saturated_unicast(nodes, seed, *, window=32, duration=15.0):
 @pytest.mark.slow
 @pytest.mark.parametrize(("nodes", "number"), [(5, 0.8097), (10, 0.7532), (20, 0.6788)])
 def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
-    """W = 32, m = 3; the standard error is 0.001 to 0.0022. The control is W = 128.
+    """W = 32, m = 3; the standard error is 0.001 to 0.003. The control is W = 128.
 
     The formula is an approximation: it takes the nodes as independent, and lets a busy period count as a slot, in which
     802.11 freezes the counters. With 5 nodes, S is 0.0045 less, which is 5 standard errors. So 0.6 % of S is allowed
@@ -753,6 +754,8 @@ LOADS = st.lists(
     ),
     max_size=25,
 )
+EXAMPLES = settings.default.max_examples // 3
+"""Number of examples of each pair of models; there are 54 pairs."""
 CRASHES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3), st.integers(1, 10)), max_size=2)
 
 
@@ -797,6 +800,7 @@ def frames_of(trace, medium):
 def test_every_message_is_delivered_lost_or_in_flight_and_the_same_seed_gives_the_same_trace(access, interference):
     models = ACCESSES[access], INTERFERENCES[interference]
 
+    @settings(max_examples=EXAMPLES)
     @given(st.sampled_from(sorted(GRAPHS)), LOADS, CRASHES, st.sampled_from([inf, 12.0]), st.integers(0, 3))
     def check(graph, load, crashes, within, seed):
         options = {"crashes": crashes, "within": within, "seed": seed}
@@ -818,6 +822,7 @@ def test_no_two_frames_that_overlap_at_a_receiver_are_both_received(access):
     An acknowledged message is stored when its last attempt ends, so only broadcasts are used.
     """
 
+    @settings(max_examples=EXAMPLES)
     @given(st.sampled_from(sorted(GRAPHS)), LOADS, st.integers(0, 3))
     def check(graph, load, seed):
         broadcasts = [(t, src, None, size) for t, src, _, size in load]

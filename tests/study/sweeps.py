@@ -9,7 +9,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from desim.simulation.interrupts import SIGNALS
+from desim.config.interrupts import SIGNALS
 
 ROOT = Path(__file__).parents[2]
 MARK = "SWEEP_OF_A_TEST"

@@ -52,6 +52,28 @@ def raising() -> Iterator[None]:
             signal.signal(each, signal.SIG_DFL)
 
 
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Raise a signal that arrives while the block runs after its end; only the first of several.
+
+    A library that calls Python code may swallow the exception of a signal, or wrap it in another exception.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    handlers = {each: handler for each in SIGNALS if (handler := signal.getsignal(each)) is not None}
+    for each in handlers:
+        signal.signal(each, lambda number, _: received.append(number))
+    try:
+        yield
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+        for number in received[:1]:
+            signal.raise_signal(number)
+
+
 def _terminate(number: int, _: FrameType | None) -> None:
     """Raise Terminated, unless one is being handled: the command `timeout` and terminals may send a signal twice."""
     error = sys.exc_info()[1]
