@@ -551,6 +551,7 @@ def names(folder: Path) -> list[str]:
     return sorted(each.name for each in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, tmp_path, pictures):
     out = tmp_path / "deep" / "out"
     printed = accepted("run", file(RANDOM), "-s", 11, "-o", out, "--json").stdout
@@ -898,6 +899,7 @@ def test_a_sweep_over_a_key_without_effect_is_warned_of(file, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file, tmp_path, coins, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = file(COINS)

@@ -69,7 +69,7 @@ def test_traces_and_summaries_are_equal_in_any_process_at_any_place(names, optio
     assert there.splitlines() == digests(5, names)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rounded", "environment"),
     [
@@ -87,6 +87,7 @@ def test_processor_dependent_rounding_differs_in_these_environments(rounded, env
         pytest.skip(f"{rounded} is the same with {environment} on this machine")
 
 
+@pytest.mark.slow
 def test_other_seeds_make_other_traces_and_summaries():
     found = [digest for seed in (5, 6) for line in digests(seed, QUICK) for digest in line.split()[:2]]
     assert len(set(found)) == len(found) == 12

@@ -54,6 +54,7 @@ def test_every_access_and_interference_model_is_public():
     assert {each.__name__ for each in models - {Ideal}} <= set(desim.__all__)
 
 
+@pytest.mark.slow
 def test_no_other_class_has_the_name_of_a_public_one():
     """`Capture` is the condition of a capture, so the interference model is `CaptureEffect`."""
     folder = Path(desim.__file__).parent

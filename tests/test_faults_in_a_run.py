@@ -457,6 +457,7 @@ def announced(result, pursuer=1):
     return {b.t / 1e9: b.body.active for b in result.trace.of(Broadcast) if b.src == pursuer}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("memory", [True, False])
 @pytest.mark.parametrize("announce", [Announcements(heartbeat=2.0), Announcements(trigger="change")])
 def test_a_pursuer_stopped_by_a_breakdown_announces_that_it_chases_again(announce, memory):

@@ -48,6 +48,7 @@ class Table(HTMLParser):
             self.rows[-1][-1] += data
 
 
+@pytest.mark.slow
 def test_a_run_shows_what_it_was_and_how_it_ended():
     result = run(AT_ONCE, 5)
     table = Table(result._repr_html_())
@@ -85,6 +86,7 @@ def test_a_run_with_several_evaders_shows_their_number():
     assert ["ended", "0 of 2 captured within 0.1 s"] in Table(none._repr_html_()).rows
 
 
+@pytest.mark.slow
 def test_a_run_stopped_by_a_watcher_is_shown_as_such():
     result = run(NEVER, 1, lambda event: event.t > 0)
     assert result.trace.of(Ended)[0].reason == "stopped"

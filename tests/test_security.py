@@ -536,7 +536,7 @@ def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
     assert not [name for name in names if (ran / name).is_symlink()]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["-n", "2"]])
 def test_a_link_in_a_folder_that_is_written_to_is_replaced(written, precious, tmp_path, options):
     out, home = tmp_path / "out", tmp_path / "home"

@@ -141,6 +141,8 @@ class LinkSampler:
         The estimate is the mean of at least 1000 draws from separate random streams, or 0 if the graph has no links.
         Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
         """
+        if self._constant is not None:
+            return (self.processing + self._constant) / SECOND if self._graph.number_of_edges() else 0.0
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)

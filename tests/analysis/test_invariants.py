@@ -315,6 +315,7 @@ def falls(**changes):
     return number
 
 
+@pytest.mark.slow
 def test_serial_play_with_true_knowledge_never_lowers_the_potential():
     assert falls() == 0
     assert falls(protocol=BestResponse(schedule=Periodic())) == 0

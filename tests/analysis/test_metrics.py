@@ -253,6 +253,7 @@ def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(re
     assert active_time(result) == total
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(histories())
 def test_energy_and_handovers_equal_those_of_a_plain_loop_over_the_trace(result):

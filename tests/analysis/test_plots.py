@@ -139,7 +139,7 @@ def test_a_pdf_has_no_date_and_no_bitmap_type_and_is_the_same_bytes_in_another_p
     assert b"/Type3" not in once
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["<script>alert(1)</script> a & b --> ]]>", "$x^2$ costs 100 % $\\frac{}$", "\"quoted\" 'twice' \u03c4 costs $5"],

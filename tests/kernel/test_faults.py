@@ -248,7 +248,7 @@ def downtimes(crashes, horizon):
     return np.array([number[node] for node in nodes]), np.array([down[node] for node in nodes])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_random_crashes_follow_the_alternating_renewal_process(seed):
     """The chance to be down at t is p(t) = q (1 - exp(-k t)), q = a m / (1 + a m), k = a + 1 / m, and crashes come at

@@ -80,7 +80,7 @@ def rates_off(bad):
     return errors(recovered, before.sum(), 0.2), errors(failed, (~before).sum(), 0.05)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "control"),
     [

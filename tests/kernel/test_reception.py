@@ -117,7 +117,7 @@ def test_a_node_that_comes_nearer_does_not_lose_a_per_link_faded_link(model):
     assert far < near
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "off", "law"),
     [
@@ -143,7 +143,7 @@ def test_the_share_of_per_link_faded_links_is_that_of_the_theory(model, off, law
 # Links drawn for every message.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS[1:])
 def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
     """20 receivers at 1 .. 20 m, 4000 messages each: binomial, within 5 standard errors, one by one and both ways in a

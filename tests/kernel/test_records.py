@@ -88,7 +88,7 @@ def is_even(body):
     return body % 2 == 0
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("relays", [False, True])
 def test_each_node_reads_what_a_plain_model_delivers_one_by_one(relays):
     """Broadcasts miss nodes, overtake others or are decided late; nodes lose their memory, or are told by relays."""

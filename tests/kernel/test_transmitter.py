@@ -187,7 +187,7 @@ def test_no_node_misses_messages_on_a_shared_channel_however_long_they_travel():
     assert net.message_counts()[1:4] == (6, 6, 0)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):
     """(1 - rho) rho^K / (1 - rho^(K + 1)), K = limit + 1, whichever message is dropped, as sizes are exponential; rho =

@@ -118,7 +118,7 @@ def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction
     assert sum(ends) == 6
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_of_equal_bids_that_of_the_lowest_id_wins(auction):
     """phi = 3, 2, 2, 2 s, in any order of bids."""
@@ -235,7 +235,7 @@ def agreed(result):
     return set(last.values())
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_graph(auction):
     """1 to 8 pursuers, 2 to 5 evaders, some never in time: min(N, M) times 1 + D rounds are enough, and all agree.
@@ -380,7 +380,7 @@ def test_loss_and_random_latency_only_slow_it(auction, dissemination):
         assert chasing(result) == relay(result)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
     """The control: half of all messages are lost and none repeated; of 20 games at least 5 end wrong."""
@@ -393,7 +393,7 @@ def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
     assert wrong >= 5
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("warm", [False, True])
 def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):

@@ -139,7 +139,7 @@ def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
 # What becomes of it in a run.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("winner_timeout", [0.5, 2.0])
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_when_the_winner_breaks_down_the_next_takes_over_after_the_winner_timeout(schedule, winner_timeout):

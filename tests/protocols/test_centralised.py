@@ -32,6 +32,7 @@ def test_the_network_does_not_matter_to_it():
     assert ideal == deaf
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("skew", [{"offset": 29.0}, {"offset": -3.0}, {"drift": 50.0}])
 def test_the_clock_of_the_pursuer_that_runs_it_does_not_matter_to_it(skew):
     right, skewed = (

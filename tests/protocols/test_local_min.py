@@ -182,7 +182,7 @@ def test_on_a_path_of_three_the_local_mean_never_settles(protocol):
     assert error < 5
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("protocol", "ends"),
     [

@@ -31,7 +31,7 @@ LATENCIES = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @LATENCIES
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
 def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
@@ -43,7 +43,7 @@ def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
     assert all(believed == true for believed, true in log)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @LATENCIES
 @pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0),)], ids=["clocks agree", "skewed clocks"])
 def test_no_two_neighbours_are_inside_at_once(latency, skew):
@@ -75,7 +75,7 @@ def test_poisson_clocks_do_not_exclude():
     assert np.mean([believed != true for believed, true in log]) > 0.3
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
 def test_a_decision_takes_two_messages_per_neighbour(graph):
     result = run(frozen(flips(LocalMutex()), graph=graph), 0)

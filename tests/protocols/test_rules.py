@@ -716,7 +716,7 @@ def ever_active(result):
     return start, start | {d.pursuer for d in result.trace.of(Decided) if d.active}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY)
 def test_a_pursuer_that_cannot_capture_never_chases_unless_pruning_is_off(kind):
     """All are active at first without pruning, and otherwise all but the two that are too slow."""

@@ -200,7 +200,7 @@ def test_an_order_that_was_overtaken_is_not_obeyed():
     assert switched > 20
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [0.5, 1.0])
 def test_lost_reports_and_orders_are_repeated(p):
     """With half of all lost the game ends in the relay profile; with all lost every pursuer keeps its first action.

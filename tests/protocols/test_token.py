@@ -76,7 +76,7 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_with_records_of_all_pursuer
     assert slot == pytest.approx(0.01 + 0.1 + 688 * 8 / 9600)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.05, 1.0])
 def test_the_ring_decides_in_cyclic_order_every_hold_and_latency(latency):
     """The k-th decision is that of pursuer k mod N, after k + 1 holds and k hops."""
@@ -164,7 +164,7 @@ def test_a_hop_takes_two_messages():
     assert {len(sent.body.records) for sent in bodies(result, Token)} == {5}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("graph", [Ring(), Star(centre=2), Grid(columns=3)])
 def test_on_any_connected_graph_the_ring_visits_every_node_within_two_rounds(graph):
     """A tour of a tree of N nodes has 2 (N - 1) hops; hops lead along edges."""
@@ -259,7 +259,7 @@ class Drop:
         return np.full(len(context.dst), self._next - 1 in self._numbers)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.1])
 def test_a_token_that_is_lost_is_sent_again(latency):
     """The claim is transmission 0, the first token 1: it comes 2.5 L late, or a hold if L = 0."""
@@ -271,7 +271,7 @@ def test_a_token_that_is_lost_is_sent_again(latency):
     )
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.1])
 def test_a_lost_acknowledgement_is_repeated_and_the_duplicate_token_rejected(latency):
     """The acknowledgement of the first token is transmission 2: nothing is late and no pursuer decides twice."""

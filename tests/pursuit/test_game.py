@@ -156,6 +156,7 @@ def test_with_a_penalty_on_edges_the_equilibria_are_the_maximal_independent_sets
     )
 
 
+@pytest.mark.slow
 @given(games_on_graphs())
 def test_the_greedy_set_is_a_maximal_independent_one_and_the_only_fixed_point_of_local_min(game):
     """A fixed point: a pursuer is active iff it is in time and has no active neighbour of smaller phi."""

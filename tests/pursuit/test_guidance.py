@@ -84,6 +84,7 @@ def test_pure_pursuit_is_straight_to_the_aim_whatever_the_evader_does():
     assert (PurePursuit()(gaps, aims, 5 - 3j, v) == toward(aims, v)).all()
 
 
+@pytest.mark.slow
 @given(plane, plane, plane, speeds)
 def test_the_course_of_one_is_exactly_that_of_the_team(gap, aim, flight, speed):
     for law in (PurePursuit(), ConstantBearing(), lambda gaps, aims, w, v: toward(aims, v)):

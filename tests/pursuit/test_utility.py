@@ -72,7 +72,7 @@ def test_the_expected_gain_is_the_mean_over_all_sets(utility, game):
     assert utility.expected(own, others, chances, reward) == pytest.approx(exact, rel=0.0, abs=1e-12 * scale)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("utility", EXPECTING, ids=repr)
 def test_the_expected_gain_is_the_mean_over_the_1024_sets_of_ten(utility):
     """Thirty games with n = 8, 9 and 10 others; the degree of the polynomial is even and odd."""

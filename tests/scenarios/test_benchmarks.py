@@ -144,7 +144,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks_runs.SLOW_LAP + 1.0))]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("says", "reason"),
     [

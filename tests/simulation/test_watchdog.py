@@ -222,6 +222,7 @@ def test_no_limit_is_lost_in_a_serialiser():
             write_on()
 
 
+@pytest.mark.slow
 def test_an_endless_loop_is_ended_and_the_state_of_every_pursuer_reported():
     """Pursuer 1 never comes back from its turn at 0.5 s; 0 has gone on to wait for mail, 2 has its turn yet to come."""
     with pytest.raises(TimedOut) as caught, within(0.3):

@@ -319,6 +319,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("make", "why"), REFUSED.values(), ids=REFUSED)
 def test_an_object_without_a_stable_hash_is_refused(make, why, tmp_path):
     held = make(tmp_path / "file")
@@ -372,7 +373,7 @@ INSTALLED = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "text", "whose"),
     [

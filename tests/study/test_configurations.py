@@ -273,6 +273,7 @@ def test_a_grid_of_too_many_configurations_is_refused_before_they_are_made():
         of(many)
 
 
+@pytest.mark.slow
 def test_values_with_equal_labels_in_tables_are_refused():
     with pytest.raises(ScenarioError, match=r"several configurations have the name 'protocol = Plain'"):
         of({"protocol": [Plain(1.0), Plain(2.0)]})

@@ -132,6 +132,7 @@ def test_if_only_one_thing_is_imperfect_all_is_due_to_it(scenario, name):
     assert "interact" not in found.table()
 
 
+@pytest.mark.slow
 def test_some_of_these_cost_something():
     """Else nothing would be due to anything: in every run, by the sign that one expects."""
     for rule, name in [("server", each) for each in ("latency", "loss", "range limit")] + [("sap", "latency")]:
@@ -347,7 +348,7 @@ def declared(rng, effect, confidence, metrics=2, runs=30):
     return share, np.sqrt(share * (1.0 - share) / STUDIES)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_an_interaction_is_declared_without_one_at_most_at_the_nominal_rate(seed):
     """0.01 for two metrics together, with a standard error of 0.0022 for 2000 studies.
@@ -515,7 +516,7 @@ def fails(scenario, seed):
     return False
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", [fails_late, fails_in_time], ids=["as it is", "removed"])
 def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
     """Of the scenario as it is, too, or the differences would be between other seeds; later they are tried again."""
@@ -539,6 +540,7 @@ def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
     assert again.costs["active_time"].as_it_is == estimate(list(by_hand(scenario, "active_time", range(9))))
 
 
+@pytest.mark.slow
 def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
     """With the seeds from the first bad one on that is followed by a good one."""
     scenario = LATE.model_copy(update={"protocol": fails_late})
@@ -780,7 +782,7 @@ def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file
     assert not (file.parent / "out/late/explain/explain.txt").exists()
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("as_json", [False, True])
 def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file, as_json):
@@ -798,6 +800,7 @@ def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file,
         assert f"{document['failed']} seeds are left out" in result.stdout
 
 
+@pytest.mark.slow
 def test_an_interrupted_command_explains_how_to_continue(file, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -149,7 +149,7 @@ GRIDS = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(("grid", "metric"), GRIDS.values(), ids=GRIDS)
 def test_a_figure_of_single_runs_or_of_unmeasured_metrics_can_be_saved(tmp_path, grid, metric):
     for path in save(means(result(grid, runs=1), metric), tmp_path / "x"):
@@ -367,7 +367,7 @@ def test_texts_of_the_user_are_shown_and_may_be_mathematics():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("latency $L$", "T_0")
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"x": "x", "by": "protocol"}, {}, {"against": {"protocol": "sap"}}])
 def test_a_figure_made_narrower_keeps_its_labels(options):
     figure = means(result(GRID, name="a sweep with a long name"), "active_time", **options)
@@ -381,7 +381,7 @@ def test_a_figure_made_narrower_keeps_its_labels(options):
             assert 0 <= box.y0 <= box.y1 <= height
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["$\\frac{}$ of a name that is too long for a narrow figure", "costs $5 and more " * 5]
 )

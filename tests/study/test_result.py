@@ -392,6 +392,7 @@ def test_a_frame_with_failures_keeps_integers_and_truths():
     assert frame.groupby("protocol").active_time.mean()["sap"] == 2.0
 
 
+@pytest.mark.slow
 def test_seeds_of_more_than_64_bits_are_texts_in_a_frame():
     big = SweepResult("big", ("x",), (group({"x": 1}, replace(ok(0), seed=2**70)),))
     assert big.to_frame()["seed"].tolist() == [str(2**70)]

@@ -69,6 +69,7 @@ def test_the_numbers_of_a_column_are_those_of_numpy(values):
     assert found.dtype == float
 
 
+@pytest.mark.slow
 @given(runs(), st.integers(1, 4))
 def test_a_table_equals_the_list_of_its_rows(rows, chunk):
     before, run_table.CHUNK = run_table.CHUNK, chunk

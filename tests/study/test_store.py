@@ -255,6 +255,7 @@ def test_the_checksum_of_a_row_is_that_of_its_json(row):
 RUNS = st.tuples(st.integers(0, 3), st.sampled_from(["ok", "error", "crashed"]), st.sampled_from(["", "a", "b"]))
 
 
+@pytest.mark.slow
 @given(st.lists(st.lists(RUNS, max_size=6), max_size=4))
 def test_runs_that_are_added_together_are_those_added_one_by_one(batches):
     """The model: the first success of a run, otherwise its last failure."""
@@ -333,7 +334,7 @@ def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, 
         store.close()
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "told"),
     [

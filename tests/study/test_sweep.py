@@ -65,6 +65,7 @@ def test_run_k_of_every_configuration_has_the_seed_of_the_first_plus_k():
     assert [[row.seed for row in group.rows] for group in sweep(BASE, GRID, 2, seed=40).groups] == [[40, 41]] * 4
 
 
+@pytest.mark.slow
 def test_every_run_is_that_which_one_would_do_by_hand():
     found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 3)
     for value, group in zip([0.0, 0.2], found.groups, strict=True):

@@ -67,7 +67,7 @@ def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "count", "pause"),
     [

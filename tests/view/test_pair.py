@@ -253,7 +253,7 @@ ORDERS = pytest.mark.parametrize(("first", "second"), [RUNS, RUNS[::-1]], ids=["
 
 
 @in_chromium
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @ORDERS
 def test_a_seek_in_either_run_moves_both_and_the_shorter_stays_at_its_end(first, second, shown):
     """One lasts 1 s, the other 0.5 s."""

@@ -22,6 +22,7 @@ def drawn(result):
     return axes
 
 
+@pytest.mark.slow
 def test_pursuits_by_hand_are_golden():
     """A single chaser is bold; a numbered square is where a pursuer becomes the only chaser.
 

@@ -155,6 +155,7 @@ def test_events_that_perfetto_would_drop_are_detected(harm):
         Imported(json.dumps(document))
 
 
+@pytest.mark.slow
 @given(t=st.integers(0, 100 * 86_400 * 10**9))
 def test_a_time_is_the_same_nanosecond_where_it_is_read(t):
     assert Imported._ns(json.loads(json.dumps(_microseconds(t)))) == t

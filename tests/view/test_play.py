@@ -141,6 +141,7 @@ def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
     assert "difference" not in shown
 
 
+@pytest.mark.slow
 def test_a_users_metric_says_whether_more_of_it_is_better(measured):
     found = measured.answer(["seed=1"], [])
     (shown,) = (row for row in found["metrics"] if row["name"] == "gain")

@@ -129,6 +129,7 @@ def test_a_run_that_cannot_be_drawn_is_reported_in_one_line(folder, words, says)
     assert says in call(*words, code=2)
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_written_is_named_without_an_option_that_was_not_given(file, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.trajectory.svg").mkdir()

@@ -743,7 +743,7 @@ AT = """(t => {
 
 
 @in_chromium
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["many", "soak", "crowded"])
 def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown, result_of):
     """Between the instants of the trace and, where a tick is a nanosecond, at some of them."""

@@ -101,7 +101,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
     spacetime(crowded, 1.0, 4.0, pursuers=(0, 9))
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [8.5, 17.0])
 def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
     figure = spacetime(crowded, size=f"{width}cm")
@@ -142,6 +142,7 @@ def test_a_run_that_cannot_be_drawn_is_reported(asked, says):
         spacetime(history(), **asked)
 
 
+@pytest.mark.slow
 def test_without_messages_lines_and_decisions_remain(run_of):
     result = run_of("relay.toml", "announce.trigger=never", "horizon=0.3")
     assert not deliveries(result)
