@@ -15,13 +15,13 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import compress, repeat
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from desim.config.arrays import Integers
+from desim.kernel.air import Air
 from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.contention import Contention
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
@@ -83,6 +83,77 @@ class _Batch(NamedTuple):
     """The end of the airtime."""
 
 
+class KeptArrivals:
+    """Arrivals that are kept until their outcomes are decided together.
+
+    Attributes:
+        first: the time of the first arrival, ns; inf if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.first: float = inf
+        self._fresh: list[tuple[Transmission, list[int], list[int], int, int]] = []
+        """The transmissions since the last decision: with receivers, arrival times, start and end of the airtime."""
+        self._fresh_count = 0
+        """Number of arrivals in `_fresh`."""
+        self._flights: list[Transmission] = []
+        self._of_flight = np.empty((4, 0), dtype=np.int64)
+        """Of each transmission in `_flights`: sender, number, start and end of the airtime."""
+        self._older = np.empty((3, 0), dtype=np.int64)
+        """Of each arrival that is not in `_fresh`: index in `_flights`, receiver, time."""
+        self._compact_at = MANY
+        """Length of `_flights` at which items that are no longer needed are removed."""
+
+    def __len__(self) -> int:
+        return self._older.shape[1] + self._fresh_count
+
+    def add(self, transmission: Transmission, nodes: list[int], times: list[int], begin: int, end: int) -> bool:
+        """Keep the arrivals of a transmission at some nodes; return whether there are so many that they should land.
+
+        Args:
+            transmission: the transmission.
+            nodes: the receivers; at least one.
+            times: the arrival times, ns.
+            begin: the start of the airtime, ns.
+            end: the end of the airtime, ns.
+        """
+        self._fresh.append((transmission, nodes, times, begin, end))
+        self._fresh_count += len(nodes)
+        self.first = min(self.first, *times)
+        return self._fresh_count > MAX_FRESH
+
+    def take(self, until: int) -> tuple[list[Transmission], _Batch]:
+        """Remove and return the arrivals up to and including a time (ns), with the transmission of each."""
+        older = self._with_fresh()
+        due = older[2] <= until
+        landing, self._older = older[:, due], older[:, ~due]
+        self.first = int(self._older[2].min()) if self._older.size else inf
+        flights = [self._flights[flight] for flight in landing[0].tolist()]
+        batch = _Batch(landing[1], landing[2], *self._of_flight[:, landing[0]])
+        if len(self._flights) > self._compact_at:
+            used, self._older[0] = np.unique(self._older[0], return_inverse=True)
+            self._flights = [self._flights[flight] for flight in used.tolist()]
+            self._of_flight = self._of_flight[:, used]
+            self._compact_at = 2 * len(used) + MANY
+        return flights, batch
+
+    def _with_fresh(self) -> Integers:
+        """Return all kept arrivals in the form of `_older`; transmissions in `_fresh` are moved to `_flights`."""
+        if not self._fresh:
+            return self._older
+        columns: tuple[list[int], list[int], list[int]] = [], [], []
+        of_flight = []
+        for transmission, nodes, arrival, begin, end in self._fresh:
+            columns[0].extend([len(self._flights)] * len(nodes))
+            columns[1].extend(nodes)
+            columns[2].extend(arrival)
+            self._flights.append(transmission)
+            of_flight.append((transmission.src, transmission.number, begin, end))
+        self._fresh, self._fresh_count = [], 0
+        self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
+        return np.concatenate((self._older, np.array(columns)), axis=1)
+
+
 class Arrivals:
     """Decides which uncertain arrivals succeed, and stores what has arrived.
 
@@ -92,14 +163,15 @@ class Arrivals:
         records: receives the records that arrive.
         inboxes: receive the messages that arrive.
         fault_state: the active faults; None: the network has no faults.
-        transmitter: knows which nodes transmit, and what was lost on the air; None: nodes transmit without airtime.
+        transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
+        air: knows what was lost on the air; None: nodes do not contend for the channel.
         processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
         at_once: whether each outcome is needed at the time of the arrival, for a trace.
         lose: counts and records losses.
 
     Attributes:
-        first: the time of the first arrival that is kept, ns; inf if none is.
+        kept: the arrivals that are decided together.
     """
 
     def __init__(
@@ -109,7 +181,8 @@ class Arrivals:
         records: Records,
         inboxes: Inboxes,
         fault_state: FaultState | None,
-        transmitter: Transmitter[Transmission] | Contention[Transmission] | None,
+        transmitter: Transmitter[Transmission] | None,
+        air: Air | None,
         *,
         processing: int,
         checks_range: bool,
@@ -117,7 +190,8 @@ class Arrivals:
         lose: Lose,
     ):
         self._env, self._topology, self._records, self._inboxes = env, topology, records, inboxes
-        self._fault_state, self._transmitter, self._processing = fault_state, transmitter, processing
+        self._fault_state, self._processing = fault_state, processing
+        self._transmitter, self._air = transmitter, air
         self._checks_range, self._lose = checks_range, lose
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if checks_range:
@@ -130,20 +204,11 @@ class Arrivals:
         """The numbers of the transmissions whose sender crashed while it transmitted."""
         self._with_events = 0
         """Number of arrivals that have an event."""
-        self._fresh: list[tuple[Transmission, list[int], list[int], int, int]] = []
-        """The transmissions since the last decision: with receivers, arrival times, start and end of the airtime."""
-        self._flights: list[Transmission] = []
-        self._of_flight = np.empty((4, 0), dtype=np.int64)
-        """Of each transmission in `_flights`: sender, number, start and end of the airtime."""
-        self._kept = np.empty((3, 0), dtype=np.int64)
-        """Of each arrival that is kept: index in `_flights`, receiver, time."""
+        self.kept = KeptArrivals()
         self._at_downed: list[tuple[int, Transmission, int]] = []
         """Losses that are certain, at nodes that are down: time, transmission and receiver."""
-        self._fresh_count = 0
-        """Number of arrivals in `_fresh`."""
-        self._count_at = self._compact_at = MANY
-        """Lengths of `_at_downed` and `_flights` at which items that are no longer needed are removed."""
-        self.first: float = inf
+        self._count_at = MANY
+        """Length of `_at_downed` at which items that are no longer needed are removed."""
 
     def crash(self, node: int) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
@@ -153,25 +218,21 @@ class Arrivals:
 
     def in_flight(self) -> int:
         """Return the number of arrivals that are not decided yet."""
-        return self._with_events + self._kept.shape[1] + self._fresh_count + len(self._at_downed)
+        return self._with_events + len(self.kept) + len(self._at_downed)
 
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
         begin, end = self._env.now, self._env.now + airtime
         nodes_by_time: dict[int, list[int]] = {}
-        if self._transmitter is not None:
+        if medium := self._air or self._transmitter:
             self._on_air[transmission.src] = transmission.number, end
-            self._transmitter.forget(min(self.first, begin))
-            if isinstance(self._transmitter, Contention) and nodes:
-                last = arrival if isinstance(arrival, int) else max(arrival)
-                self._transmitter.keep(transmission.number, last)
+            medium.forget(min(self.kept.first, begin))
+        if self._air is not None and nodes:
+            self._air.keep(transmission.number, arrival if isinstance(arrival, int) else max(arrival))
         if isinstance(arrival, int):
             nodes_by_time = {arrival: nodes} if nodes else {}
         elif nodes and self._can_wait(transmission):
-            self._fresh.append((transmission, nodes, arrival, begin, end))
-            self._fresh_count += len(nodes)
-            self.first = min(self.first, *arrival)
-            if self._fresh_count > MAX_FRESH:
+            if self.kept.add(transmission, nodes, arrival, begin, end):
                 self.settle()
         else:
             for node, when in zip(nodes, arrival, strict=True):
@@ -210,53 +271,31 @@ class Arrivals:
         """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
-        changes |= isinstance(self._transmitter, Contention) and self._transmitter.ends_by(now)
+        changes |= self._air is not None and self._air.ends_by(now)
         self.settle(now - 1 if changes else now)
 
     def settle(self, until: int | None = None) -> None:
         """Decide the kept arrivals up to and including a time (ns); by default, those before this instant."""
         until = self._env.now - 1 if until is None else until
-        if until < self.first:
+        if until < self.kept.first:
             return
-        kept = self._with_fresh()
-        due = kept[2] <= until
-        landing, self._kept = kept[:, due], kept[:, ~due]
-        flights, nodes, times = landing.tolist()
-        causes = self._causes(_Batch(landing[1], landing[2], *self._of_flight[:, landing[0]]))
-        self.first = int(self._kept[2].min()) if self._kept.size else inf
+        flights: Any  # only records are kept
+        flights, batch = self.kept.take(until)
+        nodes, times = batch.node.tolist(), np.asarray(batch.time).tolist()
+        causes = self._causes(batch)
         if causes is not None:
             for flight, node, cause in zip(flights, nodes, causes, strict=True):
                 if cause is not None:
-                    self._lose(self._flights[flight], {node: cause})
+                    self._lose(flight, {node: cause})
             arrived = [cause is None for cause in causes]
-            flights, nodes, times = (list(compress(each, arrived)) for each in (flights, nodes, times))
-        self._records.receive(nodes, times, [self._flights[flight].content for flight in flights])
-        if len(self._flights) > self._compact_at:
-            used, self._kept[0] = np.unique(self._kept[0], return_inverse=True)
-            self._flights = [self._flights[flight] for flight in used.tolist()]
-            self._of_flight = self._of_flight[:, used]
-            self._compact_at = 2 * len(used) + MANY
+            flights = list(compress(flights, arrived))
+            nodes, times = list(compress(nodes, arrived)), list(compress(times, arrived))
+        self._records.receive(nodes, times, [flight.content for flight in flights])
 
     def _can_wait(self, transmission: Transmission) -> bool:
         """Return whether the outcome of a transmission may be decided after its arrival."""
         faults = self._fault_state
         return not self._at_once and isinstance(transmission.content, Record) and (faults is None or faults.looks_back)
-
-    def _with_fresh(self) -> Integers:
-        """Return all kept arrivals in the form of `_kept`; transmissions in `_fresh` are moved to `_flights`."""
-        if not self._fresh:
-            return self._kept
-        columns: tuple[list[int], list[int], list[int]] = [], [], []
-        of_flight = []
-        for transmission, nodes, arrival, begin, end in self._fresh:
-            columns[0].extend([len(self._flights)] * len(nodes))
-            columns[1].extend(nodes)
-            columns[2].extend(arrival)
-            self._flights.append(transmission)
-            of_flight.append((transmission.src, transmission.number, begin, end))
-        self._fresh, self._fresh_count = [], 0
-        self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
-        return np.concatenate((self._kept, np.array(columns)), axis=1)
 
     def _land(
         self, transmission: Transmission, nodes: list[int], begin: int, end: int, _: "simpy.Event", *, is_only: bool
@@ -285,9 +324,9 @@ class Arrivals:
         """
         losses: list[tuple[Cause, list[bool] | None]] = []
         causes: list[Cause | None] | None = None
-        if isinstance(self._transmitter, Contention):
+        if self._air is not None:
             numbers = repeat(batch.number) if isinstance(batch.number, int) else batch.number.tolist()
-            causes = self._transmitter.causes(numbers, batch.node.tolist())
+            causes = self._air.causes(numbers, batch.node.tolist())
         elif self._transmitter is not None:
             received = batch.time - self._processing
             start = received - (batch.end - batch.begin)

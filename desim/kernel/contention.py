@@ -1,27 +1,26 @@
-"""A channel for which nodes contend: queues, frames on the air, carrier sensing, and losses by interference.
+"""A channel for which nodes contend: their queues, and when each of them transmits.
 
 Each node has a FIFO queue. The access method plans the time at which each node acts next. One SimPy event stands for
 the earliest of these times, and each frame has one event at its end, regardless of the number of nodes. What the nodes
-sense is kept in arrays over all nodes. At the end of a frame all frames that overlap it are known, and it is decided at
-which receivers it is lost.
+sense is kept in arrays over all nodes (`CarrierSense`), and what is lost on the air is decided at the end of each frame
+(`Air`).
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from typing import Generic, TypeVar
 
-import numpy as np
-
-from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.access import CarrierSensing, CsmaCa
+from desim.kernel.access import CsmaCa
 from desim.kernel.access_methods import NEVER, Contenders, method
+from desim.kernel.air import Air
+from desim.kernel.carrier_sense import CarrierSense
 from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds, seconds
 from desim.kernel.events import Cause
-from desim.kernel.interference import CaptureEffect, Frame, Overlap, Signal
-from desim.kernel.medium import LoRa, Radio
-from desim.kernel.positions import PositionSource, distances
-from desim.kernel.seeds import pair_uniform, stream
+from desim.kernel.interference import Frame
+from desim.kernel.medium import Radio
+from desim.kernel.positions import PositionSource
+from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmittable
 
@@ -53,6 +52,9 @@ class Contention(Generic[Item]):
     Raises:
         ValueError: if there are no positions, but the model of interference or a sensing range needs them; or if the
             nodes do not fit the medium or its access model.
+
+    Attributes:
+        air: the frames on the air, and what was lost there.
     """
 
     channels = 1
@@ -73,32 +75,22 @@ class Contention(Generic[Item]):
         wait: Callable[[Item], None],
         lose: Callable[[Item, Cause], None],
     ):
-        access, interference = medium.access, medium.reception
-        self._env, self._medium, self._interference = env, medium, interference
-        self._topology, self._positions, self._seed = topology, positions, seed
+        access = medium.access
+        self._env, self._medium = env, medium
         self._start, self._leave, self._attempt, self._succeed = start, leave, attempt, succeed
         self._wait, self._lose = wait, lose
-        self._nodes, self._all = Contenders(topology.size), np.arange(topology.size)
+        self.air = Air(env, medium, topology, positions, seed)
+        self._nodes = Contenders(topology.size)
         self._access = method(access, self._nodes, stream(seed, "access"), clocks)
-        self._sensing = access if isinstance(access, CarrierSensing) else CarrierSensing()
-        self._delay = nanoseconds(self._sensing.sensing_delay)
+        self._carrier = CarrierSense(env, access, self._access, self._nodes, topology, positions, self._plan)
         self._ack = nanoseconds(access.sifs + access.ack) if isinstance(access, CsmaCa) else None
-        self._locks = isinstance(interference, CaptureEffect) and interference.lock
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]
         self._sending: dict[int, Item | None] = {}
         """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
-        self._on_air: list[Frame] = []
-        self._lost: dict[int, tuple[dict[int, Cause], int]] = {}
-        """By number of a transmission: the causes of its losses on the air, by receiver, and its last arrival, ns."""
         self._wake: int = NEVER
-        self._busy = self._busy_since = 0
-        needed = interference.needs_positions or self._sensing.sensing_range is not None
-        medium.check(topology.size)
-        if needed and positions is None:
-            raise ValueError("network.medium: a sensing range, and reception by power, need positions")
 
     def enqueue(self, item: Item) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
@@ -132,31 +124,7 @@ class Contention(Generic[Item]):
 
     def airtime(self) -> int:
         """Return the total time, ns, at which some node has been transmitting."""
-        return self._busy + (self._env.now - self._busy_since if self._on_air else 0)
-
-    def keep(self, number: int, until: int) -> None:
-        """Keep the losses of a transmission, which is on the air, until its last arrival, ns."""
-        self._lost[number] = {}, until
-
-    def forget(self, before: float) -> None:
-        """Forget the losses of the transmissions whose last arrival was before a time, ns."""
-        while self._lost:
-            first = next(iter(self._lost))
-            if self._lost[first][1] >= before:
-                return
-            del self._lost[first]
-
-    def causes(self, numbers: Iterable[int], nodes: Iterable[int]) -> list[Cause | None] | None:
-        """Return why each of k receptions of a transmission failed on the air, or None; None alone: none failed."""
-        nothing: tuple[dict[int, Cause], int] = {}, 0
-        found = [self._lost.get(number, nothing)[0].get(node) for number, node in zip(numbers, nodes, strict=False)]
-        return found if any(found) else None
-
-    def ends_by(self, now: int) -> bool:
-        """Return whether a frame ends by a time, ns, and its losses are not decided yet."""
-        return any(frame.end <= now for frame in self._on_air)
-
-    # Access.
+        return self.air.busy_time()
 
     def _is_acknowledged(self, item: Item) -> bool:
         return self._ack is not None and item.to_one
@@ -188,7 +156,7 @@ class Contention(Generic[Item]):
             self._lose(self._queues[node].popleft(), "access")
             self._prepare(node)
         for frame in begun:
-            self._sense(frame, 1)
+            self._carrier.sense(frame, 1)
         self._plan()
 
     def _begin(self, node: int) -> Frame:
@@ -212,43 +180,25 @@ class Contention(Generic[Item]):
     def _transmit(self, number: int, node: int, airtime: int, draw: int) -> Frame:
         """Put a frame on the air."""
         now = self._env.now
-        frame = Frame(number, draw, node, now, now + airtime, self._sensed_by(node))
-        if self._locks:
-            frame.locked = np.ones(len(self._all), dtype=bool)
-        for other in self._on_air:
-            frame.overlapping.append(other)
-            other.overlapping.append(frame)
-            if frame.locked is not None and other.locked is not None:
-                frame.locked[other.src] = other.locked[node] = False
-                if other.begin < now:
-                    frame.locked &= ~(other.locked & self._audible(other, self._all))
-        if not self._on_air:
-            self._busy_since = now
-        self._on_air.append(frame)
+        frame = Frame(number, draw, node, now, now + airtime, self._carrier.listeners(node))
+        self.air.add(frame)
         Instant(self._env, frame.end, Phase.DELIVERY).callbacks.append(lambda _: self._end(frame))
         return frame
 
     def _end(self, frame: Frame) -> None:
         """Take a frame from the air, and decide at which receivers it is lost."""
-        self._on_air.remove(frame)
-        if not self._on_air:
-            self._busy += self._env.now - self._busy_since
         if frame.number == ACKNOWLEDGEMENT:
-            frame.overlapping = []
-            self._sense(frame, -1)
+            self.air.remove(frame, [])
+            self._carrier.sense(frame, -1)
             return
         item, cause = self._sending.pop(frame.src), None
-        if item is not None:
-            causes = self._judge(frame, item.receivers)
-            if self._is_acknowledged(item):
-                cause = causes.get(item.receivers[0]) or self._attempt(item, frame.draw)
-                self._repeated.discard(item.number)
-                if cause is None:
-                    self._succeed(item)
-                    self._acknowledge(item.receivers[0])
-            elif frame.number in self._lost:
-                self._lost[frame.number][0].update(causes)
-        frame.overlapping = []  # the frames refer to each other
+        causes = self.air.remove(frame, item.receivers if item is not None else [])
+        if item is not None and self._is_acknowledged(item):
+            cause = causes.get(item.receivers[0]) or self._attempt(item, frame.draw)
+            self._repeated.discard(item.number)
+            if cause is None:
+                self._succeed(item)
+                self._acknowledge(item.receivers[0])
         is_repeated = self._access.transmitted(frame.src, acknowledged=cause is None)
         if item is not None and cause is not None:
             if is_repeated:
@@ -256,89 +206,11 @@ class Contention(Generic[Item]):
                 self._repeated.add(item.number)
             else:
                 self._lose(item, cause)
-        self._sense(frame, -1)
+        self._carrier.sense(frame, -1)
         self._prepare(frame.src)
 
     def _acknowledge(self, node: int) -> None:
         """Let a node transmit an acknowledgement; its airtime includes SIFS."""
         assert self._ack is not None
-        self._sense(self._transmit(ACKNOWLEDGEMENT, node, self._ack, next(self._draws)), 1)
+        self._carrier.sense(self._transmit(ACKNOWLEDGEMENT, node, self._ack, next(self._draws)), 1)
         self._nodes.due[node] = NEVER
-
-    # Carrier sensing.
-
-    def _sensed_by(self, node: int) -> Integers:
-        """Return the nodes that sense the frames of a node, ascending, without itself."""
-        if not self._access.senses:
-            return self._all[:0]
-        radius = self._sensing.sensing_range
-        if radius is None:
-            return self._topology.neighbours(node)
-        assert self._positions is not None
-        near = distances(self._positions(), node) <= radius
-        near[node] = False
-        return near.nonzero()[0]
-
-    def _sense(self, frame: Frame, change: int) -> None:
-        """Let nodes sense the start (1) or the end (-1) of a frame: its sender now, all others after the delay."""
-        if not self._access.senses:
-            return
-        self._count(np.array([frame.src]), change)
-        if self._delay:
-            instant = Instant(self._env, self._env.now + self._delay, Phase.DELIVERY)
-            instant.callbacks.append(lambda _: self._count(frame.sensed_by, change))
-        else:
-            self._count(frame.sensed_by, change)
-
-    def _count(self, nodes: Integers, change: int) -> None:
-        """Change the number of frames that some nodes sense, by 1 or -1."""
-        state, now = self._nodes, self._env.now
-        before = state.busy[nodes]
-        state.busy[nodes] = before + change
-        changed = nodes[before == (change < 0)]
-        if not len(changed):
-            return
-        if change > 0:
-            self._access.sense_busy(changed, now)
-        else:
-            state.idle_since[changed] = now
-            self._access.sense_idle(changed, now)
-            self._plan()
-
-    # Interference.
-
-    def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
-        """Return the causes of the losses of a frame that ends now, by receiver."""
-        if not receivers or not (frame.overlapping or self._interference.has_noise):
-            return {}
-        nodes = np.array(receivers)
-        overlap = Overlap(
-            frame,
-            nodes,
-            frame.overlapping,
-            lambda each: self._audible(each, nodes),
-            lambda each: self._distances(each, nodes),
-            lambda each: pair_uniform(self._seed, "interference", each.src, nodes, each.draw, symmetric=False),
-            self._signal,
-        )
-        received = self._interference(overlap)
-        if frame.locked is not None:
-            received = received & frame.locked[nodes]
-        lost: dict[int, Cause] = dict.fromkeys(nodes[~received].tolist(), "collision")
-        deaf = {each.src for each in frame.overlapping}
-        return lost | {node: "half_duplex" for node in receivers if node in deaf}
-
-    def _audible(self, frame: Frame, nodes: Integers) -> Bools:
-        """Return (k,) whether nodes are linked to the sender of a frame, and within range."""
-        found: Bools = self._topology.links_to(frame.src, nodes) & (nodes != frame.src)
-        found[found] = self._topology.reaches(frame.src, nodes[found], frame.draw)
-        return found
-
-    def _signal(self, frame: Frame) -> Signal:
-        assert isinstance(self._medium, LoRa)
-        return self._medium.signal(frame.src)
-
-    def _distances(self, frame: Frame, nodes: Integers) -> Floats:
-        """Return the (k,) distances of nodes from the sender of a frame, m."""
-        assert self._positions is not None
-        return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]

@@ -3,19 +3,17 @@
 A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled.
 Records and messages whose arrival is certain are stored at once, with their arrival times. An arrival is not certain
 if a fault, a range check on arrival or half duplex can still prevent it; `desim.kernel.arrivals` then decides it when
-it is due. Planned faults leave the arrivals at a node that is up certain until the next of them begins or ends, except
-while a disc is jammed, because nodes may move into the disc.
+it is due.
 """
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from itertools import compress, count
-
-import numpy as np
+from itertools import count
 
 from desim.kernel.arrivals import Arrivals, Transmission
 from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.contention import Contention
+from desim.kernel.departure import Departure, certain
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
@@ -67,9 +65,10 @@ class LinkLayer:
         clocks: Sequence[NodeClock],
         seed: int,
     ):
-        self._env, self._topology, self._sampler = env, topology, sampler
+        self._env, self._sampler = env, sampler
         self._records, self._inboxes, self._fault_state, self._trace = records, inboxes, fault_state, trace
-        self._checks_departure, checks_arrival = links.range_check != "delivery", links.range_check != "send"
+        checks_departure, checks_arrival = links.range_check != "delivery", links.range_check != "send"
+        self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_departure)
         medium = links.medium
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
         if isinstance(medium, Radio) and medium.contends:
@@ -82,7 +81,7 @@ class LinkLayer:
                 seed,
                 start=self._start,
                 leave=self._leave,
-                attempt=self._attempt,
+                attempt=self._departure.attempt,
                 succeed=self._succeed,
                 wait=self._wait,
                 lose=self._give_up,
@@ -101,7 +100,8 @@ class LinkLayer:
             records,
             inboxes,
             fault_state,
-            self._transmitter,
+            self._transmitter if isinstance(self._transmitter, Transmitter) else None,
+            self._transmitter.air if isinstance(self._transmitter, Contention) else None,
             processing=sampler.processing,
             checks_range=checks_arrival,
             at_once=trace is not None,
@@ -154,14 +154,8 @@ class LinkLayer:
         """
         if self._fault_state is not None and self._fault_state.down(src):
             return
-        number, reachable, topology = next(self._numbers), True, self._topology
-        if dst is None:
-            receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
-        else:
-            receivers = [dst]
-            reachable = topology.are_linked(src, dst) and (
-                not self._checks_departure or topology.reaches(src, receivers, number)[0]
-            )
+        number = next(self._numbers)
+        receivers, reachable = self._departure.receivers(src, dst, number)
         if size is None:
             size = size_of(content.body)
         elif size < 0:
@@ -189,18 +183,6 @@ class LinkLayer:
         self._transmissions += 1
         self._bytes_sent += transmission.size
 
-    def _attempt(self, transmission: Transmission, draw: int) -> Cause | None:
-        """Draw the losses of an attempt to transmit to one node, which ends now; return the cause, or None."""
-        (node,), faults = transmission.receivers, self._fault_state
-        if faults is not None and faults.down(node):
-            return "crash"
-        if faults is not None and faults.jammed(np.array([node]), self._env.now) == [True]:
-            return "jamming"
-        src, topology = transmission.src, self._topology
-        if not (topology.are_linked(src, node) and topology.reaches(src, [node], draw)[0]):
-            return "out_of_range"
-        return self._drawn_losses(transmission).get(node)
-
     def _succeed(self, transmission: Transmission) -> None:
         self._leave(transmission, 0, draws=False)
 
@@ -210,7 +192,9 @@ class LinkLayer:
         if not isinstance(self._transmitter, Contention):
             self._start(transmission)
         arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
-        causes = self._losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
+        causes = (
+            self._departure.losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
+        )
         content = transmission.content
         # A record with some losses takes 10 % less time if the list of the nodes that it reaches is not needed.
         if (
@@ -252,45 +236,16 @@ class LinkLayer:
     def _settled(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
     ) -> tuple[list[int], Arrival, list[int]]:
-        """Return the receivers that certainly get a transmission, its arrival times (ns), and the certain losses.
+        """Return the receivers that certainly get a transmission, its arrival times (ns), and those that are down.
 
-        Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
-        Later arrivals are scheduled, and decided when they are due.
+        Other arrivals are scheduled, and decided when they are due.
         """
-        faults = self._fault_state
-        assert faults is not None
-        until, down = faults.constant_until, faults.down_nodes
-        last = arrival if isinstance(arrival, int) else max(arrival, default=0)
-        lost = list[int]()
-        if last < until and not down:
-            return reached, arrival, lost
-        if last >= until:
-            reached, arrival, others, later = _split(reached, arrival, lambda _, when: when < until)
-            self.arrivals.schedule(transmission, others, later, airtime)
-        if down:
-            reached, arrival, lost, later = _split(reached, arrival, lambda node, _: node not in down)
-            self.arrivals.lose_at(transmission, lost, later)
-        return reached, arrival, lost
-
-    def _drawn_losses(self, transmission: Transmission) -> dict[int, Cause]:
-        """Draw the losses by chance, and add those by partitions; return the cause of each loss by receiver."""
-        src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
-        lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
-        if lost is not None and True in lost:
-            causes = dict.fromkeys(compress(receivers, lost), "loss")
-        faults = self._fault_state
-        if faults is not None and (apart := faults.separated(src, receivers)) is not None:
-            causes |= dict.fromkeys(compress(receivers, apart), "partition")
-        return causes
-
-    def _losses(self, transmission: Transmission) -> dict[int, Cause]:
-        """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
-        src, receivers, causes = transmission.src, transmission.receivers, self._drawn_losses(transmission)
-        has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
-        if has_waited and self._checks_departure:
-            reaches = self._topology.reaches(src, receivers, transmission.number)
-            causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
-        return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
+        assert self._fault_state is not None
+        reached, arrival, unsure, later, down, when_lost = certain(self._fault_state, reached, arrival)
+        if unsure:
+            self.arrivals.schedule(transmission, unsure, later, airtime)
+        self.arrivals.lose_at(transmission, down, when_lost)
+        return reached, arrival, down
 
     def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Count and record losses of a transmission now, given the cause of each loss by receiver."""
@@ -314,15 +269,3 @@ def _events(transmission: Transmission, causes: Mapping[int, Cause], arrival: Ar
         return
     for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
         yield Sent(now, number, src, node, arrives, created, size, content.body)
-
-
-def _split(
-    nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
-) -> tuple[list[int], Arrival, list[int], Arrival]:
-    """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
-    holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
-    others = [not each for each in holding]
-    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
-    if isinstance(arrival, int):
-        return parts[0], arrival, parts[1], arrival
-    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))

@@ -93,6 +93,7 @@ class Network:
             seed,
         )
         self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
+        self._kept = self._arrivals.kept
         self._seq = [0] * self._size
 
     # Operations of nodes.
@@ -178,7 +179,7 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if self._arrivals.first <= self._env.now:
+        if self._kept.first <= self._env.now:
             self._arrivals.settle_for_reader()
         return self._records.latest_records(node)
 
@@ -190,7 +191,7 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if self._arrivals.first <= self._env.now:
+        if self._kept.first <= self._env.now:
             self._arrivals.settle_for_reader()
         return self._records.matching(node)
 

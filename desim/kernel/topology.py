@@ -63,17 +63,15 @@ class Topology:
         self._lists: list[list[int]] | _AllOthers = (
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
         )
-        self._range, self._reception = range, reception or Disk()
-        self._certain = isinstance(self._reception, Disk)
-        self._per_link, self._seed = per_link, seed
-        self._uniform: dict[int, Floats] = {}  # by sender, the draws of its pairs with all nodes; up to `ROOM` numbers
+        self._range = range
+        self._received = _RangeCheck(reception, range, per_link, seed, size)
         self._positions = as_position_source(positions) if positions is not None and range < inf else None
         self._cells: CellList | None = None
         self._candidate_lists: list[Nodes] = []
         if self._positions is not None and not self._complete:
             self._candidate_lists = [_with_linked(node, self._lists[node]) for node in nodes.tolist()]
-        elif self._positions is not None and size > SMALL_NETWORK and bound(self._reception, range) < inf:
-            self._cells = CellList(self._positions, bound(self._reception, range), now)
+        elif self._positions is not None and size > SMALL_NETWORK and self._received.bound < inf:
+            self._cells = CellList(self._positions, self._received.bound, now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
@@ -220,34 +218,56 @@ class Topology:
         received[own] = False
         return candidates[received]
 
-    def _received(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
-        """Return (k,) booleans: which of the nodes `dst` receive a message; `src` and `message` as in `_uniforms`."""
-        if self._certain:
+
+class _RangeCheck:
+    """Decides which nodes a message reaches, given their distances from its sender.
+
+    Args:
+        reception: the probability of reception as a function of distance; a disk if None.
+        range: the communication range of every node, m.
+        per_link: whether random reception is drawn once per pair of nodes; if not, it is drawn for every message.
+        seed: the seed of the random draws.
+        size: number of nodes.
+
+    The arguments of its methods, with k receivers:
+        src: the sender, one for all or (k,).
+        dst: (k,) the receivers.
+        apart: (k,) their distances, m.
+        message: the number of the message, one for all or (k,); None: with fading per message, a message is received
+            where the probability is at least 1/2.
+    """
+
+    def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
+        self._reception, self._range, self._per_link = reception or Disk(), range, per_link
+        self._seed, self._size = seed, size
+        self._is_certain = isinstance(self._reception, Disk)
+        self._drawn: dict[int, Floats] = {}
+        """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
+
+    @property
+    def bound(self) -> float:
+        """The distance, m, beyond which nothing is received; inf if there is none."""
+        return bound(self._reception, self._range)
+
+    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+        """Return (k,) booleans: which of the nodes `dst` receive a message."""
+        if self._is_certain:
             return apart <= self._range
         probability = self._reception(apart, self._range)
-        received: Bools = self._uniforms(src, dst, message) <= probability
+        received: Bools = self._draws(src, dst, message) <= probability
         return received
 
-    def _uniforms(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
-        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver.
-
-        With fading per message, a draw also depends on the number of the message. If `message` is None, all draws are
-        then 0.5.
-
-        Args:
-            src: the sender, one for all or (k,).
-            dst: (k,) the receivers.
-            message: the number of the message, one for all or (k,), or None.
-        """
+    def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
+        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""
         if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
             return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)
         if not isinstance(src, int):
             return pair_uniform(self._seed, "fading", src, dst)
-        if src not in self._uniform and (len(self._uniform) + 1) * self.size <= ROOM:
-            self._uniform[src] = pair_uniform(self._seed, "fading", src, self._all)
-        kept = self._uniform.get(src)
+        if src not in self._drawn and (len(self._drawn) + 1) * self._size <= ROOM:
+            self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
+        kept = self._drawn.get(src)
         return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
 
 

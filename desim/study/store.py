@@ -11,33 +11,21 @@ changes, its values are removed when the new code is registered.
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, Json, TypeAdapter, create_model
+from pydantic import Json
 
-from desim.analysis.metrics import METRICS, Summary
-from desim.config.json_numbers import from_json, to_json
 from desim.study.configurations import Configuration
-from desim.study.row import Row, Status
+from desim.study.row import Row
+from desim.study.run_rows import RunRows
 from desim.study.run_table import RunTable
-from desim.study.store_file import (
-    FORMAT,
-    HINT,
-    ROWID,
-    StoreError,
-    StoreFile,
-    adapter_of,
-    naming_the_file,
-    view_of,
-    with_checksum,
-)
+from desim.study.store_file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of, with_checksum
 
 
-class Store(StoreFile):
+class Store(RunRows):
     """The runs of one sweep, of a shard of it (one of several parts that are run separately), or of merged shards.
 
     Args:
@@ -122,8 +110,8 @@ class Store(StoreFile):
             changed = {name: each for name, each in metrics.items() if there.get(name) != each}
             outdated = {name for name, (_, code) in changed.items() if name in there and there[name][1] != code}
             for row in list(self.rows("runs")) if outdated else ():
-                if (numbers := self._values(row)) is not None:
-                    self._put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
+                if (numbers := self.numbers(row)) is not None:
+                    self.put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
             database.executemany(
                 "INSERT INTO metrics VALUES (?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
                 " code = excluded.code, checksum = excluded.checksum",
@@ -185,44 +173,12 @@ class Store(StoreFile):
                 if self._codes.get(name, code) != code:
                     raise StoreError(f"{self.path}: another command computes the metric {name} by other code; {HINT}")
             for key, row in runs:
-                values = (key, row.replication, str(root), str(row.seed), row.status, None, row.traceback)
-                self._add(with_checksum(_with_numbers(values, row.summary)), partial(_values_of, row))
-
-    def _add(
-        self, row: tuple[Any, ...], numbers: Callable[[], Mapping[str, Any] | None], *, keeps_failed: bool = False
-    ) -> None:
-        """Add the row of a run; see `add_all`.
-
-        Args:
-            row: the row with its metrics as JSON, and its checksum.
-            numbers: returns the metrics of the row; called only if the run is stored already.
-            keeps_failed: whether a failed run does not replace a stored run that also failed.
-        """
-        unless_there = "ON CONFLICT (configuration, replication, root_seed) DO NOTHING"
-        if self.database.execute(f"INSERT INTO runs VALUES {RUN_VALUES} {unless_there}", row).rowcount:
-            return
-        (there,) = self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3])
-        known, found = self._values(there), numbers()
-        if known is None:
-            if found is not None or not keeps_failed:
-                self._put_run(row[:-1], found)
-        elif found is not None and not found.keys() <= known.keys():
-            self._put_run(there, {**found, **known})
-
-    def _values(self, row: tuple[Any, ...]) -> dict[str, Any] | None:
-        """Return the metrics in the row of a run by name, as JSON values; None if the run failed."""
-        found: dict[str, Any] | None = self.read(adapter_of(Json[dict[str, Any]] | None), "runs", row, SUMMARY)
-        return found
-
-    def _put_run(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> None:
-        """Write the row of a run with the given metrics, in place of the stored row of this run."""
-        values = with_checksum(_with_numbers(row, numbers))
-        self.database.execute(f"INSERT OR REPLACE INTO runs VALUES {RUN_VALUES}", values)
+                self.add_run(key, root, row)
 
     @naming_the_file
     def runs(self, key: str, root: int) -> list[Row]:
         """Return the runs of a configuration and a root seed, in the order of replications."""
-        return list(self._each_run(key, root))
+        return list(self.read_runs(key, root, self.units))
 
     @naming_the_file
     def run_table(self, key: str, root: int, instead: Mapping[tuple[str, int], Row] = MappingProxyType({})) -> RunTable:
@@ -230,29 +186,7 @@ class Store(StoreFile):
 
         The rows of `instead`, by (configuration hash, replication), replace the rows of the same runs.
         """
-        return RunTable(instead.get((key, row.replication), row) for row in self._each_run(key, root))
-
-    def _each_run(self, key: str, root: int) -> Iterator[Row]:
-        where, units = "WHERE configuration = ? AND root_seed = ? ORDER BY replication", self.units
-        known, own = frozenset(units), {name: unit for name, unit in units.items() if name not in METRICS}
-        for row in self.rows("runs", where, (key, str(root))):
-            yield self._run(row, known, own)
-
-    def _run(self, row: tuple[Any, ...], known: Set[str], own: Mapping[str, str]) -> Row:
-        """Return the run in a row, given the names of all metrics of the store, and the units of those of users."""
-        _, replication, _, seed, status, numbers, trace = self.read(RUN_ADAPTER, "runs", row)
-        if (numbers is None) == (status == "ok"):
-            raise self.error("runs", row, "should have a summary if its status is ok, and none if not")
-        if numbers is None:
-            return Row(replication, int(seed), status, None, trace)
-        there = numbers.model_fields_set
-        if not there <= known:
-            raise self.error("runs", row, f"summary.{min(there - known)}: is no metric of this store")
-        # `model_dump` takes 7 us, and only the metrics of users can be infinite.
-        values = {**vars(numbers), **from_json(numbers.model_extra)} if numbers.model_extra else dict(vars(numbers))
-        if len(values) > len(there):
-            values = {name: each for name, each in values.items() if name in there}
-        return Row(replication, int(seed), status, Summary(values, own), trace)
+        return RunTable(instead.get((key, row.replication), row) for row in self.read_runs(key, root, self.units))
 
     @naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
@@ -291,43 +225,12 @@ class Store(StoreFile):
             database.executemany("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", configurations)
             # Opening `other` verified its rows. They are copied with their checksums, which reading verifies again.
             for row in other.database.execute("SELECT * FROM runs"):
-                self._add(row, partial(other._values, row), keeps_failed=True)
+                self.copy_run(other, row)
 
 
-Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
-"""A seed as text: a non-negative integer, short enough for Python's parser."""
-SUMMARY = 5
-"""The index of the column of `runs` that holds the metrics."""
-RUN_VALUES = "(?, ?, ?, ?, ?, ?, ?, ?)"
-"""The values of a row of `runs` in SQL."""
-
-
-def _values_of(row: Row) -> dict[str, Any] | None:
-    """Return the metrics of a run by name; None if it failed."""
-    return None if row.summary is None else dict(row.summary)
-
-
-def _with_numbers(row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> tuple[Any, ...]:
-    """Return the row of a run with the given metrics as JSON."""
-    text = None if numbers is None else json.dumps(to_json(numbers))
-    return *row[:SUMMARY], text, *row[SUMMARY + 1 :]
-
-
-class _Metrics(BaseModel):
-    """The base of `_Numbers`: it accepts metrics that are not built in as further fields."""
-
-    model_config = ConfigDict(strict=True, extra="allow", protected_namespaces=())
-    __pydantic_extra__: dict[str, bool | int | float | Literal["Infinity", "-Infinity"] | None]
-
-
-_FIELDS: dict[str, Any] = {name: (kind | None, None) for name, kind in get_type_hints(Summary).items()}
-_Numbers = create_model("Numbers", __base__=_Metrics, **_FIELDS)
-"""The model of a summary in JSON; a run that was stored before a metric existed lacks it."""
 ARGV = Json[list[str]]
-RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
-RUN_ADAPTER = TypeAdapter[Any](RUN)
 SETTINGS = Json[dict[str, bool | int | float | str]]
-"""`ARGV`, `RUN`, `SETTINGS`: the types of the words of a command, a row of `runs` and a configuration's settings."""
+"""`ARGV`, `SETTINGS`: the types of the words of a command, and of a configuration's settings."""
 
 
 def _differs(name: str, one: Any, other: Any) -> str:

@@ -448,7 +448,7 @@ class Tidy(Arrivals):
     """It looks for what is no longer needed at every transmission."""
 
     def schedule(self, *given):
-        self._compact_at = self._count_at = 1
+        self.kept._compact_at = self._count_at = 1
         super().schedule(*given)
         self.settle()
 

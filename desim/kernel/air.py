@@ -1,0 +1,138 @@
+"""The frames on the air of a channel for which nodes contend, and the receivers at which they are lost.
+
+At the end of a frame all frames that overlap it are known, and the model of interference decides where it is lost.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Integers
+from desim.kernel.clock import Clock
+from desim.kernel.events import Cause
+from desim.kernel.interference import CaptureEffect, Frame, Overlap, Signal
+from desim.kernel.medium import LoRa, Radio
+from desim.kernel.positions import PositionSource, distances
+from desim.kernel.seeds import pair_uniform
+from desim.kernel.topology import Topology
+
+
+class Air:
+    """The frames that are on the air, and the losses of the transmissions that have not arrived yet.
+
+    Args:
+        env: the clock of the simulation.
+        medium: the model of the medium, with its model of interference.
+        topology: the links of the graph, and which of them are within range.
+        positions: the current positions of the nodes; None: unknown.
+        seed: the seed of the run.
+
+    Raises:
+        ValueError: if the model of interference needs positions and there are none, or the nodes do not fit the medium.
+    """
+
+    def __init__(self, env: Clock, medium: Radio, topology: Topology, positions: PositionSource | None, seed: int):
+        self._env, self._medium, self._topology, self._positions, self._seed = env, medium, topology, positions, seed
+        self._interference = medium.reception
+        self._locks = isinstance(medium.reception, CaptureEffect) and medium.reception.lock
+        self._all = np.arange(topology.size)
+        self._frames: list[Frame] = []
+        self._lost: dict[int, tuple[dict[int, Cause], int]] = {}
+        """By number of a transmission: the causes of its losses on the air, by receiver, and its last arrival, ns."""
+        self._busy = self._busy_since = 0
+        medium.check(topology.size)
+        if medium.reception.needs_positions and positions is None:
+            raise ValueError("network.medium.reception: reception by power needs positions")
+
+    def add(self, frame: Frame) -> None:
+        """Put a frame on the air now."""
+        now = self._env.now
+        if self._locks:
+            frame.locked = np.ones(len(self._all), dtype=bool)
+        for other in self._frames:
+            frame.overlapping.append(other)
+            other.overlapping.append(frame)
+            if frame.locked is not None and other.locked is not None:
+                frame.locked[other.src] = other.locked[frame.src] = False
+                if other.begin < now:
+                    frame.locked &= ~(other.locked & self._audible(other, self._all))
+        if not self._frames:
+            self._busy_since = now
+        self._frames.append(frame)
+
+    def remove(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
+        """Take a frame from the air now; return the causes of its losses, by receiver."""
+        self._frames.remove(frame)
+        if not self._frames:
+            self._busy += self._env.now - self._busy_since
+        causes = self._judge(frame, receivers)
+        if frame.number in self._lost:
+            self._lost[frame.number][0].update(causes)
+        frame.overlapping = []  # the frames refer to each other
+        return causes
+
+    def busy_time(self) -> int:
+        """Return the total time, ns, at which some node has been transmitting."""
+        return self._busy + (self._env.now - self._busy_since if self._frames else 0)
+
+    def ends_by(self, now: int) -> bool:
+        """Return whether a frame ends by a time, ns, and its losses are not decided yet."""
+        return any(frame.end <= now for frame in self._frames)
+
+    # Losses that are decided before the arrival.
+
+    def keep(self, number: int, until: int) -> None:
+        """Keep the losses of a transmission, which is on the air, until its last arrival, ns."""
+        self._lost[number] = {}, until
+
+    def forget(self, before: float) -> None:
+        """Forget the losses of the transmissions whose last arrival was before a time, ns."""
+        while self._lost:
+            first = next(iter(self._lost))
+            if self._lost[first][1] >= before:
+                return
+            del self._lost[first]
+
+    def causes(self, numbers: Iterable[int], nodes: Iterable[int]) -> list[Cause | None] | None:
+        """Return why each of k receptions of a transmission failed on the air, or None; None alone: none failed."""
+        nothing: tuple[dict[int, Cause], int] = {}, 0
+        found = [self._lost.get(number, nothing)[0].get(node) for number, node in zip(numbers, nodes, strict=False)]
+        return found if any(found) else None
+
+    # Interference.
+
+    def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
+        """Return the causes of the losses of a frame that ends now, by receiver."""
+        if not receivers or not (frame.overlapping or self._interference.has_noise):
+            return {}
+        nodes = np.array(receivers)
+        overlap = Overlap(
+            frame,
+            nodes,
+            frame.overlapping,
+            lambda each: self._audible(each, nodes),
+            lambda each: self._distances(each, nodes),
+            lambda each: pair_uniform(self._seed, "interference", each.src, nodes, each.draw, symmetric=False),
+            self._signal,
+        )
+        received = self._interference(overlap)
+        if frame.locked is not None:
+            received = received & frame.locked[nodes]
+        lost: dict[int, Cause] = dict.fromkeys(nodes[~received].tolist(), "collision")
+        deaf = {each.src for each in frame.overlapping}
+        return lost | {node: "half_duplex" for node in receivers if node in deaf}
+
+    def _audible(self, frame: Frame, nodes: Integers) -> Bools:
+        """Return (k,) whether nodes are linked to the sender of a frame, and within range."""
+        found: Bools = self._topology.links_to(frame.src, nodes) & (nodes != frame.src)
+        found[found] = self._topology.reaches(frame.src, nodes[found], frame.draw)
+        return found
+
+    def _signal(self, frame: Frame) -> Signal:
+        assert isinstance(self._medium, LoRa)
+        return self._medium.signal(frame.src)
+
+    def _distances(self, frame: Frame, nodes: Integers) -> Floats:
+        """Return the (k,) distances of nodes from the sender of a frame, m."""
+        assert self._positions is not None
+        return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]

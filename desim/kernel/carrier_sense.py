@@ -1,0 +1,84 @@
+"""Carrier sensing: which nodes sense the frames on the air, and when."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from desim.config.arrays import Integers
+from desim.kernel.access import Access, CarrierSensing
+from desim.kernel.access_methods import AccessMethod, Contenders
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.interference import Frame
+from desim.kernel.positions import PositionSource, distances
+from desim.kernel.topology import Topology
+
+
+class CarrierSense:
+    """Tells nodes when they begin and cease to sense a busy channel.
+
+    Args:
+        env: the clock of the simulation.
+        access: the access model.
+        method: the access model in this run.
+        nodes: the state of the nodes.
+        topology: the links of the graph, and which of them are within range.
+        positions: the current positions of the nodes; None: unknown.
+        plan: called after nodes have planned actions because the channel has become idle for them.
+
+    Raises:
+        ValueError: if there is a carrier-sense range, and no positions.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        access: Access,
+        method: AccessMethod,
+        nodes: Contenders,
+        topology: Topology,
+        positions: PositionSource | None,
+        plan: Callable[[], None],
+    ):
+        self._env, self._method, self._nodes, self._plan = env, method, nodes, plan
+        self._topology, self._positions = topology, positions
+        model = access if isinstance(access, CarrierSensing) else CarrierSensing()
+        self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
+        if self._range is not None and positions is None:
+            raise ValueError("network.medium.access: a sensing range needs positions")
+
+    def listeners(self, node: int) -> Integers:
+        """Return the nodes that sense the frames of a node, ascending, without itself."""
+        if not self._method.senses:
+            return np.empty(0, dtype=np.int64)
+        if self._range is None:
+            return self._topology.neighbours(node)
+        assert self._positions is not None
+        near = distances(self._positions(), node) <= self._range
+        near[node] = False
+        return near.nonzero()[0]
+
+    def sense(self, frame: Frame, change: int) -> None:
+        """Let nodes sense the start (1) or the end (-1) of a frame: its sender now, all others after the delay."""
+        if not self._method.senses:
+            return
+        self._count(np.array([frame.src]), change)
+        if self._delay:
+            instant = Instant(self._env, self._env.now + self._delay, Phase.DELIVERY)
+            instant.callbacks.append(lambda _: self._count(frame.sensed_by, change))
+        else:
+            self._count(frame.sensed_by, change)
+
+    def _count(self, nodes: Integers, change: int) -> None:
+        """Change the number of frames that some nodes sense, by 1 or -1."""
+        state, now = self._nodes, self._env.now
+        before = state.busy[nodes]
+        state.busy[nodes] = before + change
+        changed = nodes[before == (change < 0)]
+        if not len(changed):
+            return
+        if change > 0:
+            self._method.sense_busy(changed, now)
+        else:
+            state.idle_since[changed] = now
+            self._method.sense_idle(changed, now)
+            self._plan()

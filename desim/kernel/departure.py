@@ -1,0 +1,128 @@
+"""What is decided about a transmission when it starts: where it is lost, and where it certainly arrives.
+
+Planned faults leave the arrivals at a node that is up certain until the next of them begins or ends, except while a
+disc is jammed, because nodes may move into the disc.
+"""
+
+from collections.abc import Callable
+from itertools import compress
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.kernel.arrivals import Transmission
+from desim.kernel.clock import Clock
+from desim.kernel.events import Cause
+from desim.kernel.fault_state import FaultState
+from desim.kernel.propagation import LinkSampler
+from desim.kernel.records import Arrival, per_receiver
+from desim.kernel.topology import Topology
+
+
+class Certain(NamedTuple):
+    """The receivers of a transmission, by what is certain about its arrival; arrival times in ns."""
+
+    reached: list[int]
+    """Receivers that certainly get it."""
+    arrival: Arrival
+    """The arrival times at `reached`."""
+    open: list[int]
+    """Receivers at which a fault can begin or end before it arrives."""
+    open_arrival: Arrival
+    down: list[int]
+    """Receivers that are down, and will still be down when it arrives."""
+    down_arrival: Arrival
+
+
+class Departure:
+    """Draws the losses of the transmissions that start.
+
+    Args:
+        env: the clock of the simulation.
+        topology: the links of the graph, and which of them are within range.
+        sampler: draws losses.
+        fault_state: the active faults; None: the network has no faults.
+        checks_range: whether a receiver must be within range when a transmission starts.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        topology: Topology,
+        sampler: LinkSampler,
+        fault_state: FaultState | None,
+        *,
+        checks_range: bool,
+    ):
+        self._env, self._topology, self._sampler, self._fault_state = env, topology, sampler, fault_state
+        self._checks_range = checks_range
+
+    def receivers(self, src: int, dst: int | None, number: int) -> tuple[list[int], bool]:
+        """Return the receivers of a new transmission, and whether it can reach them; `dst` None: all neighbours."""
+        topology = self._topology
+        if dst is None:
+            return topology.hearers(src, number) if self._checks_range else topology.linked(src), True
+        reachable = topology.are_linked(src, dst) and (
+            not self._checks_range or topology.reaches(src, [dst], number)[0]
+        )
+        return [dst], reachable
+
+    def losses(self, transmission: Transmission) -> dict[int, Cause]:
+        """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
+        src, receivers, causes = transmission.src, transmission.receivers, self._drawn(transmission)
+        has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
+        if has_waited and self._checks_range:
+            reaches = self._topology.reaches(src, receivers, transmission.number)
+            causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
+        return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
+
+    def attempt(self, transmission: Transmission, draw: int) -> Cause | None:
+        """Draw the losses of an attempt to transmit to one node, which ends now; return the cause, or None."""
+        (node,), faults = transmission.receivers, self._fault_state
+        if faults is not None and faults.down(node):
+            return "crash"
+        if faults is not None and faults.jammed(np.array([node]), self._env.now) == [True]:
+            return "jamming"
+        src, topology = transmission.src, self._topology
+        if not (topology.are_linked(src, node) and topology.reaches(src, [node], draw)[0]):
+            return "out_of_range"
+        return self._drawn(transmission).get(node)
+
+    def _drawn(self, transmission: Transmission) -> dict[int, Cause]:
+        """Draw the losses by chance, and add those by partitions; return the cause of each loss by receiver."""
+        src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
+        lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
+        if lost is not None and True in lost:
+            causes = dict.fromkeys(compress(receivers, lost), "loss")
+        faults = self._fault_state
+        if faults is not None and (apart := faults.separated(src, receivers)) is not None:
+            causes |= dict.fromkeys(compress(receivers, apart), "partition")
+        return causes
+
+
+def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain:
+    """Divide the receivers that no loss has excluded by what is certain about the arrival (ns) of a transmission.
+
+    Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
+    """
+    until, down = faults.constant_until, faults.down_nodes
+    last = arrival if isinstance(arrival, int) else max(arrival, default=0)
+    unsure, lost = list[int](), list[int]()
+    later = when_lost = arrival
+    if last >= until:
+        reached, arrival, unsure, later = _split(reached, arrival, lambda _, when: when < until)
+    if down:
+        reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
+    return Certain(reached, arrival, unsure, later, lost, when_lost)
+
+
+def _split(
+    nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
+) -> tuple[list[int], Arrival, list[int], Arrival]:
+    """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
+    holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
+    others = [not each for each in holding]
+    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
+    if isinstance(arrival, int):
+        return parts[0], arrival, parts[1], arrival
+    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))
