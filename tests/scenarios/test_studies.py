@@ -9,11 +9,14 @@ from click.testing import CliRunner
 
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time, network_regret
+from desim.kernel.events import Broadcast, Sent
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
-from desim.scenario.scenario import PROTOCOLS, Team
+from desim.scenario.scenario import PROTOCOLS, Recording, Team
 from scenarios import (
     benchmarks,
+    contention,
+    contention_runs,
     delay,
     evaders,
     figures,
@@ -32,7 +35,7 @@ from tests.command import strict_json
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed
 
-STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
+STUDIES = (benchmarks, contention, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
 
 
 @pytest.mark.parametrize("module", STUDIES, ids=lambda module: module.__name__)
@@ -272,6 +275,48 @@ def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened):
     assert all(each["difference"] == 0.0 for each in document["pursuits"] if each["protocol"] == range_runs.REFERENCE)
     for label in ("range R (m)", "without equilibrium (%)", "sum of active times (s)"):
         assert label in picture
+
+
+@pytest.mark.slow
+def test_the_contention_study_compares_channels_in_the_same_runs_and_measures_ages(monkeypatch, study, shortened):
+    shortened(3.0)
+    fewer = {"LOADS": (0.1, 2.0), "TEAM_SIZES": (5,), "FACTORS": (0.5, 1.0, 4.0), "SPREADING_FACTORS": (7, 12)}
+    for name, few in fewer.items():
+        patch_study(monkeypatch, (contention, contention_runs), name, few)
+    document, table, picture = study(contention.main, "--runs", "3")
+    cells = {(each["protocol"], each["access"], each["load"]): each for each in document["pursuits"]}
+    assert len(cells) == 4 * 4 * 2
+    assert all(cells[name, "ideal queue", 0.1]["difference"]["mean"] == 0.0 for name in contention.NAMES)
+    assert cells["SAP", "ALOHA", 2.0]["lost"] > 0.5 > cells["SAP", "ALOHA", 0.1]["lost"]
+    assert cells["SAP", "TDMA", 0.1]["lost"] == 0.0
+    ages = {(each["access"], each["heartbeat"]): each["age"]["mean"] for each in document["ages"]}
+    often, best, seldom = (ages["ALOHA", factor * 8 * contention.AIRTIME] for factor in (0.5, 1.0, 4.0))
+    assert best < min(often, seldom)
+    assert [each["interval"] for each in document["lora"]] == pytest.approx([6.2, 148.3], abs=0.05)
+    assert "over before the second" in table
+    assert "mean age of information (s)" in picture
+
+
+def test_the_best_heartbeat_has_the_least_age_in_theory(monkeypatch):
+    """Also by search; if the waits vary as those of a Poisson process do, it is 2 (N - 1) T."""
+
+    def age(period, size):
+        success = np.exp(-2 * (size - 1) * contention_runs.AIRTIME / period)
+        return period * ((1 + contention_runs.JITTER**2 / 3) / 2 + 1 / success - 1)
+
+    for size in (5, 20):
+        periods = np.linspace(0.05, 2.0, 20_000)
+        assert contention_runs.best_heartbeat(size) == pytest.approx(periods[age(periods, size).argmin()], abs=2e-4)
+    monkeypatch.setattr(contention_runs, "JITTER", 3**0.5)
+    assert contention_runs.best_heartbeat(20) == pytest.approx(2 * 19 * contention_runs.AIRTIME)
+
+
+@pytest.mark.slow
+def test_no_message_of_the_contention_study_is_longer_than_the_slots_are_made_for():
+    for name, longest in contention_runs.LONGEST.items():
+        scenario = contention_runs.pursuit(name, "ideal queue", 0.5)
+        trace = run(scenario.model_copy(update={"record": Recording(messages=True), "horizon": 5.0}), 1).trace
+        assert max(each.size for each in [*trace.of(Sent), *trace.of(Broadcast)]) == longest
 
 
 def test_the_games_of_the_range_study_are_those_of_the_runs():

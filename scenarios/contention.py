@@ -1,0 +1,170 @@
+"""Where does talking more hurt? Pursuits over a contended channel, by protocol, access model and offered load.
+
+The offered load is the airtime of the heartbeats of all pursuers as a share of the time. The study compares three
+protocols that announce actions, and a token ring, which sends no announcements: its pursuers hold the token for the
+airtime divided by the load. The channel is an ideal queue, or nodes contend for it by ALOHA, CSMA/CA or TDMA.
+
+In a game at rest, the study measures the mean age of information by heartbeat, beside the optimum in theory under
+ALOHA. For LoRa at a duty cycle of 1 %, it counts the pursuits that are over before a pursuer may announce its action a
+second time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from desim.analysis.tables import aligned
+from scenarios.contention_runs import (
+    ACCESSES,
+    AIRTIME,
+    JITTER,
+    LOADS,
+    NAMES,
+    REFERENCE,
+    TEAM_SIZES,
+    Age,
+    N,
+    Pursuits,
+    Words,
+    best_heartbeat,
+    measure,
+    measure_ages,
+    measure_words,
+)
+from scenarios.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Ticks of the heartbeat, s."""
+
+
+def table(pursuits: Sequence[Pursuits], ages: Sequence[Age], words: Sequence[Words], runs: int) -> str:
+    """Return all results as text."""
+    what = f"{N} pursuers, {AIRTIME:g} s per announcement, {runs} runs, 95 % intervals"
+    cells = {(each.protocol, each.access, each.load): each for each in pursuits}
+    parts = []
+    for name in NAMES:
+        others = [access for access in ACCESSES if access != REFERENCE]
+        lines = [("load", "heartbeat", REFERENCE, *others, *(f"lost, {access}" for access in ACCESSES))]
+        for load in LOADS:
+            line = [cells[name, access, load] for access in ACCESSES]
+            here = cells[name, REFERENCE, load]
+            lines.append(
+                (
+                    f"{load:g}",
+                    f"{here.heartbeat:.3g} s",
+                    f"{here.active_time.mean:.1f} +- {here.active_time.half_width:.1f}",
+                    *(_signed(cells[name, access, load]) for access in others),
+                    *(f"{cell.lost:.0%}" for cell in line),
+                )
+            )
+        about = "sum of active times, s, and its difference from that over an ideal queue; share of messages lost"
+        parts.append(f"{name}: {about}: {what}\n{aligned(lines)}")
+    best = [("N", "theory, ALOHA", *ACCESSES)]
+    for size in TEAM_SIZES:
+        measured = [[each for each in _of(ages, access, size) if isfinite(each.age.mean)] for access in ACCESSES]
+        of_size = [min(line, key=lambda each: each.age.mean) for line in measured]
+        best.append(
+            (
+                str(size),
+                f"{best_heartbeat(size):.2f} s",
+                *(f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in of_size),
+            )
+        )
+    parts.append(
+        f"Heartbeat with the least mean age of information, of those tried, with jitter {JITTER}\n{aligned(best)}"
+    )
+    lora = [("SF", "airtime", "interval at 1 %", "pursuit takes", "over before the second")]
+    lora += [
+        (
+            str(each.spreading_factor),
+            f"{each.airtime:.3f} s",
+            f"{each.interval:.1f} s",
+            f"{each.end_time.mean:.1f} +- {each.end_time.half_width:.1f} s",
+            f"{each.over:.0%}",
+        )
+        for each in words
+    ]
+    parts.append(f"LoRa, local_min: {N} pursuers, {runs} runs\n{aligned(lora)}")
+    return "\n\n".join(parts)
+
+
+def _signed(cell: Pursuits) -> str:
+    return f"{cell.difference.mean:+.2f} +- {cell.difference.half_width:.2f}"
+
+
+def _of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
+    return [each for each in ages if (each.access, each.size) == (access, size)]
+
+
+def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
+    """Draw the paired difference of the active time over the load, and the age of information over the heartbeat."""
+    from desim.analysis import plots
+
+    with plots.styled(figsize=(9.0, 6.0)) as figure:
+        above, below = figure.subfigures(2, 1, squeeze=False)[:, 0]
+        grid = above.subplots(1, len(NAMES))
+        for axes, name in zip(grid, NAMES, strict=True):
+            draw_pursuits(axes, [each for each in pursuits if each.protocol == name])
+            axes.set_title(name, fontsize=9)
+        grid[0].set_ylabel("active time minus that\nover an ideal queue (s)")
+        grid[0].legend(fontsize=7)
+        above.supxlabel("offered load", fontsize=9)
+        rests = below.subplots(1, len(TEAM_SIZES), squeeze=False)[0]
+        for axes, size in zip(rests, TEAM_SIZES, strict=True):
+            draw_ages(axes, ages, size)
+        rests[0].set_ylabel("mean age of information (s)")
+        below.supxlabel("heartbeat (s); dotted: optimum of ALOHA in theory", fontsize=9)
+    return figure
+
+
+def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
+    """Draw the paired difference of the active time over the offered load, a line per access model."""
+    from desim.analysis import palette
+
+    for k, (colour, access) in enumerate(zip(palette.SERIES, ACCESSES, strict=False)):
+        line = [each for each in pursuits if each.access == access]
+        x = [each.load * 1.04 ** (k - 1.5) for each in line]  # shifted, so that error bars do not overlap
+        y, error = [each.difference.mean for each in line], [each.difference.half_width for each in line]
+        axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=access)
+    axes.set(xscale="log")
+    axes.set_xticks(LOADS, [f"{load:g}" for load in LOADS], fontsize=7)
+    axes.minorticks_off()
+
+
+def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
+    """Draw the mean age of information of a team over the heartbeat, a line per access model."""
+    from desim.analysis import palette
+
+    for colour, access in zip(palette.SERIES, ACCESSES, strict=False):
+        line = _of(ages, access, size)
+        y, error = [each.age.mean for each in line], [each.age.half_width for each in line]
+        axes.errorbar([each.heartbeat for each in line], y, error, color=colour, marker="o", ms=3, lw=1.0)
+    axes.axvline(best_heartbeat(size), color=palette.GREY, ls=":")
+    axes.set(xscale="log", ylim=(0, None))
+    axes.set_title(f"{size} pursuers", fontsize=9)
+    low, high = axes.get_xlim()
+    ticks = [tick for tick in TICKS if low <= tick <= high]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], fontsize=7)
+    axes.minorticks_off()
+
+
+@study("contention", __doc__, runs=20)
+def main(options: Options) -> None:
+    """Run the pursuits and show the results."""
+    pursuits, ages, words = measure(options), measure_ages(options), measure_words(options)
+    document = {
+        "pursuits": [asdict(each) for each in pursuits],
+        "ages": [asdict(each) for each in ages],
+        "best_heartbeats": {str(size): best_heartbeat(size) for size in TEAM_SIZES},
+        "lora": [asdict(each) for each in words],
+    }
+    options.show(document, table(pursuits, ages, words, options.runs), lambda: picture(pursuits, ages))
+
+
+if __name__ == "__main__":
+    main()
