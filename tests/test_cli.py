@@ -796,11 +796,11 @@ def test_every_warning_is_printed_on_stderr_with_file_line_and_key(file):
 
 
 def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_gives_a_warning():
-    """One may wait, on LoRa at SF 7 and a shared channel as before."""
+    """Three may wait, on LoRa at SF 7 and with ALOHA as before."""
     (lora,) = (path for path in SCENARIOS if path.stem == "lora")
-    override = "network.medium.queue_limit=1"
+    override = "network.medium.queue_limit=3"
     before, after = load(lora).network.medium, load(lora, [override]).network.medium
-    assert (before.queue_limit, after) == (8, before.model_copy(update={"queue_limit": 1.0}))
+    assert (before.queue_limit, after) == (1, before.model_copy(update={"queue_limit": 3.0}))
     (said,) = accepted("check", lora, "--set", override).stderr.splitlines()
     assert said.startswith(f"warning: --set {override}: network.medium: it overrides the value of the preset")
     assert accepted("check", lora).stderr == ""

@@ -100,8 +100,8 @@ class CsmaCa(CarrierSensing):
     """Number of times that failed attempts can double the window."""
     retries: Annotated[int, Field(ge=0, le=1000, strict=True)] = 7
     """Number of times that an unacknowledged frame is transmitted again before it is dropped."""
-    ack: Time = 30e-6
-    """Airtime of an acknowledgement, s."""
+    ack: Time = 34e-6
+    """Airtime of an acknowledgement, s; the default is that of 14 bytes at 24 Mbit/s."""
 
     @model_validator(mode="after")
     def _has_order(self) -> Self:
@@ -119,7 +119,8 @@ class Tdma(Value):
     """Time division multiple access: each slot belongs to one node, which may transmit one frame at its beginning.
 
     Nodes read the slots from their own clocks. If the clocks of two nodes differ by more than the guard time, frames in
-    neighbouring slots may overlap. A node transmits one frame per slot.
+    neighbouring slots may overlap. A node transmits one frame per slot. A message that takes longer than a slot without
+    its guard time is lost (cause "access").
     """
 
     kind: Literal["tdma"] = "tdma"

@@ -15,7 +15,7 @@ from desim.kernel.access import CsmaCa
 from desim.kernel.access_methods import NEVER, Contenders, method
 from desim.kernel.air import Air
 from desim.kernel.carrier_sense import CarrierSense
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
 from desim.kernel.medium import Radio
@@ -90,12 +90,17 @@ class Contention(Generic[Item]):
         """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
+        self._silent_until = [0] * topology.size
+        """The time until which each node does not transmit because of the duty cycle, ns."""
         self._wake: int = NEVER
 
     def enqueue(self, item: Item) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
         queue, is_sending = self._queues[item.src], item.src in self._sending
         self._wait(item)
+        if self._airtime(item) > self._access.longest:
+            self._lose(item, "access")
+            return
         queue.append(item)
         if len(queue) == 1 and not is_sending:
             self._prepare(item.src, arrived=True)
@@ -126,12 +131,15 @@ class Contention(Generic[Item]):
         """Return the total time, ns, at which some node has been transmitting."""
         return self.air.busy_time()
 
+    def _airtime(self, item: Item) -> int:
+        return nanoseconds(self._medium.airtime(item.size, item.src))
+
     def _is_acknowledged(self, item: Item) -> bool:
         return self._ack is not None and item.to_one
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
         """Let the first transmission in the queue of a node contend, if there is one."""
-        if self._queues[node]:
+        if self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
             self._access.prepare(node, self._env.now, arrived=arrived)
             self._plan()
@@ -162,12 +170,7 @@ class Contention(Generic[Item]):
     def _begin(self, node: int) -> Frame:
         """Transmit the first frame in the queue of a node."""
         item = self._queues[node].popleft()
-        airtime = nanoseconds(self._medium.airtime(item.size, node))
-        if airtime > self._access.longest:
-            raise ValueError(
-                f"network.medium.access: a message of {item.size} bytes takes {seconds(airtime):g} s on the air, but a"
-                f" slot without its guard time {seconds(self._access.longest):g} s"
-            )
+        airtime = self._airtime(item)
         self._nodes.ready[node], self._nodes.due[node] = False, NEVER
         self._sending[node] = item
         self._start(item)
@@ -207,7 +210,16 @@ class Contention(Generic[Item]):
             else:
                 self._lose(item, cause)
         self._carrier.sense(frame, -1)
+        self._rest(frame)
         self._prepare(frame.src)
+
+    def _rest(self, frame: Frame) -> None:
+        """Let the sender of a frame be silent after it, if there is a duty cycle."""
+        if self._medium.duty_cycle is None:
+            return
+        airtime, node = frame.end - frame.begin, frame.src
+        self._silent_until[node] = frame.begin + round(airtime / self._medium.duty_cycle)
+        Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
 
     def _acknowledge(self, node: int) -> None:
         """Let a node transmit an acknowledgement; its airtime includes SIFS."""

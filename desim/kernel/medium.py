@@ -53,6 +53,10 @@ class Radio(Value):
     reception: Annotated[Interference, INTERFERENCES] = Collision()
     """Which of the frames that overlap at a receiver it gets; no effect with `access.kind` "ideal"."""
 
+    duty_cycle: Annotated[float, Field(gt=0, le=1, strict=True)] | None = None
+    """Largest share of the time that a node transmits, in (0, 1]: after a frame of airtime T it is silent for
+    T (1 / duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit."""
+
     @field_validator("access")
     @classmethod
     def _shares_once(cls, access: Access, info: ValidationInfo) -> Access:
@@ -71,6 +75,13 @@ class Radio(Value):
                 "the kind 'lora' needs a medium of the kind 'lora'; allowed with this medium: collision, capture, sinr"
             )
         return reception
+
+    @field_validator("duty_cycle")
+    @classmethod
+    def _limits_nodes_that_contend(cls, duty_cycle: float | None, info: ValidationInfo) -> float | None:
+        if duty_cycle is not None and isinstance(info.data.get("access"), Ideal):
+            raise ValueError("a duty cycle needs nodes that contend: access.kind should not be 'ideal'")
+        return duty_cycle
 
     def check(self, size: int) -> None:
         """Raise ValueError if the medium is not for a network of `size` nodes."""
@@ -121,7 +132,7 @@ class LoRa(Radio):
 
     A frame carries at most 255 bytes. A longer message takes ceil(size / 255) frames, sent back to back, each with its
     own preamble and header; all frames of a message are received or lost together. Not modelled: the bytes that number
-    the frames of a message, and duty cycle limits, such as 1 % in most European channels at 868 MHz.
+    the frames of a message.
     """
 
     kind: Literal["lora"] = "lora"

@@ -234,15 +234,18 @@ class Agent(Knowledge):
         """Return an event that happens as soon as the inbox of a port is not empty; `mail` returns its messages."""
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
-    def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
+    def repeat(self, act: Callable[[], object], period: float, name: str, jitter: float = 0.0) -> Process:
         """Return a process that calls a function once per period (s, local clock), after all decisions of the instant.
 
-        The first call happens after a random fraction of the period, drawn from the stream `name`.
+        The first call happens after a random fraction of the period, drawn from the stream `name`. Each later wait is
+        longer or shorter than the period by a random share of up to `jitter`.
         """
-        first = self.now + self.stream(name).uniform(0.0, period)
-        for k in count():
-            yield self.at(first + k * period, Phase.HEARTBEAT)
+        rng = self.stream(name)
+        first = due = self.now + rng.uniform(0.0, period)
+        for k in count(1):
+            yield self.at(due, Phase.HEARTBEAT)
             act()
+            due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
 
     # Internal.
 

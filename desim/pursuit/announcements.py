@@ -177,6 +177,9 @@ class Announcements(Value):
     after every decision, even if the action has not changed; never."""
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
+    jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
+    """Largest share by which the time between two heartbeats is longer or shorter than `heartbeat`, in [0, 1). Without
+    jitter, heartbeats of two pursuers that overlap once on a contended channel overlap each time."""
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
-from desim.kernel.access import SlottedAloha
+from desim.kernel.access import Aloha, SlottedAloha
 from desim.kernel.clock import nanoseconds
 from desim.kernel.faults import Fault
 from desim.kernel.graphs import Complete
@@ -218,6 +218,12 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
     access, airtime = medium.access, scenario.announcement_airtime
+    if isinstance(access, Aloha | SlottedAloha) and _has_heartbeats(scenario) and scenario.announce.jitter == 0.0:
+        yield (
+            "announce.jitter",
+            "without jitter, heartbeats of two pursuers that overlap once on this channel overlap each time: give it"
+            " some jitter",
+        )
     if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
         yield (
             "network.medium.access.slot",

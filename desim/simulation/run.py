@@ -260,7 +260,7 @@ class _Team:
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
             if self._scenario.announces and announce.has_heartbeats:
-                env.process(agent.repeat(agent.broadcast, announce.heartbeat, "heartbeat"))
+                env.process(agent.repeat(agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
                 env.process(agent.repeat(view.report, period, "sightings"))

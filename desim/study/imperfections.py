@@ -7,7 +7,7 @@ of pursuers that take no turns.
 from collections.abc import Callable, Mapping
 from math import inf
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeGuard
 
 from pydantic import BaseModel, ValidationError
 
@@ -17,7 +17,7 @@ from desim.kernel.interference import Collision
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import LoRa, Radio, Unlimited
+from desim.kernel.medium import LoRa, Medium, Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Scenario
@@ -27,25 +27,30 @@ def without_latency(scenario: Scenario) -> Scenario:
     """Return the scenario with zero propagation delay, processing delay and transmission time of messages.
 
     Nodes no longer wait for a channel. No message is dropped from a queue, or missed because its receiver transmits.
-    Delays that a dissemination model adds on purpose before forwarding remain.
+    Delays that a dissemination model adds on purpose before forwarding remain. If nodes contend for the channel, the
+    channel remains, too; see `without_contention`.
     """
+    medium = scenario.network.medium
     return _with_network(
         scenario,
         latency=Constant(),
         processing=Processing(),
-        medium=Unlimited(),
+        medium=medium if _contends(medium) else Unlimited(),
         graph=_graph_without(scenario, "latency"),
         link=_links_without(scenario.network, "latency"),
     )
 
 
 def without_contention(scenario: Scenario) -> Scenario:
-    """Return the scenario in which the shared channel is an ideal queue: no node backs off, and no frames collide."""
+    """Return the scenario in which the channel is an ideal queue: no back-off, collision or duty cycle.
+
+    Messages still have an airtime, and wait for the channel.
+    """
     medium = scenario.network.medium
-    if not isinstance(medium, Radio) or not medium.contends:
+    if not _contends(medium):
         return scenario
     own = {"spreading_factors": None, "frequencies": None} if isinstance(medium, LoRa) else {}
-    ideal = {"access": Ideal(), "reception": Collision(), "shared": True}
+    ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     return _with_network(scenario, medium=medium.model_copy(update=ideal | own))
 
 
@@ -124,6 +129,11 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     if dict(network) | ideal == dict(network):
         return scenario
     return scenario.model_copy(update={"network": network.model_copy(update={"preset": None, **ideal})})
+
+
+def _contends(medium: Medium) -> TypeGuard[Radio]:
+    """Return whether nodes contend for the channel of a medium."""
+    return isinstance(medium, Radio) and medium.contends
 
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:

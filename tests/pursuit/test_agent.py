@@ -357,6 +357,22 @@ def test_periodic_actions_start_at_a_phase_of_the_named_stream():
         assert len(times) == 5
 
 
+def test_with_jitter_each_wait_differs_from_the_period_by_a_share():
+    def protocol(me):
+        yield from me.repeat(lambda: seen.append((me.id, me.now)), 0.3, "chores", 0.5)
+
+    seen = []
+    play(protocol, horizon=5.0)
+    for pursuer in range(3):
+        rng = stream(0, "chores", pursuer)
+        due = [rng.uniform(0.0, 0.3)]
+        times = [time for who, time in seen if who == pursuer]
+        while len(due) < len(times):
+            due.append(due[-1] + 0.3 * rng.uniform(0.5, 1.5))
+        assert times == pytest.approx(due, abs=1e-8)
+        assert len(times) > 10
+
+
 @pytest.mark.parametrize("evader", [0, 2, -1])
 def test_an_evader_that_does_not_exist_is_refused(evader):
     """0 is the action of a pursuer that stays, no evader; there is one evader."""

@@ -26,6 +26,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Rounds
 from protocols.server import Server
 
+JITTER = {"jitter": 0.1}
 BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 """240 bytes a second: an announcement of 24 bytes takes a tenth of a second."""
 
@@ -90,7 +91,7 @@ def test_the_default_is_not_warned_of():
             {
                 "network": Links(medium=BITS | {"access": Aloha()}),
                 "team": Team(count=3),
-                "announce": {"heartbeat": 0.2},
+                "announce": {"heartbeat": 0.2, "jitter": 0.5},
             },
             "announce.heartbeat",
             "need 1.5 times the capacity of the channel: queues grow without bound, or messages collide or are dropped",
@@ -101,12 +102,17 @@ def test_the_default_is_not_warned_of():
             "no frames overlap with access.kind 'ideal'",
         ),
         (
-            {"network": Links(medium=FAST | {"access": Aloha(), "half_duplex": True})},
+            {"network": Links(medium=FAST | {"access": Aloha(), "half_duplex": True}), "announce": JITTER},
             "network.medium.half_duplex",
             "nodes that contend never receive while they transmit",
         ),
         (
-            {"network": Links(medium=FAST | {"access": SlottedAloha(slot=0.999e-3)})},
+            {"network": Links(medium=FAST | {"access": Aloha()}), "announce": {"jitter": 0.0}},
+            "announce.jitter",
+            "heartbeats of two pursuers that overlap once on this channel overlap each time",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": SlottedAloha(slot=0.999e-3)}), "announce": JITTER},
             "network.medium.access.slot",
             "an announcement of 24 bytes takes 0.001 s on the air, longer than a slot of 0.000999 s",
         ),
@@ -156,11 +162,26 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
         {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2)), "motion": Motion(step=0.05)},
         {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.15, jitter=0.0)), "motion": Motion(step=0.05)},
-        {"network": Links(medium=BITS | {"access": Aloha()}, range=9.0), "team": Team(count=3)},
-        {"network": Links(medium=BITS | {"access": Aloha()}, graph=Ring()), "team": Team(count=3)},
-        {"network": Links(medium=BITS | {"access": Aloha()}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
-        {"network": Links(medium=FAST | {"access": Aloha(), "reception": CaptureEffect()})},
-        {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-3)})},
+        {
+            "network": Links(medium=BITS | {"access": Aloha()}, range=9.0),
+            "team": Team(count=3),
+            "announce": {"jitter": 0.1},
+        },
+        {
+            "network": Links(medium=BITS | {"access": Aloha()}, graph=Ring()),
+            "team": Team(count=3),
+            "announce": {"jitter": 0.1},
+        },
+        {
+            "network": Links(medium=BITS | {"access": Aloha()}),
+            "team": Team(count=2),
+            "announce": {"heartbeat": 0.2, "jitter": 0.1},
+        },
+        {
+            "network": Links(medium=FAST | {"access": Aloha(), "reception": CaptureEffect()}),
+            "announce": {"jitter": 0.1},
+        },
+        {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-3)}), "announce": JITTER},
         {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-4)}), "protocol": Centralised()},
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},

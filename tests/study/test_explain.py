@@ -93,6 +93,7 @@ RULES = {
 }
 SPOILT = {
     "latency": {"network": Links(latency=Constant(value=0.7))},
+    "contention": {"network": Links(medium=Bitrate(bitrate=20_000.0, access=Aloha()))},
     "loss": {"network": Links(loss=Bernoulli(p=1.0))},
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},

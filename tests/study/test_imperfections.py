@@ -83,6 +83,7 @@ WORST = Scenario(
         medium=LoRa(
             half_duplex=True,
             queue_limit=3,
+            duty_cycle=0.5,
             spreading_factors=(7, 8, 9, 9),
             access=SlottedAloha(slot=0.5),
             reception=CaptureEffect(),
@@ -118,7 +119,6 @@ def below(table, *keys):
     return {f"{table}.{key}": GONE for key in keys}
 
 
-MEDIUM = flat(WORST.network.medium.plain())
 LATENCY = {"latency": None, **below("latency", "kind", "value")}
 LOSS = {"loss": None, **below("loss", "kind", "p")}
 """What becomes of those of an edge: a table of keys becomes a key without a value."""
@@ -130,8 +130,6 @@ CHANGES = {
         **below("network.latency", "mean", "cv", "offset"),
         "network.processing.sender": 0.0,
         "network.processing.receiver": 0.0,
-        "network.medium.kind": "unlimited",
-        **below("network.medium", *(key for key in MEDIUM if key != "kind")),
         **{
             f"network.{where}.{key}": each
             for where in ("graph.edges.0", "graph.edges.2", "link.0")
@@ -141,6 +139,7 @@ CHANGES = {
     "contention": {
         "network.preset": None,
         "network.medium.shared": True,
+        "network.medium.duty_cycle": None,
         "network.medium.spreading_factors": None,
         **below("network.medium.spreading_factors", *"0123"),
         "network.medium.access.kind": "ideal",
@@ -208,17 +207,28 @@ def test_only_the_given_imperfection_is_removed(name):
 
 @pytest.mark.parametrize("scenario", [WORST, *FILES], ids=lambda each: getattr(each, "stem", "worst"))
 def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
-    scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
+    scenario = without_contention(scenario if isinstance(scenario, Scenario) else load(scenario))
     ideal = removed(scenario)
     assert ideal == removed(scenario, reversed(IMPERFECTIONS))
     assert all(remove(ideal) == ideal for remove in IMPERFECTIONS.values())
     assert Scenario.model_validate(ideal.plain()).plain() == ideal.plain()
 
 
+@pytest.mark.parametrize("scenario", [WORST, *(path for path in FILES if path.stem in ("contention", "lora"))], ids=str)
+def test_if_nodes_contend_the_channel_is_an_ideal_queue_at_last(scenario):
+    """It takes time, which is no imperfection of a channel for which nodes contend."""
+    scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
+    queue = without_contention(scenario).network.medium
+    ideal = removed(scenario)
+    assert ideal.network.medium == queue
+    assert queue.shared
+    assert without_latency(ideal) == removed(without_contention(scenario))
+
+
 THERE = {
     "auction": "latency, loss, faults",
     "bursts": "latency, loss, stale knowledge",
-    "contention": "latency, contention, range limit",
+    "contention": "contention, range limit",
     "cooling": "latency, faults",
     "faults": "latency, faults",
     "evasive": "latency",
@@ -226,7 +236,7 @@ THERE = {
     "imperfect": "latency, loss, range limit, faults, serial decisions, stale knowledge",
     "learning": "latency, loss",
     "many": "latency",
-    "lora": "latency",
+    "lora": "contention",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",
@@ -263,14 +273,17 @@ def unideal(result):
 def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
     """Where messages take time, some are late or have to wait, so that it means something if none is.
 
-    Only a pursuer that does not see the evader does not begin to chase it.
+    Only a pursuer that does not see the evader does not begin to chase it. On a channel for which nodes contended,
+    messages still have an airtime.
     """
     scenario = load(path, ["horizon=0.3", "record.messages=true"])
     before, after = run(scenario), run(removed(scenario))
     began, would = before.trace.of(Started)[0], after.trace.of(Started)[0]
     assert would == began or ("limited sight" in THERE[path.stem] and would == began._replace(active=would.active))
-    assert unideal(after) == (0, 0, 0)
-    assert (unideal(before)[0] > 0) is ("latency" in THERE[path.stem])
+    contended = "contention" in THERE[path.stem]
+    assert unideal(after)[1:] == (0, 0) or (contended and unideal(after)[1] == 0)
+    assert unideal(after)[0] == 0 or contended
+    assert (unideal(before)[0] > 0) is (contended or "latency" in THERE[path.stem])
 
 
 @pytest.mark.parametrize("processing", [Processing(sender=0.05), Processing(receiver=0.05)])
@@ -379,9 +392,16 @@ def test_a_channel_for_which_nobody_contends_is_unchanged(medium):
 
 @pytest.mark.parametrize("medium", [Bitrate(bitrate=1000.0, header=3), LoRa(queue_limit=2)], ids=lambda each: each.kind)
 def test_without_contention_the_channel_is_an_ideal_queue(medium):
-    contended = type(medium).model_validate(dict(medium) | {"access": Csma()})
+    contended = type(medium).model_validate(dict(medium) | {"access": Csma(), "duty_cycle": 0.5})
     shared = type(medium).model_validate(dict(medium) | {"shared": True})
     assert without_contention(Scenario(network=Links(medium=contended))).network == Links(medium=shared)
+
+
+@pytest.mark.parametrize("medium", [Bitrate(bitrate=1000.0, shared=True), LoRa()], ids=lambda each: each.kind)
+def test_without_latency_a_channel_for_which_nobody_contends_is_unlimited(medium):
+    contended = type(medium).model_validate(dict(medium) | {"access": Csma(), "shared": False})
+    assert without_latency(Scenario(network=Links(medium=medium))).network == Links()
+    assert without_latency(Scenario(network=Links(medium=contended))).network == Links(medium=contended)
 
 
 def test_without_contention_all_lora_nodes_transmit_alike():
