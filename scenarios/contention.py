@@ -112,7 +112,7 @@ def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
             draw_pursuits(axes, [each for each in pursuits if each.protocol == name])
             axes.set_title(name, fontsize=9)
         grid[0].set_ylabel("active time minus that\nover an ideal queue (s)")
-        grid[0].legend(fontsize=7)
+        grid[-1].legend(fontsize=7, loc="upper left")
         above.supxlabel("offered load", fontsize=9)
         rests = below.subplots(1, len(TEAM_SIZES), squeeze=False)[0]
         for axes, size in zip(rests, TEAM_SIZES, strict=True):
