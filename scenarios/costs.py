@@ -24,9 +24,11 @@ from desim import Result, Scenario, run
 from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
+from desim.kernel.access import CsmaCa
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Complete
+from desim.kernel.interference import CaptureEffect
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
@@ -41,7 +43,8 @@ from protocols.schedules import SharedSeed
 from scenarios.measuring import Cost, apart, command, memory, per_unit
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.desim_ways import Publish
-from scenarios.peers.workloads import LOGNORMAL, Workload
+from scenarios.peers.simpy_contention import Contention
+from scenarios.peers.workloads import LOGNORMAL, TICK, Workload
 from scenarios.study import SCENARIOS, Options
 from scenarios.sweep_costs import large_store, two_workers
 from scenarios.table1 import configuration, decentralised
@@ -213,6 +216,61 @@ def arrivals(options: Options) -> list[Cost]:
     return [Cost(f"{what} / without", found[f"{what}, 0"] / found[f"{what}, 1"], "", 3.3) for what in pairs]
 
 
+# Contention.
+
+AIRTIME = 0.0006
+"""Airtime of a frame on a channel for which nodes contend, s; a millisecond passes between broadcasts on average."""
+SIDE = 20.0
+"""Side of the square in which these nodes stand, m."""
+
+
+def crowd(work: Workload, seed: int) -> tuple[Floats, list[float]]:
+    """Return (n, 2) random positions, m, and the times of broadcasts, s, which are those of a Poisson process."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.0, SIDE, (work.size, 2)), rng.exponential(TICK, work.turns).cumsum().tolist()
+
+
+def contended(work: Workload, seed: int) -> tuple[int, int]:
+    """Let nodes contend by CSMA/CA with the capture effect in desim; return the messages sent and delivered."""
+    clock, medium = Clock(), Bitrate(bitrate=8 * 24 / AIRTIME, access=CsmaCa(), reception=CaptureEffect())
+    at, times = crowd(work, seed)
+    links = Links(latency=work.latency, medium=medium)
+    network = Network(clock, work.graph, links, seed=seed, positions=lambda: at)
+
+    def turns() -> Generator[simpy.Event, Any, None]:
+        for number, when in enumerate(times):
+            yield Instant(clock, round(when * SECOND), Phase.DECISION)
+            node = number % work.size
+            network.latest_records(node)
+            network.publish(node, number, size=24)
+
+    clock.process(turns())
+    clock.run(until=round((times[-1] + 1.0) * SECOND))
+    counts = network.message_counts()
+    return counts.sent, counts.delivered
+
+
+def contended_in_simpy(work: Workload, seed: int) -> tuple[int, int]:
+    """Do the same in plain SimPy, but for reading the tables; return the messages sent and delivered."""
+    plain = Contention(*crowd(work, seed), AIRTIME, CsmaCa(), CaptureEffect(), LOGNORMAL, seed=seed)
+    plain.run()
+    return plain.sent, plain.delivered
+
+
+def contention(options: Options) -> list[Cost]:
+    """Measure the cost of a message on a channel for which nodes contend, relative to the same in plain SimPy."""
+    work = Workload("", nx.complete_graph(40), 2_000, LOGNORMAL)
+    variants: dict[str, Callable[[int], int]] = {
+        "desim": lambda seed: contended(work, seed)[0],
+        "SimPy": lambda seed: contended_in_simpy(work, seed)[0],
+    }
+    found = per_unit(variants, range(options.seed, options.seed + options.runs))
+    return [
+        Cost("a message, 40 nodes, CSMA/CA with capture", found["desim"] * 1e6, "us"),
+        Cost("desim / SimPy", found["desim"] / found["SimPy"], "", 1 / 3),
+    ]
+
+
 # Whole runs.
 
 
@@ -325,6 +383,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "complete": complete,
         "losses": losses,
         "arrivals": arrivals,
+        "contention": contention,
         "table1": table_1,
         "loop": loop,
         "recording": recording,
