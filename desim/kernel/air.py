@@ -3,8 +3,6 @@
 At the end of a frame all frames that overlap it are known, and the model of interference decides where it is lost.
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
@@ -18,7 +16,7 @@ from desim.kernel.topology import Topology
 
 
 class Air:
-    """The frames that are on the air, and the losses of the transmissions that have not arrived yet.
+    """The frames that are on the air.
 
     Args:
         env: the clock of the simulation.
@@ -37,8 +35,6 @@ class Air:
         self._locks = isinstance(medium.reception, CaptureEffect) and medium.reception.lock
         self._all = np.arange(topology.size)
         self._frames: list[Frame] = []
-        self._lost: dict[int, tuple[dict[int, Cause], int]] = {}
-        """By number of a transmission: the causes of its losses on the air, by receiver, and its last arrival, ns."""
         self._busy = self._busy_since = 0
         medium.check(topology.size)
         if medium.reception.needs_positions and positions is None:
@@ -66,40 +62,12 @@ class Air:
         if not self._frames:
             self._busy += self._env.now - self._busy_since
         causes = self._judge(frame, receivers)
-        if frame.number in self._lost:
-            self._lost[frame.number][0].update(causes)
         frame.overlapping = []  # the frames refer to each other
         return causes
 
     def busy_time(self) -> int:
         """Return the total time, ns, at which some node has been transmitting."""
         return self._busy + (self._env.now - self._busy_since if self._frames else 0)
-
-    def ends_by(self, now: int) -> bool:
-        """Return whether a frame ends by a time, ns, and its losses are not decided yet."""
-        return any(frame.end <= now for frame in self._frames)
-
-    # Losses that are decided before the arrival.
-
-    def keep(self, number: int, until: int) -> None:
-        """Keep the losses of a transmission, which is on the air, until its last arrival, ns."""
-        self._lost[number] = {}, until
-
-    def forget(self, before: float) -> None:
-        """Forget the losses of the transmissions whose last arrival was before a time, ns."""
-        while self._lost:
-            first = next(iter(self._lost))
-            if self._lost[first][1] >= before:
-                return
-            del self._lost[first]
-
-    def causes(self, numbers: Iterable[int], nodes: Iterable[int]) -> list[Cause | None] | None:
-        """Return why each of k receptions of a transmission failed on the air, or None; None alone: none failed."""
-        nothing: tuple[dict[int, Cause], int] = {}, 0
-        found = [self._lost.get(number, nothing)[0].get(node) for number, node in zip(numbers, nodes, strict=False)]
-        return found if any(found) else None
-
-    # Interference.
 
     def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
         """Return the causes of the losses of a frame that ends now, by receiver."""

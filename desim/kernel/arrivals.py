@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from desim.config.arrays import Integers
-from desim.kernel.air import Air
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
@@ -164,7 +163,6 @@ class Arrivals:
         inboxes: receive the messages that arrive.
         fault_state: the active faults; None: the network has no faults.
         transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
-        air: knows what was lost on the air; None: nodes do not contend for the channel.
         processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
         at_once: whether each outcome is needed at the time of the arrival, for a trace.
@@ -182,7 +180,6 @@ class Arrivals:
         inboxes: Inboxes,
         fault_state: FaultState | None,
         transmitter: Transmitter[Transmission] | None,
-        air: Air | None,
         *,
         processing: int,
         checks_range: bool,
@@ -191,7 +188,7 @@ class Arrivals:
     ):
         self._env, self._topology, self._records, self._inboxes = env, topology, records, inboxes
         self._fault_state, self._processing = fault_state, processing
-        self._transmitter, self._air = transmitter, air
+        self._transmitter = transmitter
         self._checks_range, self._lose = checks_range, lose
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if checks_range:
@@ -224,11 +221,9 @@ class Arrivals:
         """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
         begin, end = self._env.now, self._env.now + airtime
         nodes_by_time: dict[int, list[int]] = {}
-        if medium := self._air or self._transmitter:
+        if self._transmitter is not None:
             self._on_air[transmission.src] = transmission.number, end
-            medium.forget(min(self.kept.first, begin))
-        if self._air is not None and nodes:
-            self._air.keep(transmission.number, arrival if isinstance(arrival, int) else max(arrival))
+            self._transmitter.forget(min(self.kept.first, begin))
         if isinstance(arrival, int):
             nodes_by_time = {arrival: nodes} if nodes else {}
         elif nodes and self._can_wait(transmission):
@@ -266,12 +261,10 @@ class Arrivals:
     def settle_for_reader(self) -> None:
         """Decide the kept arrivals up to and including this instant.
 
-        If a fault has yet to begin or end at this instant, or a frame to end, the arrivals at this instant are not
-        decided.
+        If a fault has yet to begin or end at this instant, the arrivals at this instant are not decided.
         """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
-        changes |= self._air is not None and self._air.ends_by(now)
         self.settle(now - 1 if changes else now)
 
     def settle(self, until: int | None = None) -> None:
@@ -319,15 +312,11 @@ class Arrivals:
         """Return a list with the cause of the loss of each of k arrivals, or None in place of a cause if it succeeds.
 
         If all arrivals succeed, return None instead of a list.
-        If an arrival has several causes, the last in this order counts: collision or half duplex, range,
-        jamming, partition, crash.
+        If an arrival has several causes, the last in this order counts: half duplex, range, jamming, partition, crash.
         """
         losses: list[tuple[Cause, list[bool] | None]] = []
         causes: list[Cause | None] | None = None
-        if self._air is not None:
-            numbers = repeat(batch.number) if isinstance(batch.number, int) else batch.number.tolist()
-            causes = self._air.causes(numbers, batch.node.tolist())
-        elif self._transmitter is not None:
+        if self._transmitter is not None:
             received = batch.time - self._processing
             start = received - (batch.end - batch.begin)
             losses.append(("half_duplex", self._transmitter.transmitting(batch.node, start, received)))

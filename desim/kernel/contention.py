@@ -43,6 +43,8 @@ class Contention(Generic[Item]):
         seed: the seed of the run.
         start: called with a transmission when one of its frames starts.
         leave: called after `start` with a transmission that is not acknowledged, and its airtime, ns.
+        land: called with a transmission that is not acknowledged when its frame ends, and the causes of its losses on
+            the air, by receiver.
         attempt: called with an acknowledged transmission at the end of each attempt, and the number of the draws of the
             attempt; draws the losses, and returns the cause, or None.
         succeed: called with an acknowledged transmission at the end of the attempt that succeeds.
@@ -70,6 +72,7 @@ class Contention(Generic[Item]):
         *,
         start: Callable[[Item], None],
         leave: Callable[[Item, int], None],
+        land: Callable[[Item, dict[int, Cause]], None],
         attempt: Callable[[Item, int], Cause | None],
         succeed: Callable[[Item], None],
         wait: Callable[[Item], None],
@@ -78,7 +81,7 @@ class Contention(Generic[Item]):
         access = medium.access
         self._env, self._medium = env, medium
         self._start, self._leave, self._attempt, self._succeed = start, leave, attempt, succeed
-        self._wait, self._lose = wait, lose
+        self._land, self._wait, self._lose = land, wait, lose
         self.air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
         self._access = method(access, self._nodes, stream(seed, "access"), clocks)
@@ -110,19 +113,19 @@ class Contention(Generic[Item]):
             del queue[place]
 
     def flush(self, src: int) -> list[Item]:
-        """Remove and return all transmissions of a node that were not given to `leave` yet."""
+        """Remove and return all transmissions of a node, also that on the air, which then has no outcome."""
         taken = list(self._queues[src])
         self._queues[src].clear()
         self._nodes.ready[src] = False
         self._access.reset(src)
         item = self._sending.get(src)
-        if item is not None and self._is_acknowledged(item):
-            self._sending[src] = None  # the radio is off, and the frame ends without an outcome
+        if item is not None:
+            self._sending[src] = None  # the radio is off
             taken.append(item)
         return taken
 
     def waiting(self) -> Iterator[Item]:
-        """Yield the transmissions that were not given to `leave` yet."""
+        """Yield the transmissions that wait, and those on the air that are to be acknowledged."""
         for queue in self._queues:
             yield from queue
         yield from (item for item in self._sending.values() if item is not None and self._is_acknowledged(item))
@@ -196,7 +199,9 @@ class Contention(Generic[Item]):
             return
         item, cause = self._sending.pop(frame.src), None
         causes = self.air.remove(frame, item.receivers if item is not None else [])
-        if item is not None and self._is_acknowledged(item):
+        if item is not None and not self._is_acknowledged(item):
+            self._land(item, causes)
+        elif item is not None:
             cause = causes.get(item.receivers[0]) or self._attempt(item, frame.draw)
             self._repeated.discard(item.number)
             if cause is None:

@@ -7,14 +7,17 @@ of a crash is lost, and one that arrives at the instant of the recovery is deliv
 """
 
 from collections import Counter
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Iterable
 
+ON_AIR: Collection[Cause] = frozenset({"collision", "half_duplex", "crash"})
+"""Causes by which a message for whose channel nodes contend is lost before its arrival."""
 MIN_BATCH = 64
 """Initial limit of the number of unchecked transmissions, above which deliveries are checked.
 
@@ -27,7 +30,7 @@ class Conservation:
 
     - Each sent message is delivered, lost or in flight; the totals and the losses by cause agree with `MessageCounts`.
     - No message is transmitted before it was created or arrives before it was transmitted; time never decreases.
-    - A message is lost at most once: while it waits, at transmission, or on arrival.
+    - A message is lost at most once: while it waits, at transmission, on the air (collision or crash), or on arrival.
     - A node whose radio is down neither transmits nor receives.
     - No message crosses a partition that is active at its transmission or at its arrival.
     - A fault ends only after it has started.
@@ -121,7 +124,8 @@ class Conservation:
             arrival = flying.pop(event.dst, None)
             due = departure.t if arrival == LOST else arrival
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
-            _require(due == event.t, "a message is lost at transmission or on arrival", event)
+            is_on_air = event.cause in ON_AIR and event.t >= departure.t
+            _require(is_on_air or due == event.t, "a message is lost at transmission, on the air or on arrival", event)
 
     def _begin(self, event: FaultStarted) -> None:
         self._settle(event.t)

@@ -81,6 +81,7 @@ class LinkLayer:
                 seed,
                 start=self._start,
                 leave=self._leave,
+                land=self._land,
                 attempt=self._departure.attempt,
                 succeed=self._succeed,
                 wait=self._wait,
@@ -90,9 +91,13 @@ class LinkLayer:
             self._transmitter = Transmitter(
                 env, medium, topology.size, self._leave, self._wait, self._give_up, sampler.processing
             )
-        self._settles_on_arrival = checks_arrival or medium.half_duplex or isinstance(self._transmitter, Contention)
-        self._is_certain = not self._settles_on_arrival and fault_state is None and trace is None
+        contends = isinstance(self._transmitter, Contention)
+        self._settles_on_arrival = checks_arrival or (medium.half_duplex and not contends)
+        self._is_certain = not (self._settles_on_arrival or contends) and fault_state is None and trace is None
         """Whether all outcomes are certain at transmission, and no trace needs them."""
+        self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
+        """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
+        arrival times, ns, and the losses that were drawn."""
         self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
         self.arrivals = Arrivals(
             env,
@@ -101,7 +106,6 @@ class LinkLayer:
             inboxes,
             fault_state,
             self._transmitter if isinstance(self._transmitter, Transmitter) else None,
-            self._transmitter.air if isinstance(self._transmitter, Contention) else None,
             processing=sampler.processing,
             checks_range=checks_arrival,
             at_once=trace is not None,
@@ -119,11 +123,12 @@ class LinkLayer:
     def crash(self, node: int) -> None:
         """Lose the queued transmissions of a node whose radio goes down now.
 
-        A transmission that is on the air now is lost on arrival.
+        A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
         """
         self.arrivals.crash(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
-            self._lose(transmission, dict.fromkeys(transmission.receivers, "crash"))
+            reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
+            self._lose(transmission, dict.fromkeys(reached, "crash"))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
@@ -135,6 +140,7 @@ class LinkLayer:
         busy = 0.0
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
+            in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
             busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
@@ -187,7 +193,10 @@ class LinkLayer:
         self._leave(transmission, 0, draws=False)
 
     def _leave(self, transmission: Transmission, airtime: int, *, draws: bool = True) -> None:
-        """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`."""
+        """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`.
+
+        If nodes contend, its arrivals are scheduled when its frame ends.
+        """
         now, receivers = self._env.now, transmission.receivers
         if not isinstance(self._transmitter, Contention):
             self._start(transmission)
@@ -221,6 +230,33 @@ class LinkLayer:
                 self._trace.append_message(event)
         if causes:
             self._lose(transmission, causes)
+        if draws and isinstance(self._transmitter, Contention):
+            self._on_air[transmission.number] = reached, arrival, causes
+        else:
+            self._forward(transmission, reached, arrival, causes, airtime)
+
+    def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
+        reached, arrival, drawn = self._on_air.pop(transmission.number)
+        if causes:
+            lost = {node: causes[node] for node in reached if node in causes}
+            if not isinstance(arrival, int):
+                arrival = [when for node, when in zip(reached, arrival, strict=True) if node not in causes]
+            reached = [node for node in reached if node not in causes]
+            self._lose(transmission, lost)
+            drawn = {**drawn, **lost}
+        self._forward(transmission, reached, arrival, drawn, 0)
+
+    def _forward(
+        self,
+        transmission: Transmission,
+        reached: list[int],
+        arrival: Arrival,
+        causes: Mapping[int, Cause],
+        airtime: int,
+    ) -> None:
+        """Schedule the arrivals of a transmission at the nodes that it reaches, given the losses up to now."""
+        content = transmission.content
         if self._settles_on_arrival:
             self.arrivals.schedule(transmission, reached, arrival, airtime)
             return
