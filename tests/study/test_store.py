@@ -354,11 +354,11 @@ def test_stores_of_other_sweeps_are_not_merged(tmp_path, file, options, told):
 @pytest.mark.slow
 def test_two_drivers_may_work_on_one_store(tmp_path, file):
     """Both make it, both do all runs, and the table is that of one."""
-    out = tmp_path / "out"
-    drivers = [sweeps.start("sweep", file, "--allow-import", "-n", 20, "-o", out, mark=str(tmp_path)) for _ in range(2)]
+    out, words = tmp_path / "out", ("sweep", file, "--allow-import", "-n", 8)
+    drivers = [sweeps.start(*words, "-o", out, "-j", 1, mark=str(tmp_path)) for _ in range(2)]
     (one, error_one), (other, error_other) = [driver.communicate() for driver in drivers]
     assert [driver.returncode for driver in drivers] == [0, 0], error_one + error_other
-    assert one == other == command("sweep", file, "--allow-import", "-n", 20, "-o", tmp_path / "whole").stdout
+    assert one == other == command(*words, "-o", tmp_path / "whole").stdout
     assert sweeps.rows(out / "sweep.sqlite") == sweeps.rows(tmp_path / "whole" / "sweep.sqlite")
 
 
