@@ -166,7 +166,7 @@ def test_a_file_size_limit_is_reported(tmp_path, file, limit):
     """The process may write files of some kB at most, as where a quota ends: run.json, the store or its journal."""
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start(
-        *("sweep", file, "--allow-import", "-n", 200, "-o", out),
+        *("sweep", file, "--allow-import", "-n", 200, "-j", 1, "-o", out),
         mark=mark,
         prepare=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit * 1024, limit * 1024)),
     )
