@@ -270,7 +270,7 @@ def saturated_broadcast(nodes, seed, *, window=16, duration=0.15):
 def test_saturated_broadcasts_succeed_with_the_share_of_ma_and_chen(nodes, number):
     """A node that has just transmitted can draw 0 and start again after DIFS; all others have at least one slot left.
 
-    The standard error of 8 replications of some 1000 busy periods is 0.003 to 0.004. The controls are the share if
+    The standard error of 8 replications of some 1000 busy periods is 0.003 to 0.0045. The controls are the share if
     tau is 2/(W+1) at all times, 0.5342 and 0.2376 with 10 and 20 nodes; and a window of 20. With 5 nodes the first
     control, 0.7665, is too near to be told apart.
     """

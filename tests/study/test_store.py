@@ -166,7 +166,7 @@ def test_a_file_size_limit_is_reported(tmp_path, file, limit):
     """The process may write files of some kB at most, as where a quota ends: run.json, the store or its journal."""
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start(
-        *("sweep", file, "--allow-import", "-n", 200, "-j", 1, "-o", out),
+        *("sweep", file, "--allow-import", "-n", 200, "-o", out),
         mark=mark,
         prepare=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit * 1024, limit * 1024)),
     )
@@ -354,11 +354,11 @@ def test_stores_of_other_sweeps_are_not_merged(tmp_path, file, options, told):
 @pytest.mark.slow
 def test_two_drivers_may_work_on_one_store(tmp_path, file):
     """Both make it, both do all runs, and the table is that of one."""
-    out, words = tmp_path / "out", ("sweep", file, "--allow-import", "-n", 8)
-    drivers = [sweeps.start(*words, "-o", out, "-j", 1, mark=str(tmp_path)) for _ in range(2)]
+    out = tmp_path / "out"
+    drivers = [sweeps.start("sweep", file, "--allow-import", "-n", 20, "-o", out, mark=str(tmp_path)) for _ in range(2)]
     (one, error_one), (other, error_other) = [driver.communicate() for driver in drivers]
     assert [driver.returncode for driver in drivers] == [0, 0], error_one + error_other
-    assert one == other == command(*words, "-o", tmp_path / "whole").stdout
+    assert one == other == command("sweep", file, "--allow-import", "-n", 20, "-o", tmp_path / "whole").stdout
     assert sweeps.rows(out / "sweep.sqlite") == sweeps.rows(tmp_path / "whole" / "sweep.sqlite")
 
 

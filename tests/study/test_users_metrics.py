@@ -493,7 +493,7 @@ for words in sys.argv[1:]:
 def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     """And a store that was made before has it as soon as it is asked for."""
     for package in ("desim", "protocols"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("*.pyc.*"))
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
 
     def said(*commands):
