@@ -402,7 +402,7 @@ def simulated(result):
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(histories())
 def test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace(result):
     mean, peak, at_decision, wrong, leaders = simulated(result)
@@ -440,11 +440,11 @@ def reporting(seed, p, updates=2000):
 def test_periodic_reports_over_a_lossy_link_have_the_ages_of_theory(p):
     """Period T, delay D, loss p: mean D + T(1 + p) / 2(1 - p), mean peak D + T / (1 - p).
 
-    Of the 2000 periods of a run a share 1 - p begins a new tooth, of geometric length; over 24 seeds the standard
-    errors measured are 0.09 % (p = 0.2) and 0.35 % (p = 0.5). The end cuts one tooth in 1000 or more short.
+    Of the 2000 periods of a run a share 1 - p begins a new tooth, of geometric length; over 16 seeds the standard
+    errors measured are 0.08 % (p = 0.2) and 0.41 % (p = 0.5). The end cuts one tooth in 1000 or more short.
     The control: the formulas at p + 0.05 are more than 5 standard errors off.
     """
-    found = np.array([[age_mean(result), age_peak(result)] for result in (reporting(s, p) for s in range(24))])
+    found = np.array([[age_mean(result), age_peak(result)] for result in (reporting(s, p) for s in range(16))])
     mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(len(found))
 
     def theory(p):

@@ -98,10 +98,10 @@ ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "p
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
-    """30 random graphs for each schedule (15 for the slowest): settled by the middle of the 10 s, in any order of
+    """20 random graphs for each schedule (10 for the slowest): settled by the middle of the 10 s, in any order of
     decisions.
     """
-    for number in range(15 if clock == "local_mutex" else 30):
+    for number in range(10 if clock == "local_mutex" else 20):
         graph, phi = random_graph(number)
         profile, times = changes_of(run(static_game(LocalMin(schedule=ANY_CLOCK[clock]), graph, phi, number)))
         assert profile == greedy_maximal_independent_set(phi, 10.0, neighbour_lists(graph)), f"graph {number}"

@@ -12,6 +12,7 @@ from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.links import Links
 from desim.pursuit import evader, steering
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
 from desim.pursuit.events import Ended
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
@@ -137,6 +138,7 @@ def test_the_network_links_distant_pursuers_as_they_approach(frozen):
             protocol=protocol,
             network=Links(range=12.0),
             motion=Motion(step=0.1, static=frozen),
+            announce=Announcements(trigger="never"),  # nobody listens
         )
     )
     for k, near in seen.items():

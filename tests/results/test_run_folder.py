@@ -148,6 +148,7 @@ def test_messages_recorded_to_a_file_are_in_the_trace_of_the_folder_and_not_of_t
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_undrawn")
 def test_metrics_that_need_messages_are_measured_once_the_message_file_is_read(tmp_path):
     numbers = plain(write(simulate(tmp_path, TO_FILE, 5), tmp_path, simulated_there=True))
     whole = plain(summary(run(WITH_MESSAGES, 5)))

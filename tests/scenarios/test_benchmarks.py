@@ -251,8 +251,9 @@ def test_the_study_measures_other_costs(few, monkeypatch):
 
 @pytest.mark.slow
 def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch):
-    monkeypatch.setattr(sweep_costs, "SWEPT", 40)
+    monkeypatch.setattr(sweep_costs, "SWEPT", 16)
     monkeypatch.setattr(sweep_costs, "STORED", 2_000)
+    monkeypatch.setattr(sweep_costs, "GRID", {"network.latency.value": [0.0, 0.01], "team.count": [5, 6]})
     monkeypatch.setattr(sweep_costs, "apart", lambda function, *given: function(*given))
     found = few("--parts", "sweeps,large_store")["costs"]
     measured = {each["what"]: each["measured"] for part in found.values() for each in part}

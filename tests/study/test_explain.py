@@ -717,7 +717,7 @@ WRITTEN = {*(f"explain.{kind}" for kind in ("txt", "json", "svg", "png")), "run.
 
 
 @pytest.mark.slow
-def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file):
+def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file, monkeypatch):
     table = output_of(file, "-n", 3)
     folder = file.parent / "out/late/explain"
     assert {each.name for each in folder.iterdir()} == WRITTEN
@@ -727,6 +727,7 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
         "as it is", "latency", "faults", "serial decisions", "interaction", "all together", "ideal"
     ]  # fmt: skip
     document = json.loads((folder / "explain.json").read_text())
+    monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
     assert document == json.loads(output_of(file, "-n", 3, "--json"))
     costs = document["costs"]["active_time"]
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}

@@ -35,6 +35,7 @@ from tests.view.browser import in_chromium
 
 RELAY = SCENARIOS / "relay.toml"
 SMALL = ("team.count=6", "horizon=1.0")
+SET_SMALL = [word for each in SMALL for word in ("--set", each)]
 
 
 @pytest.fixture(scope="module")
@@ -446,7 +447,7 @@ on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="need
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_no_process_is_left_after_an_interrupt(number, tmp_path):
     """A page is open, and a comparison is under way."""
-    with program(RELAY, cwd=tmp_path) as (process, address), urlopen(f"{address}alive"):
+    with program(RELAY, *SET_SMALL, cwd=tmp_path) as (process, address), urlopen(f"{address}alive"):
         begun = children(process)
         assert begun
         body = {"now": ["network.latency.value=0.3"], "pinned": [], "count": 200}
@@ -463,8 +464,7 @@ def test_no_process_is_left_after_an_interrupt(number, tmp_path):
 def address(tmp_path_factory):
     """Yield the address of the page of a program that plays with a short run; between tests, no page is open."""
     folder = tmp_path_factory.mktemp("play")
-    changes = [word for each in SMALL for word in ("--set", each)]
-    with program(RELAY, *changes, cwd=folder) as (_, found), urlopen(f"{found}alive"):
+    with program(RELAY, *SET_SMALL, cwd=folder) as (_, found), urlopen(f"{found}alive"):
         yield found
 
 
