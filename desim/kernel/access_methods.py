@@ -162,17 +162,21 @@ class _CsmaCa(AccessMethod):
             self._immediate[node] = arrived and not self._left[node]
 
     def sense_busy(self, nodes: Integers, now: int) -> None:
+        left = self._left[nodes]
         elapsed = (now - self._nodes.idle_since[nodes] - self._difs) // self._slot
-        self._left[nodes] -= np.clip(elapsed, 0, self._left[nodes])
-        # A node that is due now has not sensed the frame in time; the sender of the frame has no back-off to draw.
-        later = nodes[self._nodes.ready[nodes] & (self._nodes.due[nodes] > now)]
-        self._nodes.due[later] = NEVER
-        for node in later[self._immediate[later]].tolist():
-            self._draw(node)
+        self._left[nodes] = left - np.minimum(np.maximum(elapsed, 0), left)
+        ready = nodes[self._nodes.ready[nodes]]
+        if len(ready):
+            # A node that is due now has not sensed the frame in time; the sender of the frame has no back-off to draw.
+            later = ready[self._nodes.due[ready] > now]
+            self._nodes.due[later] = NEVER
+            for node in later[self._immediate[later]].tolist():
+                self._draw(node)
 
     def sense_idle(self, nodes: Integers, now: int) -> None:
         ready = nodes[self._nodes.ready[nodes]]
-        self._nodes.due[ready] = self._start(ready)
+        if len(ready):
+            self._nodes.due[ready] = self._start(ready)
 
     def transmitted(self, node: int, *, acknowledged: bool) -> bool:
         again = not acknowledged and self._failed[node] < self._retries

@@ -10,6 +10,7 @@ from desim.kernel.access_methods import AccessMethod, Contenders
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.interference import Frame
 from desim.kernel.positions import PositionSource, distances
+from desim.kernel.seeds import ROOM
 from desim.kernel.topology import Topology
 
 
@@ -43,13 +44,26 @@ class CarrierSense:
         self._topology, self._positions = topology, positions
         model = access if isinstance(access, CarrierSensing) else CarrierSensing()
         self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
+        self._known: dict[int, Integers] = {}
+        """The listeners of each node, if nodes do not move; up to `ROOM` numbers."""
         if self._range is not None and positions is None:
             raise ValueError("network.medium.access: a sensing range needs positions")
 
     def listeners(self, node: int) -> Integers:
-        """Return the nodes that sense the frames of a node, ascending, without itself."""
+        """Return the nodes that sense the frames of a node; itself too if there is no delay, so that all do at once."""
         if not self._method.senses:
             return np.empty(0, dtype=np.int64)
+        found = self._known.get(node)
+        if found is None:
+            found = self._near(node)
+            if not self._delay:
+                found = np.append(found, node)
+            if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(found) <= ROOM:
+                self._known[node] = found
+        return found
+
+    def _near(self, node: int) -> Integers:
+        """Return the nodes that sense the frames of a node, ascending, without itself."""
         if self._range is None:
             return self._topology.neighbours(node)
         assert self._positions is not None
@@ -61,8 +75,8 @@ class CarrierSense:
         """Let nodes sense the start (1) or the end (-1) of a frame: its sender now, all others after the delay."""
         if not self._method.senses:
             return
-        self._count(np.array([frame.src]), change)
         if self._delay:
+            self._count(np.array([frame.src]), change)
             instant = Instant(self._env, self._env.now + self._delay, Phase.DELIVERY)
             instant.callbacks.append(lambda _: self._count(frame.sensed_by, change))
         else:

@@ -70,7 +70,7 @@ class Frame:
         begin: start of the airtime, ns.
         end: end of the airtime, ns.
         overlapping: the frames that overlap it, by start.
-        sensed_by: the nodes that sense it, without its sender.
+        sensed_by: the nodes that sense it, see `desim.kernel.carrier_sense.CarrierSense.listeners`.
         locked: (n,) which nodes lock on to its preamble; None: all.
     """
 

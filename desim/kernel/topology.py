@@ -133,6 +133,11 @@ class Topology:
         return received
 
     @property
+    def is_static(self) -> bool:
+        """Whether there is no range, so that neighbourhoods do not depend on positions."""
+        return self._positions is None
+
+    @property
     def looks_back(self) -> bool:
         """Whether `reaches` is valid for times of the past."""
         return self._positions is None or self._positions.looks_back
