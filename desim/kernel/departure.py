@@ -57,15 +57,14 @@ class Departure:
         self._env, self._topology, self._sampler, self._fault_state = env, topology, sampler, fault_state
         self._checks_range = checks_range
 
-    def receivers(self, src: int, dst: int | None, number: int) -> tuple[list[int], bool]:
-        """Return the receivers of a new transmission, and whether it can reach them; `dst` None: all neighbours."""
+    def receivers(self, src: int, number: int) -> list[int]:
+        """Return the receivers of a new broadcast, ascending."""
+        return self._topology.hearers(src, number) if self._checks_range else self._topology.linked(src)
+
+    def reachable(self, src: int, dst: int, number: int) -> bool:
+        """Return whether a new message to one node can reach it."""
         topology = self._topology
-        if dst is None:
-            return topology.hearers(src, number) if self._checks_range else topology.linked(src), True
-        reachable = topology.are_linked(src, dst) and (
-            not self._checks_range or topology.reaches(src, [dst], number)[0]
-        )
-        return [dst], reachable
+        return topology.are_linked(src, dst) and (not self._checks_range or topology.reaches(src, [dst], number)[0])
 
     def losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""

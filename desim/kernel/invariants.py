@@ -8,10 +8,15 @@ of a crash is lost, and one that arrives at the instant of the recovery is deliv
 
 from collections import Counter
 from collections.abc import Collection
+from math import inf
 from typing import TYPE_CHECKING, Any
 
+from desim.kernel.access import CsmaCa
+from desim.kernel.clock import nanoseconds
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
+from desim.kernel.interference import Collision
+from desim.kernel.medium import Radio
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -215,6 +220,60 @@ class OneToken:
             self.spoilt = event.t
             _require(self._settled is None or event.t < self._settled, "only one token is left", event)
         self._hops[epoch], self._epoch = hop, epoch
+
+
+class OneFrame:
+    """A watcher of one run that raises AssertionError if a node receives a frame while another is at it.
+
+    The other frame is one that the node also receives, or one that the node transmits. It holds for the interference
+    model `Collision`; other models let a receiver get the stronger of two frames. Messages that are acknowledged are
+    not watched, because the trace does not have the times of their attempts.
+
+    Args:
+        medium: the medium for which nodes contend.
+
+    Raises:
+        ValueError: if nodes do not contend for the medium, or its interference model allows overlaps.
+    """
+
+    def __init__(self, medium: Radio):
+        if not medium.contends or not isinstance(medium.reception, Collision):
+            raise ValueError('frames that overlap are all lost only where nodes contend and reception is "collision"')
+        self._medium, self._acknowledges = medium, isinstance(medium.access, CsmaCa)
+        self._frames: dict[int, tuple[Broadcast | Sent, int, set[int]]] = {}
+        """By number of a transmission: its first event, the end of its airtime, ns, and the nodes that get it."""
+
+    def __call__(self, event: Event) -> None:
+        """Check an event."""
+        if isinstance(event, Lost):
+            if event.transmission in self._frames:
+                self._frames[event.transmission][2].discard(event.dst)
+            return
+        if not isinstance(event, Broadcast) and (not isinstance(event, Sent) or self._acknowledges):
+            return
+        self._check(event.t)
+        end = event.t + nanoseconds(self._medium.airtime(event.size, event.src))
+        nodes = set(event.dst) if isinstance(event, Broadcast) else {event.dst}
+        self._frames.setdefault(event.transmission, (event, end, set()))[2].update(nodes)
+
+    def judge(self) -> None:
+        """Check the frames that end by the last event; call it after a run."""
+        self._check(None)
+
+    def _check(self, now: int | None) -> None:
+        """Check the frames that have ended before a time, ns, and forget those that no later frame overlaps."""
+        ended = [number for number, (_, end, _) in self._frames.items() if now is None or end < now]
+        for number in ended:
+            event, end, nodes = self._frames[number]
+            for other, (overlapping, stop, also) in self._frames.items():
+                if other != number and max(event.t, overlapping.t) < min(end, stop):
+                    _require(overlapping.src not in nodes, "no node receives while it transmits", event)
+                    both = nodes & also if other in ended else set()
+                    _require(not both, "no node receives two frames that overlap", event)
+        on_air = [event.t for number, (event, *_) in self._frames.items() if number not in ended]
+        for number in ended:
+            if self._frames[number][1] <= min(on_air, default=inf):
+                del self._frames[number]
 
 
 def _group(partition: Partition, node: int) -> int:

@@ -91,9 +91,9 @@ class LinkLayer:
             self._transmitter = Transmitter(
                 env, medium, topology.size, self._leave, self._wait, self._give_up, sampler.processing
             )
-        contends = isinstance(self._transmitter, Contention)
-        self._settles_on_arrival = checks_arrival or (medium.half_duplex and not contends)
-        self._is_certain = not (self._settles_on_arrival or contends) and fault_state is None and trace is None
+        self._contends = isinstance(self._transmitter, Contention)
+        self._settles_on_arrival = checks_arrival or (medium.half_duplex and not self._contends)
+        self._is_certain = not (self._settles_on_arrival or self._contends) and fault_state is None and trace is None
         """Whether all outcomes are certain at transmission, and no trace needs them."""
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
@@ -160,8 +160,11 @@ class LinkLayer:
         """
         if self._fault_state is not None and self._fault_state.down(src):
             return
-        number = next(self._numbers)
-        receivers, reachable = self._departure.receivers(src, dst, number)
+        number, reachable = next(self._numbers), True
+        if dst is None:
+            receivers = self._departure.receivers(src, number)
+        else:
+            receivers, reachable = [dst], self._departure.reachable(src, dst, number)
         if size is None:
             size = size_of(content.body)
         elif size < 0:
@@ -198,7 +201,7 @@ class LinkLayer:
         If nodes contend, its arrivals are scheduled when its frame ends.
         """
         now, receivers = self._env.now, transmission.receivers
-        if not isinstance(self._transmitter, Contention):
+        if not self._contends:
             self._start(transmission)
         arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
         causes = (
@@ -230,7 +233,7 @@ class LinkLayer:
                 self._trace.append_message(event)
         if causes:
             self._lose(transmission, causes)
-        if draws and isinstance(self._transmitter, Contention):
+        if draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
             self._forward(transmission, reached, arrival, causes, airtime)

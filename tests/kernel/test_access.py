@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from math import exp, inf, sqrt
+from types import SimpleNamespace
 
 import networkx as nx
 import numpy as np
@@ -17,7 +18,7 @@ from desim.kernel.events import Broadcast, Lost, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.interference import CaptureEffect, Collision, LoRaInterference, Sinr
-from desim.kernel.invariants import Conservation
+from desim.kernel.invariants import Conservation, OneFrame
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, LoRa
@@ -818,36 +819,51 @@ def test_every_message_is_delivered_lost_or_in_flight_and_the_same_seed_gives_th
 @pytest.mark.parametrize("access", ACCESSES)
 @pytest.mark.slow_but_one
 def test_no_two_frames_that_overlap_at_a_receiver_are_both_received(access):
-    """Under `collision`; nor does a node receive a frame while it transmits. All receivers are in range.
-
-    An acknowledged message is stored when its last attempt ends, so only broadcasts are used.
-    """
+    """Under `collision`; nor does a node receive a frame while it transmits. All receivers are in range."""
 
     @settings(max_examples=EXAMPLES)
-    @given(st.sampled_from(sorted(GRAPHS)), LOADS, st.integers(0, 3))
-    def check(graph, load, seed):
-        broadcasts = [(t, src, None, size) for t, src, _, size in load]
-        trace, _, medium = history(ACCESSES[access], Collision(), GRAPHS[graph], broadcasts, seed=seed)
-        assert not overlapping(frames_of(trace, medium))
+    @given(st.sampled_from(sorted(GRAPHS)), LOADS, CRASHES, st.integers(0, 3))
+    def check(graph, load, crashes, seed):
+        trace, _, medium = history(ACCESSES[access], Collision(), GRAPHS[graph], load, crashes=crashes, seed=seed)
+        watch(OneFrame(medium), trace)
 
     check()
 
 
-def overlapping(frames):
-    """Return the pairs of frames that a receiver got although they overlap, or although it transmitted itself."""
-    return [
-        (one, other)
-        for one, (_, begin, end, receivers) in frames.items()
-        for other, (src, start, stop, also) in frames.items()
-        if one != other and max(begin, start) < min(end, stop) and (receivers & also or src in receivers)
-    ]
+def watch(watcher, trace):
+    """Let a watcher judge the events of a trace."""
+    for event in trace.events:
+        watcher(event)
+    watcher.judge()
+
+
+@pytest.mark.own_trace
+def test_a_trace_without_its_losses_has_two_frames_at_a_receiver():
+    """The control of the property: frames 0 and 1 overlap at node 1 or 2, and each sender gets that of the other."""
+    for graph, invariant in (("path", "two frames"), ("complete", "while it transmits")):
+        load = [(0, 0, None, 100), (1, 2 if graph == "path" else 1, None, 100)]
+        trace, _, medium = history(Aloha(), Collision(), GRAPHS[graph], load)
+        watch(OneFrame(medium), trace)
+        with pytest.raises(AssertionError, match=invariant):
+            watch(
+                OneFrame(medium), SimpleNamespace(events=[each for each in trace.events if not isinstance(each, Lost)])
+            )
+
+
+@pytest.mark.parametrize(
+    "medium", [Bitrate(bitrate=1.0), Bitrate(bitrate=1.0, access=Aloha(), reception=CaptureEffect())]
+)
+def test_overlaps_are_watched_only_where_no_frame_survives_them(medium):
+    with pytest.raises(ValueError, match="only where nodes contend"):
+        OneFrame(medium)
 
 
 def test_frames_that_overlap_are_both_received_if_their_spreading_factors_differ():
-    """The control of the property: nodes 0 and 3 get the frames of SF 7 of node 1 and of SF 8 of node 2."""
+    """Nodes 0 and 3 get the frames of SF 7 of node 1 and of SF 8 of node 2."""
     load = [(0, 1, None, 100), (1, 2, None, 100)]
     trace, _, medium = history(Aloha(), LoRaInterference(), GRAPHS["complete"], load)
-    assert overlapping(frames_of(trace, medium)) == [(0, 1), (1, 0)]
+    (*_, one), (*_, other) = frames_of(trace, medium).values()
+    assert one & other == {0, 3}
 
 
 def test_a_frame_that_does_not_fit_into_its_slot_is_lost_at_once():
