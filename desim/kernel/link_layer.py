@@ -6,19 +6,19 @@ if a fault, a range check on arrival or half duplex can still prevent it; `desim
 it is due.
 """
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import count
 
 from desim.kernel.arrivals import Arrivals, Transmission
 from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.contention import Contention
 from desim.kernel.departure import Departure, certain
-from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.events import LOST, Cause, MessageCounts, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
+from desim.kernel.message_log import MessageLog
 from desim.kernel.message_size import size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
@@ -66,7 +66,8 @@ class LinkLayer:
         seed: int,
     ):
         self._env, self._sampler = env, sampler
-        self._records, self._inboxes, self._fault_state, self._trace = records, inboxes, fault_state, trace
+        self._records, self._inboxes, self._fault_state = records, inboxes, fault_state
+        self._log = MessageLog(env, trace)
         checks_departure, checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_departure)
         medium = links.medium
@@ -79,17 +80,17 @@ class LinkLayer:
                 positions,
                 clocks,
                 seed,
-                start=self._start,
+                start=self._log.start,
                 leave=self._leave,
                 land=self._land,
                 attempt=self._departure.attempt,
                 succeed=self._succeed,
-                wait=self._wait,
-                lose=self._give_up,
+                wait=self._log.queue,
+                lose=self._log.give_up,
             )
         elif not isinstance(medium, Unlimited):
             self._transmitter = Transmitter(
-                env, medium, topology.size, self._leave, self._wait, self._give_up, sampler.processing
+                env, medium, topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )
         self._contends = isinstance(self._transmitter, Contention)
         self._settles_on_arrival = checks_arrival or (medium.half_duplex and not self._contends)
@@ -109,12 +110,10 @@ class LinkLayer:
             processing=sampler.processing,
             checks_range=checks_arrival,
             at_once=trace is not None,
-            lose=self._lose,
+            lose=self._log.lose,
         )
         self._listeners: list[Listener] = []
         self._numbers = count()
-        self._sent = self._transmissions = self._bytes_sent = 0
-        self._lost: Counter[Cause] = Counter()
 
     def overhear(self, listener: Listener) -> None:
         """Register a listener, which is called whenever a transmission starts."""
@@ -128,25 +127,20 @@ class LinkLayer:
         self.arrivals.crash(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
-            self._lose(transmission, dict.fromkeys(reached, "crash"))
+            self._log.lose(transmission, dict.fromkeys(reached, "crash"))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         now = self._env.now
         self.arrivals.settle_for_reader()
         self.arrivals.count_losses()
-        lost = self._lost.total()
         in_flight = self.arrivals.in_flight() + self._records.in_flight() + self._inboxes.in_flight()
         busy = 0.0
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
             busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
-        delivered = self._sent - lost - in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
-        return MessageCounts(
-            now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy
-        )
+        return self._log.counts(in_flight, busy)
 
     # The steps of a transmission.
 
@@ -172,25 +166,11 @@ class LinkLayer:
         transmission = _new(
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )
-        self._sent += len(receivers)
+        self._log.sent += len(receivers)
         if self._transmitter is None:
             self._leave(transmission, 0)
         else:
             self._transmitter.enqueue(transmission)
-
-    def _wait(self, transmission: Transmission) -> None:
-        if self._trace is not None:
-            dst = tuple(transmission.receivers)
-            self._trace.append_message(
-                Queued(self._env.now, transmission.number, transmission.src, dst, transmission.size)
-            )
-
-    def _give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
-        self._lose(transmission, dict.fromkeys(transmission.receivers, cause))
-
-    def _start(self, transmission: Transmission) -> None:
-        self._transmissions += 1
-        self._bytes_sent += transmission.size
 
     def _succeed(self, transmission: Transmission) -> None:
         self._leave(transmission, 0, draws=False)
@@ -202,7 +182,7 @@ class LinkLayer:
         """
         now, receivers = self._env.now, transmission.receivers
         if not self._contends:
-            self._start(transmission)
+            self._log.start(transmission)
         arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
         causes = (
             self._departure.losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
@@ -217,7 +197,7 @@ class LinkLayer:
             and self._records.share(content, len(receivers), arrival, causes)
         ):
             if causes:
-                self._lose(transmission, causes)
+                self._log.lose(transmission, causes)
             return
         reached = receivers
         if causes:
@@ -228,11 +208,9 @@ class LinkLayer:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
         for hear in self._listeners:
             hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
-        if self._trace is not None:
-            for event in _events(transmission, causes, arrival, now):
-                self._trace.append_message(event)
+        self._log.leave(transmission, causes, arrival)
         if causes:
-            self._lose(transmission, causes)
+            self._log.lose(transmission, causes)
         if draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
@@ -246,7 +224,7 @@ class LinkLayer:
             if not isinstance(arrival, int):
                 arrival = [when for node, when in zip(reached, arrival, strict=True) if node not in causes]
             reached = [node for node in reached if node not in causes]
-            self._lose(transmission, lost)
+            self._log.lose(transmission, lost)
             drawn = {**drawn, **lost}
         self._forward(transmission, reached, arrival, drawn, 0)
 
@@ -285,26 +263,3 @@ class LinkLayer:
             self.arrivals.schedule(transmission, unsure, later, airtime)
         self.arrivals.lose_at(transmission, down, when_lost)
         return reached, arrival, down
-
-    def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
-        """Count and record losses of a transmission now, given the cause of each loss by receiver."""
-        for cause in causes.values():  # faster than `Counter.update` for up to a dozen losses
-            self._lost[cause] += 1
-        if self._trace is not None:
-            for node, cause in causes.items():
-                self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
-
-
-def _events(transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival, now: int) -> Iterator[Event]:
-    """Yield the events of a transmission in the trace; a message lost at transmission has the arrival time `LOST`."""
-    number, src, created, size, receivers, content = transmission[:6]
-    fates = arrival
-    if causes:
-        arrivals = iter(per_receiver(arrival, len(receivers)))
-        fates = [LOST if node in causes else next(arrivals) for node in receivers]
-    if isinstance(content, Record):
-        fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
-        yield Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
-        return
-    for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
-        yield Sent(now, number, src, node, arrives, created, size, content.body)

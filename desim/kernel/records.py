@@ -329,7 +329,8 @@ class Records:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             else:  # in the order of transmission, so newer than the record in the table
-                table[record[0]] = received = (arrival, record)  # src and body, by position for speed
+                # `| 0` copies a time > 1 s into 32 B: the sum that it was takes 48.
+                table[record[0]] = received = (arrival | 0, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
                         matching[record[0]] = received
@@ -350,7 +351,7 @@ class Records:
                 still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
                 if predicate is None:
-                    table[record[0]] = arrival, record
+                    table[record[0]] = arrival | 0, record
                 else:
                     _store((arrival, record), table, matching, predicate)
         return still_in_flight
