@@ -6,7 +6,7 @@ frame it is decided receiver by receiver who gets it; each message then takes a 
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
-from math import log, log1p, sqrt
+from math import dist, log, log1p, sqrt
 from typing import Any
 
 import numpy as np
@@ -55,8 +55,9 @@ class Contention:
     ):
         self.env, self.rng = simpy.Environment(), np.random.default_rng(seed)
         self.size, self.times, self.airtime, self.access = len(positions), times, airtime, access
-        gaps = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-        self.power = (-10.0 * capture.exponent * np.log10(np.maximum(gaps, 1e-3))).tolist()
+        places = positions.tolist()
+        decibels = -10.0 * capture.exponent / log(10.0)
+        self.power = [[decibels * log(max(dist(one, other), 1e-3)) for other in places] for one in places]
         self.threshold = capture.threshold
         variance = log1p(latency.cv**2)
         self.mean, self.deviation = log(latency.mean) - variance / 2, sqrt(variance)

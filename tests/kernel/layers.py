@@ -3,6 +3,8 @@
 from unittest.mock import patch
 
 from desim.kernel.arrivals import Arrivals
+from desim.kernel.link_layer import LinkLayer
+from desim.kernel.message_log import MessageLog
 from desim.kernel.network import Network
 
 
@@ -10,9 +12,10 @@ def network_over(layer):
     """Return a function that creates a network as `Network` does, with another class in place of a part.
 
     Args:
-        layer: a subclass of `Arrivals` or of `LinkLayer`.
+        layer: a subclass of `Arrivals`, `MessageLog` or `LinkLayer`.
     """
-    place = "link_layer.Arrivals" if issubclass(layer, Arrivals) else "network.LinkLayer"
+    places = {Arrivals: "link_layer.Arrivals", MessageLog: "link_layer.MessageLog", LinkLayer: "network.LinkLayer"}
+    (place,) = (place for base, place in places.items() if issubclass(layer, base))
 
     def make(*args, **options):
         with patch(f"desim.kernel.{place}", layer):

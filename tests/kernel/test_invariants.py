@@ -22,6 +22,7 @@ from desim.kernel.link_layer import LinkLayer
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
+from desim.kernel.message_log import MessageLog
 from desim.kernel.network import Network
 from tests.kernel.layers import network_over
 
@@ -304,10 +305,10 @@ class Unbreakable(Arrivals):
         return None
 
 
-class Leaky(LinkLayer):
+class Leaky(MessageLog):
     """It counts a loss and does not record it."""
 
-    def _lose(self, transmission, causes):
+    def lose(self, transmission, causes):
         self._lost.update(causes.values())
 
 
@@ -319,12 +320,12 @@ class WrongCauses(LinkLayer):
         return true._replace(lost_by={"loss": true.lost})
 
 
-class Doubling(LinkLayer):
+class Doubling(MessageLog):
     """It lets a loss happen twice."""
 
-    def _lose(self, transmission, causes):
-        super()._lose(transmission, causes)
-        super()._lose(transmission, causes)
+    def lose(self, transmission, causes):
+        super().lose(transmission, causes)
+        super().lose(transmission, causes)
 
 
 SLOW = Links(latency=Constant(value=0.05))

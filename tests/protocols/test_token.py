@@ -20,7 +20,7 @@ from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.invariants import OneToken
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.medium import Bitrate, LoRa
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
@@ -515,7 +515,7 @@ def test_two_tokens_are_rare_while_messages_are_lost():
 THIN = {
     "a radio each": {"medium": Bitrate(bitrate=38_400.0)},
     "one channel": {"medium": Bitrate(bitrate=38_400.0, shared=True)},
-    "lora": {"preset": "lora_sf7"},
+    "lora": {"medium": LoRa(shared=True)},
 }
 NARROW = [(way, count) for way in ("a radio each", "one channel") for count in (5, 20)] + [("lora", 5)]
 

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from desim import run
 from desim.analysis.metrics import end_time
+from desim.kernel.access import CsmaCa
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.latency import Constant
 from desim.kernel.seeds import stream
@@ -267,3 +268,19 @@ def test_a_process_of_its_own_has_memory_and_time_of_its_own():
     held = bytearray(200_000_000)
     assert 0.0 < measuring.apart(measuring.memory, "VmHWM") < measuring.memory("VmRSS") - 0.5 * len(held)
     assert 0.0 < measuring.command("-c", "pass") < measuring.command("-c", "import time; time.sleep(0.5)")
+
+
+@pytest.mark.slow
+def test_contention_has_the_same_results_in_plain_simpy(monkeypatch):
+    """The share of messages that are delivered, in 8 runs each; the control is a window of 4 slots."""
+
+    def shares(deliver):
+        return np.array([delivered / sent for sent, delivered in (deliver(work, seed) for seed in range(8))])
+
+    monkeypatch.setattr(costs, "AIRTIME", 0.0009)
+    work = Workload("", nx.complete_graph(20), 600, LOGNORMAL)
+    ours, plain = shares(costs.contended), shares(costs.contended_in_simpy)
+    error = np.hypot(ours.std(ddof=1), plain.std(ddof=1)) / 8**0.5
+    assert abs(ours.mean() - plain.mean()) < 3 * error
+    monkeypatch.setattr(costs, "CsmaCa", lambda: CsmaCa(window=4))
+    assert shares(costs.contended).mean() < plain.mean() - 3 * error
