@@ -17,7 +17,7 @@ from desim.kernel.invariants import Conservation
 from scenarios.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new and more ones with --hypothesis-profile=explore.
-settings.register_profile("steady", deadline=None, derandomize=True, max_examples=40)
+settings.register_profile("steady", deadline=None, derandomize=True, max_examples=32)
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"

@@ -208,10 +208,13 @@ class LinkLayer:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
         for hear in self._listeners:
             hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
-        self._log.leave(transmission, causes, arrival)
+        if not self._is_certain:
+            self._log.leave(transmission, causes, arrival)
         if causes:
             self._log.lose(transmission, causes)
-        if draws and self._contends:
+        if self._is_certain and isinstance(content, Record):  # as in `_forward`, without the call: 1 % of a broadcast
+            self._records.schedule(content, reached, arrival, causes)
+        elif draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
             self._forward(transmission, reached, arrival, causes, airtime)
