@@ -45,7 +45,7 @@ class CarrierSense:
         model = access if isinstance(access, CarrierSensing) else CarrierSensing()
         self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
         self._known: dict[int, Integers] = {}
-        """The listeners of each node, if nodes do not move; up to `ROOM` numbers."""
+        """The listeners of each node, if there is no range; up to `ROOM` numbers."""
         if self._range is not None and positions is None:
             raise ValueError("network.medium.access: a sensing range needs positions")
 

@@ -93,7 +93,10 @@ class LinkLayer:
                 env, medium, topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )
         self._contends = isinstance(self._transmitter, Contention)
-        self._settles_on_arrival = checks_arrival or (medium.half_duplex and not self._contends)
+        # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
+        contends_with_faults = self._contends and fault_state is not None
+        uses_half_duplex = medium.half_duplex and not self._contends
+        self._settles_on_arrival = checks_arrival or uses_half_duplex or contends_with_faults
         self._is_certain = not (self._settles_on_arrival or self._contends) and fault_state is None and trace is None
         """Whether all outcomes are certain at transmission, and no trace needs them."""
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
@@ -208,13 +211,10 @@ class LinkLayer:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
         for hear in self._listeners:
             hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
-        if not self._is_certain:
-            self._log.leave(transmission, causes, arrival)
+        self._log.leave(transmission, causes, arrival)
         if causes:
             self._log.lose(transmission, causes)
-        if self._is_certain and isinstance(content, Record):  # as in `_forward`, without the call: 1 % of a broadcast
-            self._records.schedule(content, reached, arrival, causes)
-        elif draws and self._contends:
+        if draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
             self._forward(transmission, reached, arrival, causes, airtime)

@@ -15,7 +15,9 @@ from scipy.optimize import brentq
 from desim.kernel.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
 from desim.kernel.clock import SECOND, Clock, Instant, NodeClock, Phase
 from desim.kernel.events import Broadcast, Lost, Sent, Trace
+from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
+from desim.kernel.faults import Jamming, Partition
 from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.interference import CaptureEffect, Collision, LoRaInterference, Sinr
 from desim.kernel.invariants import Conservation, OneFrame
@@ -720,6 +722,28 @@ def test_a_receiver_that_is_down_at_the_end_of_a_frame_does_not_get_it():
     at(clock, 900, net.crash, 1)
     clock.run()
     assert losses(trace) == [(1000.0, 1, "crash")]
+
+
+@pytest.mark.parametrize(
+    ("fault", "lost"),
+    [
+        (
+            Partition(start=0.0004, end=0.002, groups=((0,), (1, 2))),
+            [(1000.0, 1, "partition"), (1000.0, 2, "partition")],
+        ),
+        (Jamming(start=0.0004, end=0.002, centre=(1.0, 0.0), radius=0.5), [(1000.0, 1, "jamming")]),
+        (Partition(start=0.0014, end=0.002, groups=((0,), (1, 2))), []),
+    ],
+    ids=["partition", "jamming", "later"],
+)
+def test_a_planned_fault_that_begins_while_a_frame_is_on_the_air_counts_at_its_arrival(fault, lost):
+    places = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    state = FaultState(positions=lambda: places)
+    clock, net, trace = network(Aloha(), 3, faults=state, positions=lambda: places)
+    inject([fault], clock, net)
+    net.publish(0, None, size=SIZE)
+    clock.run()
+    assert losses(trace) == lost
 
 
 # Every access method and model of interference.
