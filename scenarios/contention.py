@@ -1,7 +1,7 @@
-"""Where does talking more hurt? Pursuits over a contended channel, by protocol, access model and offered load.
+"""At which load do announcements hurt? Pursuits over a contended channel, by protocol, access model and offered load.
 
 The offered load is the airtime of the heartbeats of all pursuers as a share of the time. The study compares three
-protocols that announce actions, and a token ring, which sends no announcements: its pursuers hold the token for the
+protocols that announce actions, and a token ring, which sends no announcements: its pursuers hold the token for its
 airtime divided by the load. The channel is an ideal queue, or nodes contend for it by ALOHA, CSMA/CA or TDMA.
 
 In a game at rest, the study measures the mean age of information by heartbeat, beside the optimum in theory under
@@ -9,7 +9,7 @@ ALOHA. For LoRa at a duty cycle of 1 %, it counts the pursuits that are over bef
 second time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -24,13 +24,13 @@ from scenarios.contention_runs import (
     REFERENCE,
     TEAM_SIZES,
     Age,
+    LoRaPursuits,
     N,
     Pursuits,
-    Words,
     best_heartbeat,
     measure,
     measure_ages,
-    measure_words,
+    measure_lora,
 )
 from scenarios.study import Options, study
 
@@ -42,55 +42,49 @@ TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Ticks of the heartbeat, s."""
 
 
-def table(pursuits: Sequence[Pursuits], ages: Sequence[Age], words: Sequence[Words], runs: int) -> str:
+def table(pursuits: Sequence[Pursuits], ages: Sequence[Age], lora: Sequence[LoRaPursuits], runs: int) -> str:
     """Return all results as text."""
     what = f"{N} pursuers, {AIRTIME:g} s per announcement, {runs} runs, 95 % intervals"
+    about = "sum of active times, s, and its difference from that over an ideal queue; share of messages lost"
     cells = {(each.protocol, each.access, each.load): each for each in pursuits}
-    parts = []
-    for name in NAMES:
-        others = [access for access in ACCESSES if access != REFERENCE]
-        lines = [("load", "heartbeat", REFERENCE, *others, *(f"lost, {access}" for access in ACCESSES))]
-        for load in LOADS:
-            line = [cells[name, access, load] for access in ACCESSES]
-            here = cells[name, REFERENCE, load]
-            lines.append(
-                (
-                    f"{load:g}",
-                    f"{here.heartbeat:.3g} s",
-                    f"{here.active_time.mean:.1f} +- {here.active_time.half_width:.1f}",
-                    *(_signed(cells[name, access, load]) for access in others),
-                    *(f"{cell.lost:.0%}" for cell in line),
-                )
-            )
-        about = "sum of active times, s, and its difference from that over an ideal queue; share of messages lost"
-        parts.append(f"{name}: {about}: {what}\n{aligned(lines)}")
-    best = [("N", "theory, ALOHA", *ACCESSES)]
+    return "\n\n".join(
+        [
+            *(f"{name}: {about}: {what}\n{_pursuits(name, cells)}" for name in NAMES),
+            f"Heartbeat with the least mean age of information, of those tried, with jitter {JITTER}\n{_best(ages)}",
+            f"LoRa, local_min: {N} pursuers, {runs} runs\n{_lora(lora)}",
+        ]
+    )
+
+
+def _pursuits(name: str, cells: Mapping[tuple[str, str, float], Pursuits]) -> str:
+    others = [access for access in ACCESSES if access != REFERENCE]
+    lines = [("load", "heartbeat", REFERENCE, *others, *(f"lost, {access}" for access in ACCESSES))]
+    for load in LOADS:
+        here = cells[name, REFERENCE, load]
+        active = f"{here.active_time.mean:.1f} +- {here.active_time.half_width:.1f}"
+        differences = [_signed(cells[name, access, load]) for access in others]
+        lost = [f"{cells[name, access, load].lost:.0%}" for access in ACCESSES]
+        lines.append((f"{load:g}", f"{here.heartbeat:.3g} s", active, *differences, *lost))
+    return aligned(lines)
+
+
+def _best(ages: Sequence[Age]) -> str:
+    lines = [("N", "theory, ALOHA", *ACCESSES)]
     for size in TEAM_SIZES:
         measured = [[each for each in _of(ages, access, size) if isfinite(each.age.mean)] for access in ACCESSES]
-        of_size = [min(line, key=lambda each: each.age.mean) for line in measured]
-        best.append(
-            (
-                str(size),
-                f"{best_heartbeat(size):.2f} s",
-                *(f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in of_size),
-            )
-        )
-    parts.append(
-        f"Heartbeat with the least mean age of information, of those tried, with jitter {JITTER}\n{aligned(best)}"
-    )
-    lora = [("SF", "airtime", "interval at 1 %", "pursuit takes", "over before the second")]
-    lora += [
-        (
-            str(each.spreading_factor),
-            f"{each.airtime:.3f} s",
-            f"{each.interval:.1f} s",
-            f"{each.end_time.mean:.1f} +- {each.end_time.half_width:.1f} s",
-            f"{each.over:.0%}",
-        )
-        for each in words
-    ]
-    parts.append(f"LoRa, local_min: {N} pursuers, {runs} runs\n{aligned(lora)}")
-    return "\n\n".join(parts)
+        best = [min(line, key=lambda each: each.age.mean) for line in measured]
+        found = [f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in best]
+        lines.append((str(size), f"{best_heartbeat(size):.2f} s", *found))
+    return aligned(lines)
+
+
+def _lora(pursuits: Sequence[LoRaPursuits]) -> str:
+    lines = [("SF", "airtime", "shortest interval", "pursuit takes", "over before the second")]
+    for each in pursuits:
+        takes = f"{each.end_time.mean:.1f} +- {each.end_time.half_width:.1f} s"
+        line = str(each.spreading_factor), f"{each.airtime:.3f} s", f"{each.interval:.1f} s", takes, f"{each.over:.0%}"
+        lines.append(line)
+    return aligned(lines)
 
 
 def _signed(cell: Pursuits) -> str:
@@ -156,14 +150,14 @@ def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
 @study("contention", __doc__, runs=20)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
-    pursuits, ages, words = measure(options), measure_ages(options), measure_words(options)
+    pursuits, ages, lora = measure(options), measure_ages(options), measure_lora(options)
     document = {
         "pursuits": [asdict(each) for each in pursuits],
         "ages": [asdict(each) for each in ages],
         "best_heartbeats": {str(size): best_heartbeat(size) for size in TEAM_SIZES},
-        "lora": [asdict(each) for each in words],
+        "lora": [asdict(each) for each in lora],
     }
-    options.show(document, table(pursuits, ages, words, options.runs), lambda: picture(pursuits, ages))
+    options.show(document, table(pursuits, ages, lora, options.runs), lambda: picture(pursuits, ages))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from desim.analysis.metrics import active_time, captured, end_time, messages
 from desim.analysis.statistics import Estimate, estimate
 from desim.kernel.access import Aloha, CsmaCa, Ideal, Tdma
 from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.medium import Bitrate, LoRa
 from desim.pursuit.announcements import Announcements
 from desim.scenario.scenario import Motion, Recording, Team
 from protocols.cbba import CBBA
@@ -28,7 +28,7 @@ from scenarios.study import Options
 N = 10
 BITRATE = 19_200.0
 """bit/s"""
-AIRTIME = 0.01
+AIRTIME = 8.0 * 24 / BITRATE
 """Airtime of an announcement of 24 bytes, s."""
 LOADS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Offered loads G: the airtime of the heartbeats of all pursuers, as a share of the time; for a token, its airtime."""
@@ -47,19 +47,18 @@ NAMES = (*PROTOCOLS, TOKEN)
 LONGEST: Mapping[str, int] = MappingProxyType({"SAP": 24, "local_min": 24, "CBBA": 120, TOKEN: 368})
 """The number of bytes of the longest message of each protocol in a team of `N`: of CBBA and a token, of all claims."""
 CSMA_CA = CsmaCa(slot=0.0005, sifs=0.0005, difs=0.001, window=16, ack=0.003, sensing_delay=0.0002)
-ACCESSES: Mapping[str, Any] = MappingProxyType(
-    {"ideal queue": Ideal(), "ALOHA": Aloha(), "CSMA/CA": CSMA_CA, "TDMA": Tdma()}
-)
 REFERENCE = "ideal queue"
-"""The access models, and the one to which others are compared. The slots of TDMA are as long as the longest message of
-the protocol."""
+"""The access model with which the others are compared."""
+ACCESSES: Mapping[str, Any] = MappingProxyType(
+    {REFERENCE: Ideal(), "ALOHA": Aloha(), "CSMA/CA": CSMA_CA, "TDMA": Tdma()}
+)
+"""The access models; the slots of TDMA are as long as the longest message of the protocol."""
 TEAM_SIZES = (5, 10, 20)
 FACTORS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0)
 """Heartbeats of the measurement of ages, relative to 2 (N - 1) T."""
 AGE_DURATION = 40
 """Duration of a measurement of ages, in periods of 2 (N - 1) T."""
 SPREADING_FACTORS = tuple(range(7, 13))
-DUTY_CYCLE = 0.01
 
 
 @dataclass(frozen=True)
@@ -91,14 +90,14 @@ class Age:
 
 
 @dataclass(frozen=True)
-class Words:
-    """How often a pursuer of a LoRa network may announce its action, and how long a pursuit takes."""
+class LoRaPursuits:
+    """The shortest time between two announcements in a LoRa network, and the duration of the pursuits."""
 
     spreading_factor: int
     airtime: float
     """Airtime of an announcement, s."""
     interval: float
-    """Time between two announcements at a duty cycle of 1 %, s."""
+    """Shortest time between two announcements at the duty cycle of the preset, s."""
     end_time: Estimate
     over: float
     """Share of the pursuits that end within `interval`."""
@@ -112,7 +111,7 @@ def airtime(size: int) -> float:
 def links(access: str, longest: int) -> Links:
     """Return links with an access model, given the number of bytes of the longest message."""
     model = Tdma(slot=airtime(longest)) if access == "TDMA" else ACCESSES[access]
-    return Links(medium=Bitrate(bitrate=BITRATE, shared=access == "ideal queue", queue_limit=1, access=model))
+    return Links(medium=Bitrate(bitrate=BITRATE, shared=access == REFERENCE, queue_limit=1, access=model))
 
 
 def heartbeat(protocol: str, load: float) -> float:
@@ -193,7 +192,7 @@ def measure_ages(options: Options) -> list[Age]:
     return [Age(*key, estimate(values)) for key, values in zip(keys, runs, strict=True)]
 
 
-def measure_words(options: Options) -> list[Words]:
+def measure_lora(options: Options) -> list[LoRaPursuits]:
     """Measure how many pursuits end before a pursuer of a LoRa network may announce a second time."""
     scenarios = [
         _scenario(PROTOCOLS["local_min"], Announcements(heartbeat=1.0, jitter=JITTER), Links(preset=f"lora_sf{sf}"))
@@ -202,7 +201,10 @@ def measure_words(options: Options) -> list[Words]:
     found = []
     runs = options.measure(scenarios, "LoRa", end_time)
     for sf, scenario, times in zip(SPREADING_FACTORS, scenarios, runs, strict=True):
-        interval = scenario.announcement_airtime / DUTY_CYCLE
+        medium = scenario.network.medium
+        assert isinstance(medium, LoRa)
+        assert medium.duty_cycle is not None
+        interval = scenario.announcement_airtime / medium.duty_cycle
         over = sum(time < interval for time in times) / len(times)
-        found.append(Words(sf, scenario.announcement_airtime, interval, estimate(times), over))
+        found.append(LoRaPursuits(sf, scenario.announcement_airtime, interval, estimate(times), over))
     return found

@@ -1,4 +1,4 @@
-"""What is decided about a transmission when it starts: where it is lost, and where it certainly arrives.
+"""The losses of a transmission that are known when it starts, and the arrivals that are certain then.
 
 Planned faults leave the arrivals at a node that is up certain until the next of them begins or ends, except while a
 disc is jammed, because nodes may move into the disc.
