@@ -3,7 +3,7 @@
 import ctypes
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from linecache import getline
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread, get_ident
@@ -51,7 +51,7 @@ def within(limit: float) -> Iterator[None]:
     """
     checked_limit(limit)
     set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), get_ident()
-    is_late = False
+    is_late = is_over = False
 
     class Raised(TimedOut):
         def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
@@ -71,10 +71,12 @@ def within(limit: float) -> Iterator[None]:
     watcher = Thread(target=watch, daemon=True)
 
     def end() -> None:
+        nonlocal is_over
         over.set()
         if watcher.is_alive():
             watcher.join()
         set_exception(ctypes.c_ulong(thread), None)
+        is_over = True
 
     try:
         try:
@@ -83,7 +85,9 @@ def within(limit: float) -> Iterator[None]:
         finally:
             end()
     except BaseException as error:
-        end()  # again: the exception may have interrupted the first call; while it propagates, no other is raised
+        while not is_over:
+            with suppress(Raised):  # the watching thread may have raised another just before the first was handled
+                end()
         if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
             raise
         is_described = isinstance(error, TimedOut) and not isinstance(error, Raised)
