@@ -3,19 +3,18 @@
 All arrivals of a transmission that are due at the same instant share one SimPy event, which decides their outcomes.
 
 A record that reaches its receivers at different times needs no event, because, unlike a message to an inbox, it wakes
-no process. Its arrivals are kept, and their outcomes are decided together before the next read, the next change of the
-faults, or the next change of the motion of a node. Until then, an outcome does not depend on when it is decided. With
-40 nodes and lognormal latencies, a simulation with a range check at delivery runs 7.8 times as fast as with an event
-per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each loss at its time,
-if there may be faults that are not planned, or if the source of the positions does not know past positions
-(`PositionSource.looks_back`).
+no process. Its arrivals are kept. Those at a node are decided together before the node next reads, and those at all
+nodes before the next change of the faults or of the motion of a node. Until then, an outcome does not depend on when it
+is decided. With 40 nodes and lognormal latencies, a simulation with a range check at delivery runs 8 times as fast as
+with an event per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each
+loss at its time, if there may be faults that are not planned, or if the source of the positions does not know past
+positions (`PositionSource.looks_back`).
 """
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from itertools import compress, repeat
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import repeat
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,15 +23,13 @@ from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
-from desim.kernel.records import Arrival, Record, Records, per_receiver
+from desim.kernel.records import Arrival, Record, Records, pairs, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 
-if TYPE_CHECKING:
-    import simpy
-
-MAX_FRESH = 100_000
-"""Number of arrivals, kept since the last decision, above which the due ones are decided without waiting for a read."""
+_new = tuple.__new__  # creates a named tuple in a third of the time
+MAX_KEPT = 100_000
+"""Number of kept arrivals above which the due ones are decided without waiting for a read."""
 MANY = 1000
 """Length from which a list is searched for items that are no longer needed."""
 
@@ -61,96 +58,65 @@ Lose = Callable[[Transmission, Mapping[int, Cause]], object]
 """A function that counts the losses of a transmission, given their causes by receiver."""
 
 
-PerArrival = int | Integers
-"""One integer for all arrivals, or one for each."""
+class _Flight(NamedTuple):
+    """A transmission and its airtime, ns."""
 
-
-class _Batch(NamedTuple):
-    """k arrivals; times in ns."""
-
-    node: Integers
-    """(k,) the receivers."""
-    time: PerArrival
-    """The time of the arrival."""
-    src: PerArrival
-    """The sender."""
-    number: PerArrival
-    """The number of the transmission."""
-    begin: PerArrival
-    """The start of the airtime."""
-    end: PerArrival
-    """The end of the airtime."""
+    transmission: Transmission
+    airtime: int
 
 
 class KeptArrivals:
     """Arrivals that are kept until their outcomes are decided together.
 
     Attributes:
-        first: the time of the first arrival, ns; inf if there is none.
+        first: by node, the time of its first kept arrival, ns; inf if there is none.
+
+    Args:
+        size: number of nodes.
     """
 
-    def __init__(self) -> None:
-        self.first: float = inf
-        self._fresh: list[tuple[Transmission, list[int], list[int], int, int]] = []
-        """The transmissions since the last decision: with receivers, arrival times, start and end of the airtime."""
-        self._fresh_count = 0
-        """Number of arrivals in `_fresh`."""
-        self._flights: list[Transmission] = []
-        self._of_flight = np.empty((4, 0), dtype=np.int64)
-        """Of each transmission in `_flights`: sender, number, start and end of the airtime."""
-        self._older = np.empty((3, 0), dtype=np.int64)
-        """Of each arrival that is not in `_fresh`: index in `_flights`, receiver, time."""
-        self._compact_at = MANY
-        """Length of `_flights` at which items that are no longer needed are removed."""
+    def __init__(self, size: int) -> None:
+        self.first = [inf] * size
+        self._of_node: list[list[Any]] = [[] for _ in range(size)]
+        """By node, a flat list in the order of transmission: time, flight, time, flight ..."""
+        self._count, self._max_count = 0, MAX_KEPT
 
     def __len__(self) -> int:
-        return self._older.shape[1] + self._fresh_count
+        return self._count
 
-    def add(self, transmission: Transmission, nodes: list[int], times: list[int], begin: int, end: int) -> bool:
-        """Keep the arrivals of a transmission at some nodes; return whether there are so many that they should land.
+    def add(self, flight: _Flight, nodes: list[int], times: list[int]) -> bool:
+        """Keep the arrivals (times in ns) at some nodes; return whether so many are kept that they should land."""
+        first, of_node = self.first, self._of_node
+        for node, when in zip(nodes, times, strict=True):
+            kept = of_node[node]
+            kept.append(when)
+            kept.append(flight)
+            if when < first[node]:
+                first[node] = when
+        self._count += len(nodes)
+        return self._count > self._max_count
 
-        Args:
-            transmission: the transmission.
-            nodes: the receivers; at least one.
-            times: the arrival times, ns.
-            begin: the start of the airtime, ns.
-            end: the end of the airtime, ns.
-        """
-        self._fresh.append((transmission, nodes, times, begin, end))
-        self._fresh_count += len(nodes)
-        self.first = min(self.first, *times)
-        return self._fresh_count > MAX_FRESH
-
-    def take(self, until: int) -> tuple[list[Transmission], _Batch]:
-        """Remove and return the arrivals up to and including a time (ns), with the transmission of each."""
-        older = self._with_fresh()
-        due = older[2] <= until
-        landing, self._older = older[:, due], older[:, ~due]
-        self.first = int(self._older[2].min()) if self._older.size else inf
-        flights = [self._flights[flight] for flight in landing[0].tolist()]
-        batch = _Batch(landing[1], landing[2], *self._of_flight[:, landing[0]])
-        if len(self._flights) > self._compact_at:
-            used, self._older[0] = np.unique(self._older[0], return_inverse=True)
-            self._flights = [self._flights[flight] for flight in used.tolist()]
-            self._of_flight = self._of_flight[:, used]
-            self._compact_at = 2 * len(used) + MANY
-        return flights, batch
-
-    def _with_fresh(self) -> Integers:
-        """Return all kept arrivals in the form of `_older`; transmissions in `_fresh` are moved to `_flights`."""
-        if not self._fresh:
-            return self._older
-        columns: tuple[list[int], list[int], list[int]] = [], [], []
-        of_flight = []
-        for transmission, nodes, arrival, begin, end in self._fresh:
-            columns[0].extend([len(self._flights)] * len(nodes))
-            columns[1].extend(nodes)
-            columns[2].extend(arrival)
-            self._flights.append(transmission)
-            of_flight.append((transmission.src, transmission.number, begin, end))
-        self._fresh, self._fresh_count = [], 0
-        self._of_flight = np.concatenate((self._of_flight, np.array(of_flight).T), axis=1)
-        return np.concatenate((self._older, np.array(columns)), axis=1)
+    def take(self, nodes: Iterable[int], until: int) -> tuple[list[int], list[int], list[_Flight]]:
+        """Remove the arrivals at some nodes up to and including a time, ns; return receivers, times and flights."""
+        receivers: list[int] = []
+        times: list[int] = []
+        flights: list[_Flight] = []
+        for node in nodes:
+            if self.first[node] > until:
+                continue
+            later: list[Any] = []
+            for when, flight in pairs(self._of_node[node]):
+                if when <= until:
+                    receivers.append(node)
+                    times.append(when)
+                    flights.append(flight)
+                else:
+                    later.append(when)
+                    later.append(flight)
+            self._of_node[node], self.first[node] = later, min(later[::2], default=inf)
+        self._count -= len(flights)
+        self._max_count = max(self._max_count, self._count + MAX_KEPT)
+        return receivers, times, flights
 
 
 class Arrivals:
@@ -201,11 +167,11 @@ class Arrivals:
         """The numbers of the transmissions whose sender crashed while it transmitted."""
         self._with_events = 0
         """Number of arrivals that have an event."""
-        self.kept = KeptArrivals()
+        self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
         self._at_downed: list[tuple[int, Transmission, int]] = []
         """Losses that are certain, at nodes that are down: time, transmission and receiver."""
-        self._count_at = MANY
-        """Length of `_at_downed` at which items that are no longer needed are removed."""
+        self._count_at = self._forget_at = MANY
+        """Lengths of `_at_downed` and of `transmitter.recent` at which items that are no longer needed are removed."""
 
     def crash(self, node: int) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
@@ -219,23 +185,31 @@ class Arrivals:
 
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
-        begin, end = self._env.now, self._env.now + airtime
-        nodes_by_time: dict[int, list[int]] = {}
+        if not nodes:
+            return
+        now, flight = self._env.now, _new(_Flight, (transmission, airtime))
         if self._transmitter is not None:
-            self._on_air[transmission.src] = transmission.number, end
-            self._transmitter.forget(min(self.kept.first, begin))
+            self._on_air[transmission.src] = transmission.number, now + airtime
+            if len(self._transmitter.recent) > self._forget_at:
+                self._transmitter.forget(min(now, *self.kept.first))
+                self._forget_at = 2 * len(self._transmitter.recent) + MANY
         if isinstance(arrival, int):
-            nodes_by_time = {arrival: nodes} if nodes else {}
-        elif nodes and self._can_wait(transmission):
-            if self.kept.add(transmission, nodes, arrival, begin, end):
+            self._land_at(arrival, flight, nodes, is_only=True)
+        elif self._can_wait(transmission):
+            if self.kept.add(flight, nodes, arrival):
                 self.settle()
         else:
+            nodes_by_time: dict[int, list[int]] = {}
             for node, when in zip(nodes, arrival, strict=True):
                 nodes_by_time.setdefault(when, []).append(node)
-        for when, here in nodes_by_time.items():
-            land = partial(self._land, transmission, here, begin, end, is_only=len(nodes_by_time) == 1)
-            Instant(self._env, when, Phase.DELIVERY).callbacks.append(land)
-            self._with_events += len(here)
+            for when, here in nodes_by_time.items():
+                self._land_at(when, flight, here, is_only=len(nodes_by_time) == 1)
+
+    def _land_at(self, when: int, flight: _Flight, nodes: list[int], *, is_only: bool) -> None:
+        """Schedule the arrival of a transmission at some nodes at a time, ns; `is_only`: see `_land`."""
+        land = Instant(self._env, when, Phase.DELIVERY)
+        land.callbacks.append(lambda _: self._land(flight, nodes, is_only=is_only))
+        self._with_events += len(nodes)
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
         """Lose a transmission at some nodes that will still be down at its arrival times (ns); count each loss then."""
@@ -258,87 +232,116 @@ class Arrivals:
                 self._lose(transmission, {node: "crash"})
         self._at_downed = [each for each in self._at_downed if each[0] > now]
 
-    def settle_for_reader(self) -> None:
-        """Decide the kept arrivals up to and including this instant.
+    def settle_for_reader(self, node: int | None = None) -> None:
+        """Decide the kept arrivals at a node, or at all (None), up to and including this instant.
 
         If a fault has yet to begin or end at this instant, the arrivals at this instant are not decided.
         """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
-        self.settle(now - 1 if changes else now)
+        self._settle(now - 1 if changes else now, self._all if node is None else (node,))
 
-    def settle(self, until: int | None = None) -> None:
-        """Decide the kept arrivals up to and including a time (ns); by default, those before this instant."""
-        until = self._env.now - 1 if until is None else until
-        if until < self.kept.first:
+    def settle(self) -> None:
+        """Decide the kept arrivals before this instant."""
+        if self.kept and min(self.kept.first) < self._env.now:
+            self._settle(self._env.now - 1, self._all)
+
+    def _settle(self, until: int, nodes: Iterable[int]) -> None:
+        receivers, times, flights = self.kept.take(nodes, until)
+        if not flights:
             return
-        flights: Any  # only records are kept
-        flights, batch = self.kept.take(until)
-        nodes, times = batch.node.tolist(), np.asarray(batch.time).tolist()
-        causes = self._causes(batch)
-        if causes is not None:
-            for flight, node, cause in zip(flights, nodes, causes, strict=True):
-                if cause is not None:
-                    self._lose(flight, {node: cause})
-            arrived = [cause is None for cause in causes]
-            flights = list(compress(flights, arrived))
-            nodes, times = list(compress(nodes, arrived)), list(compress(times, arrived))
-        self._records.receive(nodes, times, [flight.content for flight in flights])
+        causes = self._causes(receivers, times, flights)
+        if causes:
+            for k, cause in causes.items():
+                self._lose(flights[k].transmission, {receivers[k]: cause})
+            arrived = [k for k in range(len(flights)) if k not in causes]
+            receivers, times = [receivers[k] for k in arrived], [times[k] for k in arrived]
+            flights = [flights[k] for k in arrived]
+        contents: Any = [flight.transmission.content for flight in flights]  # only records are kept
+        self._records.receive(receivers, times, contents)
 
     def _can_wait(self, transmission: Transmission) -> bool:
         """Return whether the outcome of a transmission may be decided after its arrival."""
         faults = self._fault_state
         return not self._at_once and isinstance(transmission.content, Record) and (faults is None or faults.looks_back)
 
-    def _land(
-        self, transmission: Transmission, nodes: list[int], begin: int, end: int, _: "simpy.Event", *, is_only: bool
-    ) -> None:
+    def _land(self, flight: _Flight, nodes: list[int], *, is_only: bool) -> None:
         """Deliver or lose a transmission at each of some nodes now; `is_only`: it arrives at no other time."""
-        now, reached = self._env.now, nodes
+        now, transmission = self._env.now, flight.transmission
+        content, receivers = transmission.content, transmission.receivers
         self._with_events -= len(nodes)
-        receivers = np.array(nodes, dtype=np.int64)
-        causes = self._causes(_Batch(receivers, now, transmission.src, transmission.number, begin, end))
-        if causes is not None:
-            fates = list(zip(nodes, causes, strict=True))
-            self._lose(transmission, {node: cause for node, cause in fates if cause is not None})
-            reached = [node for node, cause in fates if cause is None]
-        if isinstance(transmission.content, Record):
-            unreached = set(transmission.receivers).difference(reached) if is_only else ()
-            self._records.insert(reached, transmission.content, unreached)
+        causes = self._causes(nodes, now, flight)
+        lost = {nodes[k]: causes[k] for k in sorted(causes)}
+        if lost:
+            self._lose(transmission, lost)
+        if is_only and isinstance(content, Record):
+            unreached = lost if len(nodes) == len(receivers) else {*set(receivers).difference(nodes), *lost}
+            if self._records.share(content, len(receivers), now, unreached):
+                return
+        reached = [node for node in nodes if node not in lost] if lost else nodes
+        if isinstance(content, Record):
+            self._records.insert(reached, content)
         else:
-            deliver(transmission.content, self._inboxes.at(transmission.port), reached, now, transmission.number)
+            deliver(content, self._inboxes.at(transmission.port), reached, now, transmission.number)
 
-    def _causes(self, batch: _Batch) -> list[Cause | None] | None:
-        """Return a list with the cause of the loss of each of k arrivals, or None in place of a cause if it succeeds.
+    def _causes(self, nodes: list[int], times: int | list[int], flights: _Flight | list[_Flight]) -> dict[int, Cause]:
+        """Return the cause of the loss of each of k arrivals that is lost, by its index.
 
-        If all arrivals succeed, return None instead of a list.
         If an arrival has several causes, the last in this order counts: half duplex, range, jamming, partition, crash.
+
+        Args:
+            nodes: (k,) the receivers.
+            times: the times of the arrivals, ns, one for all or (k,).
+            flights: what arrives, one for all or (k,).
         """
-        losses: list[tuple[Cause, list[bool] | None]] = []
-        causes: list[Cause | None] | None = None
+        causes: dict[int, Cause] = {}
         if self._transmitter is not None:
-            received = batch.time - self._processing
-            start = received - (batch.end - batch.begin)
-            losses.append(("half_duplex", self._transmitter.transmitting(batch.node, start, received)))
+            causes = dict.fromkeys(self._while_transmitting(nodes, times, flights), "half_duplex")
+        if not self._checks_range and self._fault_state is None:
+            return causes
+        src, number = _of_each(flights, lambda each: each.src), _of_each(flights, lambda each: each.number)
+        when = times if isinstance(times, int) else np.array(times)
+        losses: list[tuple[Cause, list[bool] | None]] = []
         if self._checks_range:
-            reached = self._topology.reaches(batch.src, batch.node, batch.number, batch.time)
+            reached = self._topology.reaches(src, nodes, number, when)
             losses.append(("out_of_range", [not each for each in reached]))
         if (faults := self._fault_state) is not None:
-            losses.append(("jamming", faults.jammed(batch.node, batch.time)))
-            losses.append(("partition", faults.separated(batch.src, batch.node)))
-            losses.append(("crash", self._crashed(batch)))
+            losses.append(("jamming", faults.jammed(nodes, when)))
+            losses.append(("partition", faults.separated(src, nodes)))
+            losses.append(("crash", self._crashed(nodes, number)))
         for cause, lost in losses:
             if lost is not None and True in lost:
-                before = causes or [None] * len(lost)
-                causes = [cause if is_lost else other for is_lost, other in zip(lost, before, strict=True)]
+                causes |= dict.fromkeys((k for k, is_lost in enumerate(lost) if is_lost), cause)
         return causes
 
-    def _crashed(self, batch: _Batch) -> list[bool] | None:
+    def _while_transmitting(
+        self, nodes: list[int], times: int | list[int], flights: _Flight | list[_Flight]
+    ) -> Iterator[int]:
+        """Yield the index of each arrival whose receiver transmitted during the reception; see `_causes`."""
+        assert self._transmitter is not None
+        lag = self._processing
+        earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
+        own = self._transmitter.during(earliest - lag, latest - lag)
+        if not own:
+            return
+        for k in [k for k, node in enumerate(nodes) if node in own]:
+            end = (times if isinstance(times, int) else times[k]) - lag
+            flight = flights if isinstance(flights, _Flight) else flights[k]
+            if any(begin < end < until + flight.airtime for begin, until in own[nodes[k]]):
+                yield k
+
+    def _crashed(self, nodes: list[int], number: int | Integers) -> list[bool] | None:
         """Return k booleans: whether the receiver is down or the sender crashed while sending; None: all False."""
         assert self._fault_state is not None
         down, cut_short = self._fault_state.down_nodes, self._cut_short
         if not down and not cut_short:
             return None
-        nodes = batch.node.tolist()
-        numbers = repeat(batch.number) if isinstance(batch.number, int) else batch.number.tolist()
+        numbers = repeat(number) if isinstance(number, int) else number.tolist()
         return [node in down or number in cut_short for node, number in zip(nodes, numbers, strict=False)]
+
+
+def _of_each(flights: _Flight | list[_Flight], number: Callable[[Transmission], int]) -> int | Integers:
+    """Return a number of one transmission, or of each of k: (k,)."""
+    if isinstance(flights, _Flight):
+        return number(flights.transmission)
+    return np.array([number(transmission) for transmission, _ in flights])

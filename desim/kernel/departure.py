@@ -8,8 +8,6 @@ from collections.abc import Callable
 from itertools import compress
 from typing import NamedTuple
 
-import numpy as np
-
 from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
@@ -80,7 +78,7 @@ class Departure:
         (node,), faults = transmission.receivers, self._fault_state
         if faults is not None and faults.down(node):
             return "crash"
-        if faults is not None and faults.jammed(np.array([node]), self._env.now) == [True]:
+        if faults is not None and faults.jammed([node], self._env.now) == [True]:
             return "jamming"
         src, topology = transmission.src, self._topology
         if not (topology.are_linked(src, node) and topology.reaches(src, [node], draw)[0]):

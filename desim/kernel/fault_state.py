@@ -107,7 +107,7 @@ class FaultState:
         pairs = list(zip(senders, here, strict=True))
         return [any(cut.get(one, -1) != cut.get(other, -1) for cut in self._cuts) for one, other in pairs]
 
-    def jammed(self, nodes: Integers, times: int | Integers) -> list[bool] | None:
+    def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[bool] | None:
         """Return k booleans: whether each node was, at its time, within a disc that is jammed now; None: all False.
 
         Args:
@@ -116,7 +116,7 @@ class FaultState:
         """
         if not self._jams or self._positions is None:
             return None
-        x, y = self._positions.at(nodes, times).T
+        x, y = self._positions.at(np.asarray(nodes), times).T
         within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
         inside: list[bool] = (within[0] if len(within) == 1 else np.any(within, axis=0)).tolist()
         return inside

@@ -93,7 +93,7 @@ class Network:
             seed,
         )
         self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
-        self._kept = self._arrivals.kept
+        self._first_kept = self._arrivals.kept.first
         self._seq = [0] * self._size
 
     # Operations of nodes.
@@ -179,8 +179,8 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if self._kept.first <= self._env.now:
-            self._arrivals.settle_for_reader()
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
@@ -191,8 +191,8 @@ class Network:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if self._kept.first <= self._env.now:
-            self._arrivals.settle_for_reader()
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:

@@ -236,14 +236,9 @@ class Records:
         self._relayed.add(node)
         self.insert([node], record)
 
-    def insert(self, nodes: list[int], record: Record, unreached: Collection[int] = ()) -> None:
-        """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it.
-
-        The nodes `unreached` do not get the record by this call.
-        """
+    def insert(self, nodes: list[int], record: Record) -> None:
+        """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""
         now, waiting = self._env.now, self._waiting
-        if self.share(record, len(nodes) + len(unreached), now, unreached):
-            return
         for node in nodes:
             waiting[node] += now, record
         self._out_of_order.update(nodes)
@@ -295,7 +290,7 @@ class Records:
         own = sum(
             arrival > now
             for pending in chain(self._waiting, self._still_in_flight.values())
-            for arrival, _ in _pairs(pending)
+            for arrival, _ in pairs(pending)
         )
         shared = [record for arrival, record in self._shared.waiting if arrival > now]
         return own + sum(self._size - 1 - self._shared.unreached(record) for record in shared)
@@ -318,13 +313,13 @@ class Records:
         predicate = self._predicate
         still_in_flight = self._still_in_flight.pop(node, [])
         if node in self._relayed:
-            still_in_flight, fresh = self._move_in_any_order(node, _pairs(still_in_flight + fresh)), []
+            still_in_flight, fresh = self._move_in_any_order(node, pairs(still_in_flight + fresh)), []
         elif node in self._out_of_order:
-            still_in_flight, fresh = self._move_newer(node, _pairs(still_in_flight + fresh)), []
+            still_in_flight, fresh = self._move_newer(node, pairs(still_in_flight + fresh)), []
             self._out_of_order.remove(node)  # records of later transmissions are newer
         elif still_in_flight:
-            still_in_flight = self._move_newer(node, _pairs(still_in_flight))
-        for arrival, record in _pairs(fresh):
+            still_in_flight = self._move_newer(node, pairs(still_in_flight))
+        for arrival, record in pairs(fresh):
             if arrival > now:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
@@ -402,7 +397,7 @@ def per_receiver(arrival: Arrival, receivers: int) -> Iterable[int]:
     return repeat(arrival, receivers) if isinstance(arrival, int) else arrival
 
 
-def _pairs(flat: list[Any]) -> Iterator[TimedRecord]:
-    """Return the pairs (arrival, record) of a flat list."""
+def pairs(flat: list[Any]) -> Iterator[tuple[int, Any]]:
+    """Return the pairs (time, item) of a flat list."""
     items = iter(flat)
     return zip(items, items, strict=True)

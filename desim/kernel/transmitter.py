@@ -4,13 +4,12 @@ A node transmits one message at a time; further messages wait in a FIFO queue. O
 queue: ideal medium access without overhead or collisions.
 """
 
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
-import numpy as np
-
-from desim.config.arrays import Integers
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.medium import Medium
 
@@ -62,6 +61,9 @@ class Transmitter(Generic[Item]):
         drop: called when a waiting transmission is dropped.
         lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long after the end of
             its reception; its outcome is decided at its arrival or later.
+
+    Attributes:
+        recent: for half duplex, start (ns), end (ns) and node of the recent transmissions, by start.
     """
 
     def __init__(
@@ -80,8 +82,7 @@ class Transmitter(Generic[Item]):
         self._waiting: list[deque[Item]] = [deque() for _ in range(self.channels)]
         self._free_at = [0] * self.channels
         self._busy = 0
-        self._recent: deque[tuple[int, int, int]] = deque()
-        """For half duplex: start (ns), end (ns) and node of the recent transmissions, by start."""
+        self.recent: list[tuple[int, int, int]] = []
         self._lag, self._longest = lag, 0
 
     def enqueue(self, item: Item) -> None:
@@ -115,30 +116,25 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def transmitting(self, nodes: Integers, starts: int | Integers, ends: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether each of some nodes transmitted while it received a message; None: all False.
+    def during(self, first: int, last: int) -> dict[int, list[tuple[int, int]]]:
+        """Return start and end of each recent transmission that may concern receptions, by node.
 
         Args:
-            nodes: (k,) the receivers.
-            starts: starts of the receptions, ns, one for all or (k,). The messages must not arrive before the last time
-                given to `forget`.
-            ends: ends of the receptions, ns, one for all or (k,).
+            first: the earliest end of a reception, ns; not before the last time given to `forget`.
+            last: the latest end of a reception, ns.
         """
-        if not self._recent:
-            return None
-        first = starts if isinstance(starts, int) else starts.min()
-        last = ends if isinstance(ends, int) else ends.max()
-        found = np.zeros(len(nodes), dtype=bool)
-        for begin, end, node in self._recent:
-            if begin < last and end > first:
-                found |= (nodes == node) & (starts < end) & (ends > begin)
-        answer: list[bool] = found.tolist()
-        return answer
+        found: dict[int, list[tuple[int, int]]] = {}
+        # A reception began at most the longest airtime before its end, and so did a transmission that overlaps it.
+        since = bisect_left(self.recent, (first - 2 * self._longest,))
+        for begin, end, node in islice(self.recent, since, None):
+            if begin >= last:
+                break
+            found.setdefault(node, []).append((begin, end))
+        return found
 
     def forget(self, before: float) -> None:
         """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""
-        while self._recent and self._recent[0][0] < before - 2 * self._longest - self._lag:
-            self._recent.popleft()
+        del self.recent[: bisect_left(self.recent, (before - 2 * self._longest - self._lag,))]
 
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))
@@ -146,7 +142,7 @@ class Transmitter(Generic[Item]):
         self._busy += airtime
         if self._medium.half_duplex and not self._medium.shared:
             self._longest = max(self._longest, airtime)
-            self._recent.append((now, now + airtime, item.src))
+            self.recent.append((now, now + airtime, item.src))
         self._leave(item, airtime)
 
     def _await_turn(self, channel: int) -> None:

@@ -448,7 +448,7 @@ class Tidy(Arrivals):
     """It looks for what is no longer needed at every transmission."""
 
     def schedule(self, *given):
-        self.kept._compact_at = self._count_at = 1
+        self._forget_at = self._count_at = 1
         super().schedule(*given)
         self.settle()
 
@@ -521,9 +521,8 @@ class Careless(OnArrival):
 class Forgetful(Arrivals):
     """It decides nothing before a change."""
 
-    def settle(self, until=None):
-        if until is not None:
-            super().settle(until)
+    def settle(self):
+        pass
 
 
 @pytest.mark.own_trace

@@ -40,9 +40,10 @@ def differs(seed, relays):
             undecided.remove(landing)
             _, record, others, is_simultaneous = landing
             reached = [node for node in others if rng.random() < 0.7]
-            if is_simultaneous:
-                records.insert(reached, record, set(others).difference(reached))
-            else:
+            unreached = set(others).difference(reached)
+            if is_simultaneous and not records.share(record, len(others), clock.now, unreached):
+                records.insert(reached, record)
+            elif not is_simultaneous:
                 records.receive(reached, [clock.now] * len(reached), [record] * len(reached))
             plain.flying += [(clock.now, node, record) for node in reached]
         plain.deliver(clock.now)
