@@ -261,13 +261,6 @@ class Network:
             raise ValueError("a network with faults should be created with a fault_state")
         return self._fault_state
 
-    def settle(self) -> None:
-        """Decide whether each record that was due before this instant has arrived, if this has not been decided yet.
-
-        Call this method before a fault begins or ends.
-        """
-        self._arrivals.settle()
-
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         return self._link_layer.message_counts()
