@@ -92,7 +92,7 @@ class Network:
             clocks or [NodeClock(env)] * self._size,
             seed,
         )
-        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
+        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.delivery.arrivals
         self._kept = self._arrivals.kept
         self._seq = [0] * self._size
 
