@@ -21,7 +21,8 @@ from desim.kernel.message_log import MessageLog
 from desim.kernel.message_size import size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Arrival, Record, Records, per_receiver
+from desim.kernel.received_records import Records
+from desim.kernel.records import Arrival, Record, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 

@@ -22,7 +22,8 @@ from desim.kernel.links import Links
 from desim.kernel.message_size import as_sent
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Predicate, Record, Records, Table
+from desim.kernel.received_records import Records
+from desim.kernel.records import Predicate, Record, Table
 from desim.kernel.topology import Topology
 
 if TYPE_CHECKING:

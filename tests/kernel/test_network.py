@@ -397,7 +397,7 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     run_process(clock, transmit())
     Instant(clock, clock.now + SECOND, Phase.SAMPLE)
     clock.run()
-    assert len(network._records._waiting[4]) < 10_000
+    assert len(network._records._own.unread[4]) < 10_000
     assert sorted(record.body for _, record in network.latest_records(4).values()) == [29_996, 29_997, 29_998, 29_999]
 
 
