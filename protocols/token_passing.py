@@ -16,7 +16,7 @@ Robust to loss: yes. The token is retransmitted until its receipt arrives. A nei
     produce several tokens; each has its own epoch, and nodes that have seen the newest epoch discard the others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from desim.kernel.records import Record
@@ -59,6 +59,14 @@ class TokenNotice(NamedTuple):
     hop: int
     asks: bool = False
     """Whether the notice is a probe, to be answered by a receipt."""
+
+
+TokenMessage = Token | TokenReceipt | TokenNotice
+
+
+def age_of(message: TokenMessage) -> Age:
+    """Return the age of a token, or of the token that a message is about."""
+    return message.epoch, message.hop
 
 
 def not_absent(token: Token, pursuers: list[int]) -> list[int]:
@@ -121,6 +129,17 @@ def hop_time(me: Agent) -> float:
     return me.latency + me.airtime(full_token(me))
 
 
+def loss_timeout(me: Agent, holding_time: float, time_outs: Iterable[float]) -> float:
+    """Return the time, s, without a sign of the token after which a pursuer regenerates it.
+
+    It is the time of three rounds and of all attempts to reach a silent neighbour, with their `time_outs` (s), plus two
+    hops for each pursuer of lower id. These two hops give the notice of a regenerated token time to reach the pursuer
+    of next higher id before that pursuer regenerates the token, too.
+    """
+    hops = 3 * me.team_size + 2 * me.id
+    return hops * (hop_time(me) + holding_time) + sum(time_outs)
+
+
 class TokenNode:
     """The part of one pursuer in the circulation of the token.
 
@@ -141,28 +160,16 @@ class TokenNode:
         self.token: Token | None = None
         self._next: int | None = None  # the pursuer whose receipt is awaited
         self._newest: Age = (UNHEARD, 0)  # age of the newest message about a token
-        self._taken: Age = (UNHEARD, 0)  # age of the last token held
         self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
         self._answered: set[int] = set()  # pursuers that answered since the last forwarding or new epoch
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
-        self._hop_time = hop_time(me)
         # The time-out covers a round trip and the airtime of messages queued ahead of the token and of its receipt.
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
         )
         self._next_probe = 0.0  # the next probe is not sent before this local time, s
-        self._deadline = me.now + self.loss_timeout  # local time, s, at which the token is considered lost
-
-    @property
-    def loss_timeout(self) -> float:
-        """The time, s, without a sign of the token after which this pursuer regenerates it.
-
-        It is the time of three rounds and of all attempts to reach a silent neighbour, plus two hops for each pursuer
-        of lower id. These two hops give the notice of a regenerated token time to reach the pursuer of next higher id
-        before that pursuer regenerates the token, too.
-        """
-        hops = 3 * self._me.team_size + 2 * self._me.id
-        return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
+        self._loss_timeout = loss_timeout(me, holding_time, map(self._time_out, range(attempts)))
+        self._deadline = me.now + self._loss_timeout  # local time, s, at which the token is considered lost
 
     # The states.
 
@@ -225,9 +232,9 @@ class TokenNode:
 
     # Messages.
 
-    def _process(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
+    def _process(self, src: int, body: TokenMessage) -> None:
         """Process a message; if its epoch is newer, discard the token held here."""
-        age = (body.epoch, body.hop)
+        age = age_of(body)
         newer = age > self._newest
         if isinstance(body, Token):
             self._me.merge_records(body.records)
@@ -259,9 +266,8 @@ class TokenNode:
 
         A node that has lost its memory may not recognise a duplicate, so it gives the token a new epoch.
         """
-        age = (token.epoch, token.hop)
-        self._answer(src, age)
-        if age > self._taken:
+        self._answer(src, age_of(token))
+        if age_of(token) > age_of(self._last_token):
             self._take(token)
             if self._memory_lost:
                 self._renew(token)
@@ -269,7 +275,7 @@ class TokenNode:
     def _release(self, src: int, age: Age) -> None:
         """Give up the token if the receipt from `src` confirms it."""
         self._answered.add(src)
-        if self.token is not None and (src, age) == (self._next, self._taken):
+        if self.token is not None and (src, age) == (self._next, age_of(self.token)):
             self.token = None
             self._reset_deadline()
 
@@ -285,26 +291,22 @@ class TokenNode:
 
     def _reset_deadline(self) -> None:
         """Set the deadline to a whole `loss_timeout` from now."""
-        self._deadline = self._me.now + self.loss_timeout
+        self._deadline = self._me.now + self._loss_timeout
 
     # The token.
 
     def _take(self, token: Token) -> None:
         """Hold a token."""
         self.token = self._last_token = token
-        self._taken = (token.epoch, token.hop)
-        self._newest = max(self._newest, self._taken)
+        self._newest = max(self._newest, age_of(token))
 
     def _renew(self, token: Token) -> None:
-        """Hold a token under an epoch newer than all known ones, and broadcast a notice of it."""
+        """Hold a token under a unique epoch newer than all known ones, and broadcast a notice of it."""
         self._memory_lost = False
         self._answered.clear()
-        self._take(token._replace(epoch=self._epoch()))
-        self._me.send(None, TokenNotice(*self._taken), PORT)
-
-    def _epoch(self) -> Epoch:
-        """Return a unique epoch, newer than all known ones."""
-        return self._newest[0][0] + 1, self._me.id, self._me.now
+        token = token._replace(epoch=(self._newest[0][0] + 1, self._me.id, self._me.now))
+        self._take(token)
+        self._me.send(None, TokenNotice(*age_of(token)), PORT)
 
     def _without(self, token: Token, dst: int) -> Token:
         """Hold the token in a new epoch, with a silent pursuer recorded as absent, and return it.
@@ -329,7 +331,7 @@ class TokenNode:
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
-            me.send(None, TokenNotice(*self._taken), PORT)
+            me.send(None, TokenNotice(*age_of(token)), PORT)
         return token
 
     def _probed(self, token: Token) -> Token:
@@ -341,5 +343,5 @@ class TokenNode:
         if dst is None or self._me.now < self._next_probe:
             return token
         self._next_probe = self._me.now + self._time_out()
-        self._me.send(dst, TokenNotice(token.epoch, token.hop, asks=True), PORT)
+        self._me.send(dst, TokenNotice(*age_of(token), asks=True), PORT)
         return token._replace(visits=visited(token, dst))

@@ -23,7 +23,8 @@ from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message, deliver
-from desim.kernel.records import Arrival, Record, Records, pairs, per_receiver
+from desim.kernel.received_records import Records
+from desim.kernel.records import Arrival, Record, pairs, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 

@@ -1,35 +1,13 @@
-"""The losses of a transmission that are known when it starts, and the arrivals that are certain then.
+"""The receivers of a transmission, and the losses that are known when it starts."""
 
-Planned faults leave the arrivals at a node that is up certain until the next of them begins or ends, except while a
-disc is jammed, because nodes may move into the disc.
-"""
-
-from collections.abc import Callable
 from itertools import compress
-from typing import NamedTuple
 
 from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.topology import Topology
-
-
-class Certain(NamedTuple):
-    """The receivers of a transmission, by what is certain about its arrival; arrival times in ns."""
-
-    reached: list[int]
-    """Receivers that certainly get it."""
-    arrival: Arrival
-    """The arrival times at `reached`."""
-    open: list[int]
-    """Receivers at which a fault can begin or end before it arrives."""
-    open_arrival: Arrival
-    down: list[int]
-    """Receivers that are down, and will still be down when it arrives."""
-    down_arrival: Arrival
 
 
 class Departure:
@@ -95,31 +73,3 @@ class Departure:
         if faults is not None and (apart := faults.separated(src, receivers)) is not None:
             causes |= dict.fromkeys(compress(receivers, apart), "partition")
         return causes
-
-
-def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain:
-    """Divide the receivers that no loss has excluded by what is certain about the arrival (ns) of a transmission.
-
-    Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
-    """
-    until, down = faults.constant_until, faults.down_nodes
-    last = arrival if isinstance(arrival, int) else max(arrival, default=0)
-    unsure, lost = list[int](), list[int]()
-    later = when_lost = arrival
-    if last >= until:
-        reached, arrival, unsure, later = _split(reached, arrival, lambda _, when: when < until)
-    if down:
-        reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
-    return Certain(reached, arrival, unsure, later, lost, when_lost)
-
-
-def _split(
-    nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
-) -> tuple[list[int], Arrival, list[int], Arrival]:
-    """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
-    holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
-    others = [not each for each in holding]
-    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
-    if isinstance(arrival, int):
-        return parts[0], arrival, parts[1], arrival
-    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))

@@ -45,7 +45,6 @@ def inject(
             raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
 
     def begin(fault: Fault, _: simpy.Event) -> None:
-        network.settle()
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
         with network.fault_state.planned_change():
@@ -54,7 +53,6 @@ def inject(
                 schedule(fault.end, partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
-        network.settle()
         if trace is not None:
             trace.append(FaultEnded(env.now, fault))
         with network.fault_state.planned_change():

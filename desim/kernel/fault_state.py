@@ -35,6 +35,7 @@ class FaultState:
         self._is_changing = False
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
+        self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
         """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`."""
@@ -43,8 +44,10 @@ class FaultState:
 
     @contextmanager
     def planned_change(self) -> Iterator[None]:
-        """Make the next announced change in this context."""
+        """Make the next announced change in this context, after a call of the functions given to `before_change`."""
         assert self._planned is not None
+        for act in self._before_change:
+            act()
         self._is_changing = True
         try:
             yield
@@ -57,7 +60,8 @@ class FaultState:
         return bool(self._planned and self._planned[0] <= time)
 
     def before_change(self, act: Callable[[], object]) -> None:
-        """Register a function to call before the motion of a node changes."""
+        """Register a function to call before each planned change, and before the motion of a node changes."""
+        self._before_change.append(act)
         if self._positions is not None:
             self._positions.before_change(act)
 

@@ -1,28 +1,28 @@
 """The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
-A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled.
-Records and messages whose arrival is certain are stored at once, with their arrival times. An arrival is not certain
-if a fault, a range check on arrival or half duplex can still prevent it; `desim.kernel.arrivals` then decides it when
-it is due.
+A transmission waits until its transmitter is free. When it starts, its losses are drawn (`desim.kernel.departure`) and
+its arrivals scheduled (`desim.kernel.delivery`). If nodes contend, its arrivals are scheduled when its frame ends.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 
-from desim.kernel.arrivals import Arrivals, Transmission
+from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.contention import Contention
-from desim.kernel.departure import Departure, certain
+from desim.kernel.delivery import Delivery
+from desim.kernel.departure import Departure
 from desim.kernel.events import LOST, Cause, MessageCounts, Trace
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message, deliver
+from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.message_log import MessageLog
 from desim.kernel.message_size import size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Arrival, Record, Records, per_receiver
+from desim.kernel.received_records import Records
+from desim.kernel.records import Arrival, Record, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 
@@ -48,7 +48,7 @@ class LinkLayer:
         seed: the seed of channel access.
 
     Attributes:
-        arrivals: the arrivals whose outcome is not certain at transmission.
+        delivery: schedules the arrivals.
     """
 
     def __init__(
@@ -66,10 +66,10 @@ class LinkLayer:
         seed: int,
     ):
         self._env, self._sampler = env, sampler
-        self._records, self._inboxes, self._fault_state = records, inboxes, fault_state
+        self._records, self._fault_state = records, fault_state
         self._log = MessageLog(env, trace)
-        checks_departure, checks_arrival = links.range_check != "delivery", links.range_check != "send"
-        self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_departure)
+        checks_range = links.range_check != "delivery"
+        self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_range)
         medium = links.medium
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
         if isinstance(medium, Radio) and medium.contends:
@@ -93,28 +93,25 @@ class LinkLayer:
                 env, medium, topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )
         self._contends = isinstance(self._transmitter, Contention)
-        # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
-        contends_with_faults = self._contends and fault_state is not None
-        uses_half_duplex = medium.half_duplex and not self._contends
-        self._settles_on_arrival = checks_arrival or uses_half_duplex or contends_with_faults
-        self._is_certain = not (self._settles_on_arrival or self._contends) and fault_state is None and trace is None
-        """Whether all outcomes are certain at transmission, and no trace needs them."""
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
         arrival times, ns, and the losses that were drawn."""
-        self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
-        self.arrivals = Arrivals(
+        self.delivery = Delivery(
             env,
+            links,
             topology,
             records,
             inboxes,
             fault_state,
-            self._transmitter if isinstance(self._transmitter, Transmitter) else None,
+            self._transmitter,
             processing=sampler.processing,
-            checks_range=checks_arrival,
             at_once=trace is not None,
             lose=self._log.lose,
         )
+        self._is_certain = self.delivery.is_certain and not self._contends and trace is None
+        """Whether all outcomes are certain at transmission, and no trace needs them."""
+        self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
+        """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._listeners: list[Listener] = []
         self._numbers = count()
 
@@ -127,18 +124,15 @@ class LinkLayer:
 
         A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
         """
-        self.arrivals.crash(node)
+        self.delivery.arrivals.crash(node)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
             self._log.lose(transmission, dict.fromkeys(reached, "crash"))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
-        now = self._env.now
-        self.arrivals.settle_for_reader()
-        self.arrivals.count_losses()
-        in_flight = self.arrivals.in_flight() + self._records.in_flight() + self._inboxes.in_flight()
-        busy = 0.0
+        now, busy = self._env.now, 0.0
+        in_flight = self.delivery.in_flight()
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
@@ -217,7 +211,7 @@ class LinkLayer:
         if draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
-            self._forward(transmission, reached, arrival, causes, airtime)
+            self.delivery.schedule(transmission, reached, arrival, causes, airtime)
 
     def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
@@ -229,40 +223,4 @@ class LinkLayer:
             reached = [node for node in reached if node not in causes]
             self._log.lose(transmission, lost)
             drawn = {**drawn, **lost}
-        self._forward(transmission, reached, arrival, drawn, 0)
-
-    def _forward(
-        self,
-        transmission: Transmission,
-        reached: list[int],
-        arrival: Arrival,
-        causes: Mapping[int, Cause],
-        airtime: int,
-    ) -> None:
-        """Schedule the arrivals of a transmission at the nodes that it reaches, given the losses up to now."""
-        content = transmission.content
-        if self._settles_on_arrival:
-            self.arrivals.schedule(transmission, reached, arrival, airtime)
-            return
-        unreached: Collection[int] = causes
-        if self._fault_state is not None:
-            reached, arrival, down = self._settled(transmission, reached, arrival, airtime)
-            unreached = {*causes, *down}
-        if isinstance(content, Record):
-            self._records.schedule(content, reached, arrival, unreached)
-        else:
-            deliver(content, self._inboxes.at(transmission.port), reached, arrival, transmission.number)
-
-    def _settled(
-        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
-    ) -> tuple[list[int], Arrival, list[int]]:
-        """Return the receivers that certainly get a transmission, its arrival times (ns), and those that are down.
-
-        Other arrivals are scheduled, and decided when they are due.
-        """
-        assert self._fault_state is not None
-        reached, arrival, unsure, later, down, when_lost = certain(self._fault_state, reached, arrival)
-        if unsure:
-            self.arrivals.schedule(transmission, unsure, later, airtime)
-        self.arrivals.lose_at(transmission, down, when_lost)
-        return reached, arrival, down
+        self.delivery.schedule(transmission, reached, arrival, drawn, 0)

@@ -10,19 +10,20 @@ busy transmitter, to decide losses on arrival, and to wake processes. A read in 
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.clock import SECOND, Clock, NodeClock
+from desim.kernel.estimates import Estimates
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
-from desim.kernel.message_size import as_sent, size_of
+from desim.kernel.message_size import as_sent
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Predicate, Record, Records, Table
+from desim.kernel.received_records import Records
+from desim.kernel.records import Predicate, Record, Table
 from desim.kernel.topology import Topology
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ _new = tuple.__new__  # creates a named tuple in a third of the time
 
 class Network:
     """Nodes 0 .. n - 1 that communicate over the edges of a graph.
+
+    All methods raise ValueError for a node that does not exist.
 
     Args:
         env: the clock of the simulation.
@@ -49,6 +52,10 @@ class Network:
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
             and `desim.kernel.propagation.LinkSampler`.
+
+    Attributes:
+        topology: the links of the graph, and which of them are within range.
+        estimates: estimates of its delays and its density, for time-outs.
     """
 
     def __init__(
@@ -76,14 +83,15 @@ class Network:
             now=lambda: env.now / SECOND,
         )
         self._size = self.topology.size
-        self._sampler = LinkSampler(links, graph, seed, positions)
-        self._medium, self._fault_state = links.medium, fault_state
+        sampler = LinkSampler(links, graph, seed, positions)
+        self.estimates = Estimates(self.topology, links.medium, sampler)
+        self._fault_state = fault_state
         self._records, self._inboxes = Records(env, self._size, predicate), Inboxes(env, self._size)
         self._link_layer = LinkLayer(
             env,
             links,
             self.topology,
-            self._sampler,
+            sampler,
             self._records,
             self._inboxes,
             fault_state,
@@ -92,18 +100,14 @@ class Network:
             clocks or [NodeClock(env)] * self._size,
             seed,
         )
-        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.arrivals
+        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.delivery.arrivals
         self._first_kept = self._arrivals.kept.first
         self._seq = [0] * self._size
 
     # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
-        """Give each node without a record of `src` an initial record, but send no message; `stamp` is as in `publish`.
-
-        Raises:
-            ValueError: if the node does not exist.
-        """
+        """Give each node without a record of `src` an initial record, without a message; `stamp` is as in `publish`."""
         if not 0 <= src < self._size:
             raise self._unknown(src)
         self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
@@ -122,7 +126,7 @@ class Network:
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
 
         Raises:
-            ValueError: if the node does not exist or the size is negative.
+            ValueError: if the size is negative.
         """
         self._transmit(src, None, self.next_record(src, body, stamp), size)
 
@@ -137,7 +141,7 @@ class Network:
         changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if a node does not exist, if the receiver is the sender, or if the size is negative.
+            ValueError: if the receiver is the sender, or the size is negative.
         """
         if not 0 <= src < self._size:
             raise self._unknown(src)
@@ -148,11 +152,7 @@ class Network:
         self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
-        """Return a new record of a node, for a protocol that spreads records by other means than `publish`.
-
-        Raises:
-            ValueError: if the node does not exist.
-        """
+        """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
         if not 0 <= src < self._size:
             raise self._unknown(src)
         self._seq[src] = seq = self._seq[src] + 1
@@ -162,9 +162,6 @@ class Network:
         """Insert a record received by other means than `publish` into the table of a node.
 
         The record is ignored if the node is its source, or has this or a newer record of the same source.
-
-        Raises:
-            ValueError: if the node does not exist.
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
@@ -172,11 +169,7 @@ class Network:
             self._records.relay(node, record)
 
     def latest_records(self, node: int) -> Table:
-        """Return the newest received record of each other node, by source; cost O(new records + sources).
-
-        Raises:
-            ValueError: if the node does not exist.
-        """
+        """Return the newest received record of each other node, by source; cost O(new records + sources)."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if self._first_kept[node] <= self._env.now:
@@ -184,11 +177,7 @@ class Network:
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
-        """Return the latest records whose body satisfies the predicate; cost O(new records + matches).
-
-        Raises:
-            ValueError: if the node does not exist.
-        """
+        """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if self._first_kept[node] <= self._env.now:
@@ -196,11 +185,7 @@ class Network:
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
-        """Return the inbox of a node at a port.
-
-        Raises:
-            ValueError: if the node does not exist.
-        """
+        """Return the inbox of a node at a port."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
         return self._inboxes.at(port)[node]
@@ -208,20 +193,6 @@ class Network:
     def overhear(self, listener: Listener) -> None:
         """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
-
-    @cached_property
-    def mean_degree(self) -> float:
-        """The mean number of neighbours of a node at the first access; later accesses return the same number."""
-        return self.topology.mean_degree
-
-    def airtime(self, body: Any) -> float:
-        """Return the airtime, s, of a message with this body."""
-        return self._medium(size_of(body))
-
-    @cached_property
-    def typical_latency(self) -> float:
-        """An estimate of the mean one-way latency, s, with processing delays but without airtime and queueing."""
-        return self._sampler.typical_latency()
 
     def _unknown(self, node: int) -> ValueError:
         """Return the error about a node that does not exist."""
@@ -235,6 +206,8 @@ class Network:
         Raises:
             ValueError: if the network was created without a `FaultState`, or its faults are planned (see `FaultState`).
         """
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
         self.fault_state.crash(node)
         self._link_layer.crash(node)
 
@@ -260,13 +233,6 @@ class Network:
         if self._fault_state is None:
             raise ValueError("a network with faults should be created with a fault_state")
         return self._fault_state
-
-    def settle(self) -> None:
-        """Decide whether each record that was due before this instant has arrived, if this has not been decided yet.
-
-        Call this method before a fault begins or ends.
-        """
-        self._arrivals.settle()
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""

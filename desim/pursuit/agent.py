@@ -33,7 +33,7 @@ class Agent(Knowledge):
     """The interface of a protocol to one pursuer: its knowledge (`Knowledge`), its actions and its messages.
 
     A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method waits
-    when it is called. `repeat` returns a process, which a protocol runs with `yield from`.
+    when it is called.
 
     Attributes:
         restarts: number of restarts without memory after a crash.
@@ -130,6 +130,10 @@ class Agent(Knowledge):
         self._announced = self._news() if self._announcements.trigger in {"change", "both"} else None
         self._announcements.dissemination.broadcast(self, self.announcement())
 
+    def _news(self) -> Any:
+        """Return the value whose change makes an announcement due."""
+        return (self.action,) if self._payload is None else self._payload.news
+
     def set_payload(self, body: Any) -> None:
         """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.
 
@@ -137,10 +141,6 @@ class Agent(Knowledge):
         also have an attribute `news`: `announce` sends the body if `news` differs from that of the last announcement.
         """
         self._payload = body
-
-    def set_initial_belief(self) -> None:
-        """Set the initial belief of all teammates about this pursuer to its current announcement, without a message."""
-        self._network.set_initial_belief(self.id, self.announcement(), self._clock.stamp)
 
     def announcement(self) -> Any:
         """Return the body that it would announce now."""
@@ -234,24 +234,19 @@ class Agent(Knowledge):
         """Return an event that happens as soon as the inbox of a port is not empty; `mail` returns its messages."""
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
-    def repeat(self, act: Callable[[], object], period: float, name: str, jitter: float = 0.0) -> Process:
-        """Return a process that calls a function once per period (s, local clock), after all decisions of the instant.
 
-        The first call happens after a random fraction of the period, drawn from the stream `name`. Each later wait is
-        longer or shorter than the period by a random share of up to `jitter`.
-        """
-        rng = self.stream(name)
-        first = due = self.now + rng.uniform(0.0, period)
-        for k in count(1):
-            yield self.at(due, Phase.HEARTBEAT)
-            act()
-            due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
+def repeat(me: Agent, act: Callable[[], object], period: float, name: str, jitter: float = 0.0) -> Process:
+    """Return a process that calls a function once per period (s, local clock), after all decisions of the instant.
 
-    # Internal.
-
-    def _news(self) -> Any:
-        """Return the value whose change makes an announcement due."""
-        return (self.action,) if self._payload is None else self._payload.news
+    The first call happens after a random fraction of the period, drawn from the stream `name` of the agent. Each later
+    wait is longer or shorter than the period by a random share of up to `jitter`.
+    """
+    rng = me.stream(name)
+    first = due = me.now + rng.uniform(0.0, period)
+    for k in count(1):
+        yield me.at(due, Phase.HEARTBEAT)
+        act()
+        due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
 
 
 Behaviour = Callable[[Agent], Process]

@@ -167,7 +167,7 @@ class Knowledge:
     @property
     def mean_degree(self) -> float:
         """Mean number of neighbours of a pursuer, computed at the first access during the run."""
-        return self._network.mean_degree
+        return self._network.estimates.mean_degree
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the pursuers whose actions count in its utility, given the scope of the utility.
@@ -187,8 +187,8 @@ class Knowledge:
 
         It includes processing at both ends, but neither airtime nor queueing.
         """
-        return self._network.typical_latency
+        return self._network.estimates.latency
 
     def airtime(self, body: Any) -> float:
         """Return the airtime of a message with this body, s."""
-        return self._network.airtime(body)
+        return self._network.estimates.airtime(body)

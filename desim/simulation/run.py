@@ -14,7 +14,7 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
-from desim.pursuit.agent import Agent
+from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended, Sampled
 from desim.pursuit.sensing import TeamSensor
@@ -181,6 +181,9 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock)
         for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
     ]
+    if scenario.announce.warm_start:
+        for agent, clock in zip(agents, clocks, strict=True):
+            network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     team = _Team(env, scenario, world, agents, sensor)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
     team.begin()
@@ -251,19 +254,16 @@ class _Team:
         self._memory_lost: set[int] = set()
 
     def begin(self) -> None:
-        """Set the initial beliefs and start all processes."""
+        """Start all processes."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        for pursuer in range(len(self._agents)):
-            agent = self._agents[pursuer]
-            if announce.warm_start:
-                agent.set_initial_belief()
+        for pursuer, agent in enumerate(self._agents):
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
             if self._scenario.announces and announce.has_heartbeats:
-                env.process(agent.repeat(agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
+                env.process(repeat(agent, agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
-                env.process(agent.repeat(view.report, period, "sightings"))
+                env.process(repeat(agent, view.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
         """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""

@@ -3,6 +3,7 @@
 from unittest.mock import patch
 
 from desim.kernel.arrivals import Arrivals
+from desim.kernel.delivery import Delivery
 from desim.kernel.link_layer import LinkLayer
 from desim.kernel.message_log import MessageLog
 from desim.kernel.network import Network
@@ -12,9 +13,14 @@ def network_over(layer):
     """Return a function that creates a network as `Network` does, with another class in place of a part.
 
     Args:
-        layer: a subclass of `Arrivals`, `MessageLog` or `LinkLayer`.
+        layer: a subclass of `Arrivals`, `Delivery`, `MessageLog` or `LinkLayer`.
     """
-    places = {Arrivals: "link_layer.Arrivals", MessageLog: "link_layer.MessageLog", LinkLayer: "network.LinkLayer"}
+    places = {
+        Arrivals: "delivery.Arrivals",
+        Delivery: "link_layer.Delivery",
+        MessageLog: "link_layer.MessageLog",
+        LinkLayer: "network.LinkLayer",
+    }
     (place,) = (place for base, place in places.items() if issubclass(layer, base))
 
     def make(*args, **options):

@@ -40,12 +40,12 @@ from hypothesis import strategies as st
 
 from desim.kernel.arrivals import Arrivals
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
+from desim.kernel.delivery import Delivery
 from desim.kernel.events import Lost, Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, Jamming, Partition
 from desim.kernel.latency import Constant
-from desim.kernel.link_layer import LinkLayer
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
@@ -436,7 +436,7 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
 # arrivals of records are decided together, later.
 
 
-class OnArrival(LinkLayer):
+class OnArrival(Delivery):
     """Every outcome is decided on arrival."""
 
     def _settled(self, transmission, reached, arrival, airtime):

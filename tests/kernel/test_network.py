@@ -368,7 +368,7 @@ def test_a_latency_that_is_not_a_time_is_refused(bad, many, p):
 def test_a_latency_beyond_the_longest_run_is_as_long_as_that():
     network = Network(Clock(), nx.complete_graph(3), Links(latency=lambda context, rng: np.array([0.5, 1e300])))
     network.publish(0, "x")
-    assert [network._records.in_flight(), network._sampler.arrivals(0, [1, 2], 7, 0, 0)] == [
+    assert [network._records.in_flight(), network._link_layer._sampler.arrivals(0, [1, 2], 7, 0, 0)] == [
         2,
         [SECOND // 2 + 7, 10**18 + 7],
     ]
@@ -397,7 +397,7 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     run_process(clock, transmit())
     Instant(clock, clock.now + SECOND, Phase.SAMPLE)
     clock.run()
-    assert len(network._records._waiting[4]) < 10_000
+    assert len(network._records._own.unread[4]) < 10_000
     assert sorted(record.body for _, record in network.latest_records(4).values()) == [29_996, 29_997, 29_998, 29_999]
 
 
@@ -480,6 +480,7 @@ def test_a_broadcast_wakes_all_waiting_receivers_in_id_order_and_reaches_every_i
         lambda network, node: network.latest_records(node),
         lambda network, node: network.matching(node),
         lambda network, node: network.inbox(node),
+        lambda network, node: network.crash(node),
     ],
 )
 def test_an_unknown_node_is_refused(use, node):

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from desim.kernel.records import Record, Records, SharedTable
+from desim.kernel.received_records import Records
+from desim.kernel.record_tables import SharedTable
+from desim.kernel.records import Record
 
 HISTORIES = 1000
 

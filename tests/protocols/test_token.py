@@ -25,6 +25,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
+from protocols import token_passing
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
@@ -469,7 +470,7 @@ def test_one_token_is_left_in_each_component_after_every_storm(block):
 @pytest.mark.slow
 def test_the_watcher_detects_a_token_that_is_never_replaced(monkeypatch):
     """A negative control: if the token is never missed, some of 20 storms leave a component without a token."""
-    monkeypatch.setattr(TokenNode, "loss_timeout", property(lambda self: 1e6))
+    monkeypatch.setattr(token_passing, "loss_timeout", lambda *_: 1e6)
     assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 

@@ -15,6 +15,7 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
+from desim.pursuit.agent import repeat
 from desim.pursuit.announcements import Announcements, Assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
@@ -346,7 +347,7 @@ def test_the_believed_chasers_follow_from_the_latest_records(payload, disseminat
 def test_periodic_actions_start_at_a_phase_of_the_named_stream():
     def protocol(me):
         yield me.at(0.5)
-        yield from me.repeat(lambda: seen.append((me.id, me.now)), 0.3, "chores")
+        yield from repeat(me, lambda: seen.append((me.id, me.now)), 0.3, "chores")
 
     seen = []
     play(protocol, horizon=2.0)
@@ -359,7 +360,7 @@ def test_periodic_actions_start_at_a_phase_of_the_named_stream():
 
 def test_with_jitter_each_wait_differs_from_the_period_by_a_share():
     def protocol(me):
-        yield from me.repeat(lambda: seen.append((me.id, me.now)), 0.3, "chores", 0.5)
+        yield from repeat(me, lambda: seen.append((me.id, me.now)), 0.3, "chores", 0.5)
 
     seen = []
     play(protocol, horizon=5.0)

@@ -11,7 +11,7 @@ from desim.analysis.metrics import active_time
 from desim.kernel.events import MessageCounts
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.kernel.records import Records
+from desim.kernel.received_records import Records
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.geometry import toward
