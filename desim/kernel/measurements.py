@@ -12,6 +12,7 @@ from decimal import Decimal, InvalidOperation
 from functools import lru_cache
 from io import StringIO
 from itertools import repeat
+from operator import itemgetter
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal, NamedTuple
@@ -139,7 +140,7 @@ def header_of(text: str, name: str) -> list[str]:
         ValueError: if the text is empty or is not CSV.
     """
     for _, cells in _rows(text, name):
-        return cells
+        return [cell.strip() for cell in cells]
     raise ValueError(f"{name} is empty: its first line should have the names of its columns")
 
 
@@ -161,26 +162,33 @@ def select(text: str, columns: Columns, name: str) -> str:
         if header.count(column) != 1:
             what = "no column" if column not in header else "several columns"
             raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}")
-    places = [header.index(column) for column in columns.used()]
-    kept, lines = StringIO(), 0
+    chosen = itemgetter(*(header.index(column) for column in columns.used()))
+    rows, kept = _rows(text, name), StringIO()
     writer = csv.writer(kept, lineterminator="\n")
-    for line, cells in _rows(text, name):
+    first, _ = next(rows)
+    kept.write("\n" * (first - 1))
+    writer.writerow(columns.used())
+    below = first + 1
+    for line, cells in rows:
         if len(cells) != len(header):
             raise ValueError(f"{name}, line {line}: has {len(cells)} cells, but the table has {len(header)} columns")
-        kept.write("\n" * (line - lines - 1))
-        writer.writerow([cells[place] for place in places])
-        lines = line
+        if line > below:
+            kept.write("\n" * (line - below))
+        writer.writerow(chosen(cells))
+        below = line + 1
     return kept.getvalue()
 
 
 def _rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line and the cells of each row of CSV text, the header included."""
-    lines = ("" if line.lstrip().startswith("#") else line for line in text.split("\n"))
+    """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space."""
+    lines = text.split("\n")
+    if "#" in text:
+        lines = ["" if line.lstrip().startswith("#") else line for line in lines]
     reader = csv.reader(lines, strict=True, skipinitialspace=True)
     try:
         for cells in reader:
             if any(cells):
-                yield reader.line_num, [cell.strip() for cell in cells]
+                yield reader.line_num, cells
     except csv.Error as error:
         raise ValueError(f"{name}, line {reader.line_num}: {error}") from error
 
@@ -197,13 +205,12 @@ class _Cells(NamedTuple):
 
     def numbers(self, column: str, convert: Callable[[str], Any], what: str = "a number") -> list[Any]:
         """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not `what`."""
-        found = []
-        for row, cell in enumerate(self.columns[column]):
-            try:
-                found.append(convert(cell))
-            except (ValueError, InvalidOperation) as error:
-                raise self.error(row, f"{column} should be {what} (got {cell!r})") from error
-        return found
+        cells = self.columns[column]
+        try:
+            return list(map(convert, cells))
+        except (ValueError, InvalidOperation):
+            row = next(row for row, cell in enumerate(cells) if not _converts(convert, cell))
+            raise self.error(row, f"{column} should be {what} (got {cells[row]!r})") from None
 
     def place(self, row: int) -> str:
         """Return the place of a row in the file."""
@@ -212,6 +219,14 @@ class _Cells(NamedTuple):
     def error(self, row: int, text: str) -> ValueError:
         """Return an error about a row."""
         return ValueError(f"{self.table}, {self.place(row)}: {text}")
+
+
+def _converts(convert: Callable[[str], Any], cell: str) -> bool:
+    try:
+        convert(cell)
+    except (ValueError, InvalidOperation):
+        return False
+    return True
 
 
 def place_of(line: int, table: str) -> str:
@@ -227,14 +242,17 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
         ValueError: if the table has no rows, a cell is invalid, the times of a link do not increase, or both directions
             of a link have rows although a row holds for both.
     """
-    _, *rows = _rows(table, name)
-    if not rows:
+    lines, flat, names = list[int](), list[str](), columns.used()
+    for line, row_cells in _rows(table, name):  # without keeping a list per row, which takes twice as long
+        lines.append(line)
+        flat += row_cells
+    if len(lines) < 2:
         raise ValueError(f"{name} has no rows")
-    by_column = zip(*(cells for _, cells in rows), strict=True)
-    cells = _Cells(name, [line for line, _ in rows], dict(zip(columns.used(), by_column, strict=True)))
+    width = len(names)
+    cells = _Cells(name, lines[1:], {each: flat[width + k :: width] for k, each in enumerate(names)})
     times, values = _times(cells, columns.time, meaning.time_unit), _values(cells, columns.value, meaning)
     src, dst = _links(cells, columns, both_ways=meaning.both_ways)
-    row = np.tile(np.arange(len(rows)), len(src) // len(rows))
+    row = np.tile(np.arange(len(times)), len(src) // len(times))
     order = np.lexsort((row, dst, src))  # by link, and then as in the table
     src, dst, row = src[order], dst[order], row[order]
     is_first = np.concatenate(([True], (np.diff(src) != 0) | (np.diff(dst) != 0)))
@@ -252,19 +270,15 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
 
 def _times(cells: _Cells, column: str, unit: Unit) -> Integers:
     """Return the (R,) times after the earliest, ns; they are exact, also for times since 1970."""
-    times = cells.numbers(column, _finite_decimal)
-    start, limit = min(times), MAX_TIME * PER_SECOND[unit]
+    times = cells.numbers(column, Decimal)
     for row, time in enumerate(times):
-        if time - start > limit:
-            raise cells.error(row, f"{column} should be at most {MAX_TIME:g} s after the earliest time")
-    return np.array([round((time - start) * (SECOND // PER_SECOND[unit])) for time in times], dtype=np.int64)
-
-
-def _finite_decimal(cell: str) -> Decimal:
-    number = Decimal(cell)
-    if not number.is_finite() or number.adjusted() > MAX_DIGITS:
-        raise ValueError
-    return number
+        if not time.is_finite() or time.adjusted() > MAX_DIGITS:
+            raise cells.error(row, f"{column} should be a number (got {cells.columns[column][row]!r})")
+    start, limit = min(times), MAX_TIME * PER_SECOND[unit]
+    if (most := max(times)) - start > limit:
+        raise cells.error(times.index(most), f"{column} should be at most {MAX_TIME:g} s after the earliest time")
+    scale = SECOND // PER_SECOND[unit]
+    return np.array([round((time - start) * scale) for time in times], dtype=np.int64)
 
 
 def _values(cells: _Cells, column: str, meaning: Meaning) -> Floats:
@@ -286,7 +300,7 @@ def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integer
     """Return the (R,) senders and receivers of the rows; if they hold both ways, followed by those of the way back."""
     if columns.src is None or columns.dst is None:
         return np.zeros(len(cells.lines), dtype=np.int64), np.zeros(len(cells.lines), dtype=np.int64)
-    src, dst = (np.array(cells.numbers(name, _node, NODE), dtype=np.int64) for name in (columns.src, columns.dst))
+    src, dst = _nodes(cells, columns.src), _nodes(cells, columns.dst)
     if (src == dst).any():
         row = int((src == dst).argmax())
         raise cells.error(row, f"a link should join two nodes (got {src[row]} and {dst[row]})")
@@ -300,11 +314,13 @@ def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integer
     return np.concatenate((src, dst)), np.concatenate((dst, src))
 
 
-def _node(cell: str) -> int:
-    node = int(cell)
-    if not 0 <= node <= MAX_NODE:
-        raise ValueError
-    return node
+def _nodes(cells: _Cells, column: str) -> Integers:
+    """Return the (R,) nodes in a column."""
+    nodes = cells.numbers(column, int, NODE)
+    if min(nodes) < 0 or max(nodes) > MAX_NODE:
+        row = next(row for row, node in enumerate(nodes) if not 0 <= node <= MAX_NODE)
+        raise cells.error(row, f"{column} should be {NODE} (got {cells.columns[column][row]!r})")
+    return np.array(nodes, dtype=np.int64)
 
 
 def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:
