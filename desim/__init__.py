@@ -50,6 +50,9 @@ if TYPE_CHECKING:
     from desim.kernel.latency import Propagation as Propagation
     from desim.kernel.latency import ShiftedExponential as ShiftedExponential
     from desim.kernel.latency import Uniform as Uniform
+    from desim.kernel.link_traces import LatencyTrace as LatencyTrace
+    from desim.kernel.link_traces import LossTrace as LossTrace
+    from desim.kernel.link_traces import SignalTrace as SignalTrace
     from desim.kernel.links import Links as Links
     from desim.kernel.loss import Bernoulli as Bernoulli
     from desim.kernel.loss import ByDistance as ByDistance
@@ -105,6 +108,7 @@ _NAMES = {
         "ShiftedExponential",
         "Uniform",
     ),
+    "desim.kernel.link_traces": ("LatencyTrace", "LossTrace", "SignalTrace"),
     "desim.kernel.links": ("Links",),
     "desim.kernel.loss": ("Bernoulli", "ByDistance", "GilbertElliott"),
     "desim.kernel.medium": ("Bitrate", "LoRa"),

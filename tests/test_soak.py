@@ -36,6 +36,8 @@ NEEDED = {
     "empirical": {"values": [0.01, 0.02, 0.5]},
     "max_min": {"candidates": 12},
     "voronoi_vertex": {"arena": [0.0, 10.0]},
+    "trace": {"table": "t,value\n0,0.01\n0.3,0.2\n0.4,\n0.6,0.05", "between": "linear", "start": "random"},
+    "signal_trace": {"table": "t,value\n0,-80\n0.3,-91\n0.4,\n0.6,-89", "width": 1.0},
     "edges": {"edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 0}, {"src": 1, "dst": 2}], "directed": True},
 }
 """What a kind cannot do without, or would be slow with."""

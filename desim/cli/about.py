@@ -2,22 +2,35 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from desim.cli import completion
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, source_of
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, making, source_of
+from desim.cli.plot import picture_paths, write_picture
+
+if TYPE_CHECKING:
+    from desim.scenario.scenario import Scenario
 
 
 @click.command()
 @FILE
+@click.option("--plot", "draws", is_flag=True, help="Also draw the measured links: latency, loss or signal over time.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Output file of --plot: .svg, .png or .pdf. Default: FILE.links as SVG and PNG in the working directory.",
+)
 @ALLOW_IMPORT
 @SET
-def check(file: Path, overrides: tuple[str, ...]) -> None:
+def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...]) -> None:
     """Validate a scenario, and its grid if it has one, and print it with every default filled in."""
     from desim.scenario.toml import dump
 
+    if out is not None and not draws:
+        raise click.UsageError("--out is an option of --plot")
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
         from desim.scenario.overrides import ScenarioError
@@ -27,7 +40,20 @@ def check(file: Path, overrides: tuple[str, ...]) -> None:
             configurations(source)
         except ScenarioError as error:
             fail(str(error))
+    if draws:
+        _draw_links(scenario, file, out)
     echo(dump(scenario), end="")
+
+
+def _draw_links(scenario: "Scenario", file: Path, out: Path | None) -> None:
+    """Draw the measured links of a scenario, and print the paths of the files."""
+    paths = picture_paths(file, out, "trajectory", "links")
+    with making("picture"):
+        from desim.analysis.link_figures import link_traces
+        from desim.analysis.plots import save
+
+        figure = link_traces(scenario)
+        write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths, err=True)
 
 
 @click.command()

@@ -153,7 +153,7 @@ def plot(
         fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")
     if kind is not None:
         _check_options(kind)
-        _output(source, out, kind, "")
+        picture_paths(source, out, kind, "")
     with making("picture"):
         result = results_of(source, seed, overrides)
         _draw(result, source, kind, out, options)
@@ -177,7 +177,7 @@ def _draw(
     _check_options(chosen)
     given = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
     if isinstance(result, Result):
-        _draw_run(result, chosen, _output(source, out, chosen, NAMES.get(chosen, chosen)), given)
+        _draw_run(result, chosen, picture_paths(source, out, chosen, NAMES.get(chosen, chosen)), given)
     else:
         _draw_sweep(result, chosen, source, out, given)
 
@@ -203,7 +203,7 @@ def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[
             for path in paths:
                 save(figure, path, dpi=200)
 
-    _write(make, paths)
+    write_picture(make, paths)
 
 
 def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None, options: dict[str, Any]) -> None:
@@ -216,8 +216,8 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
         options["labels"] = dict(_split_at_value(result, *each) for each in options["labels"])
     figure = result.plot(kind=kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
     name = file_name(kind, options.get("y"), options.get("against"))
-    paths = _output(source, out, kind, name)
-    _write(lambda: [save(figure, path, dpi=200) for path in paths], paths)
+    paths = picture_paths(source, out, kind, name)
+    write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths)
 
 
 def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
@@ -245,7 +245,7 @@ def _check_options(kind: str) -> None:
             raise click.UsageError(f"{names[name]} is an option of {fitting}; this picture is of the kind {kind}")
 
 
-def _output(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:
+def picture_paths(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:
     """Return the paths of a picture; by default in the folder of the results or, for a scenario, the working directory.
 
     End the program if the suffix of `out` is wrong.
@@ -263,12 +263,18 @@ def _output(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Pa
         fail(f"--out {error}")
 
 
-def _write(make: Callable[[], object], paths: Sequence[Path]) -> None:
-    """Write the files of a picture and print their paths and sizes; end the program if they cannot be written."""
+def write_picture(make: Callable[[], object], paths: Sequence[Path], *, err: bool = False) -> None:
+    """Write the files of a picture and print their paths and sizes; end the program if they cannot be written.
+
+    Args:
+        make: writes the files.
+        paths: the paths of the files; they have the same folder, which is created if missing.
+        err: whether to print to stderr.
+    """
     try:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except OSError as error:
         fail(f"{paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
-        echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
+        echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB", err=err)

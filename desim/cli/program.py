@@ -1,4 +1,7 @@
-"""The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout."""
+"""The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout.
+
+The end of a trace (`TraceEndError`) ends the program, too, because a scenario asks for it.
+"""
 
 import os
 import sys
@@ -37,6 +40,12 @@ class Program(click.Command):
             echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
         except HiddenPackageError as error:
+            fail(str(error))
+        except ValueError as error:
+            from desim.kernel.playback import TraceEndError  # slow to import
+
+            if not isinstance(error, TraceEndError):
+                raise
             fail(str(error))
 
     def main(self, *args: Any, **options: Any) -> Any:

@@ -18,6 +18,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.link_context import LinkContext
+from desim.kernel.link_traces import LatencyTrace
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
 from desim.kernel.traits import LinkTraits, model_of_run
@@ -324,6 +325,8 @@ def mean_latency(model: Latency) -> float | None:
             return fmean(model.values)
         case Propagation():
             return model.fixed
+        case LatencyTrace():
+            return model.mean
         case PerPair():
             base, jitter = mean_latency(model.base), mean_latency(model.jitter)
             return None if base is None or jitter is None else base + jitter
@@ -339,6 +342,7 @@ LATENCIES = OneOf(
     Empirical,
     Propagation,
     PerPair,
+    LatencyTrace,
     number=("constant", "value"),
     traits=LinkTraits,
 )

@@ -17,6 +17,7 @@ from desim.config.arrays import Bools, Floats
 from desim.config.choice import OneOf
 from desim.config.model import Length, Positive, Probability, Value
 from desim.kernel.link_context import LinkContext
+from desim.kernel.link_traces import LossTrace, SignalTrace
 from desim.kernel.portable_math import exp, power
 from desim.kernel.traits import LinkTraits
 
@@ -199,4 +200,12 @@ class _ByKnownDistance:
         return rng.random(len(known)) < kept[1]
 
 
-LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance, number=("bernoulli", "p"), traits=LinkTraits)
+LOSSES = OneOf(
+    Bernoulli,
+    GilbertElliott,
+    ByDistance,
+    LossTrace,
+    SignalTrace,
+    number=("bernoulli", "p"),
+    traits=LinkTraits,
+)

@@ -5,6 +5,7 @@ of calling numpy.
 """
 
 from math import inf
+from operator import or_
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,13 +15,14 @@ from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.graphs import as_model
 from desim.kernel.implicit_complete import is_implicit
 from desim.kernel.latency import Constant
+from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import ROOM, stream
-from desim.kernel.traits import LinkTraits, model_of_run
+from desim.kernel.traits import LinkTraits, link_trait, model_of_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +36,8 @@ TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
 BLOCK = 4096
 """Minimum number of draws per block."""
+GOLDEN = 0.6180339887498949
+"""The golden ratio. Its multiples, modulo 1, spread evenly over [0, 1), however many they are."""
 Each = TypeVar("Each")
 Overrides = dict[int, dict[int, Any]]
 """The models, or the orders, of individual links, by sender and receiver."""
@@ -50,7 +54,8 @@ class LinkSampler:
         purpose: a prefix of the names of the random streams.
 
     Raises:
-        ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
+        ValueError: if `links.link` names a link that is not in the graph, an edge attribute is invalid, or a model does
+            not apply to a link.
     """
 
     def __init__(
@@ -70,6 +75,13 @@ class LinkSampler:
         overrides = _overrides(links, graph)
         self._latency_overrides, self._loss_overrides = overrides["latency"], overrides["loss"]
         self._order, self._order_overrides = links.order, overrides["order"]
+        for place, why in link_misfits(links, graph):
+            raise ValueError(f"{'.'.join(map(str, place))}: {why}")
+        self._is_lost = link_trait(self._latency, "is_lost")
+        self._is_lost_overrides = {
+            src: {dst: link_trait(model, "is_lost") for dst, model in to.items()}
+            for src, to in self._latency_overrides.items()
+        }
         self._receivers: dict[int, _Receivers] = {}
         """By sender; at most `ROOM` numbers in all."""
         self._lists_are_kept = links.range == inf or links.range_check == "delivery"
@@ -77,7 +89,9 @@ class LinkSampler:
         self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
-        self.lossless = self._lossless and all(map(_never_loses, override_models))
+        own_is_lost = [each for to in self._is_lost_overrides.values() for each in to.values()]
+        self._latency_loses = any(each is not None for each in (self._is_lost, *own_is_lost))
+        self.lossless = self._lossless and not self._latency_loses and all(map(_never_loses, override_models))
         """Whether the link models are known never to lose a message."""
         # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
         self._constant = None
@@ -90,8 +104,16 @@ class LinkSampler:
         """Draw for each receiver whether the message is lost; None means that no receiver loses it.
 
         Raises:
-            ValueError: if a loss model returns invalid losses.
+            ValueError: if a loss or a latency model returns invalid losses.
         """
+        lost = self._drawn_losses(src, dst, now, size)
+        if not self._latency_loses:
+            return lost
+        without_latency = self._without_latency(src, dst, now, size)
+        return without_latency if lost is None else list(map(or_, lost, without_latency))
+
+    def _drawn_losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
+        """Draw the losses from the loss models; see `losses`."""
         if self._lossless:
             lost = None
         elif self._loss_buffer is not None:
@@ -106,6 +128,18 @@ class LinkSampler:
                 lost = lost or [False] * len(dst)
                 context = self._context(src, [node], now, size)
                 (lost[k],) = _booleans(overrides[node](context, self._override_loss_rng), 1)
+        return lost
+
+    def _without_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
+        """Return for each receiver whether its latency model loses the message."""
+        lost = [False] * len(dst)
+        if self._is_lost is not None:
+            lost = _booleans(self._is_lost(self._context(src, dst, now, size)), len(dst))
+        overrides = self._is_lost_overrides.get(src, {})
+        for k, node in enumerate(dst) if overrides else ():
+            if node in overrides:
+                is_lost, context = overrides[node], self._context(src, [node], now, size)
+                lost[k] = is_lost is not None and _booleans(is_lost(context), 1)[0]
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
@@ -140,16 +174,19 @@ class LinkSampler:
 
         The estimate is the mean of at least 1000 draws from separate random streams, or 0 if the graph has no links.
         Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
+        If latencies depend on time, the draws are spread over their `time_span`.
         """
         if self._constant is not None:
             return (self.processing + self._constant) / SECOND if self._graph.number_of_edges() else 0.0
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
+        models = (self._latency, *(model for to in self._latency_overrides.values() for model in to.values()))
+        spans = [span for model in models if (span := link_trait(model, "time_span")) is not None]
         found: list[int] = []
-        for src in list(range(size)) * rounds:
-            dst = sorted(self._graph.adj[src])
-            found += per_receiver(like_this.arrivals(src, dst, 0, 0, TYPICAL_SIZE), len(dst))
+        for k, src in enumerate(list(range(size)) * rounds):
+            dst, now = sorted(self._graph.adj[src]), nanoseconds(min(spans, default=0.0) * (k * GOLDEN % 1.0))
+            found += [time - now for time in per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))]
             if len(found) > 10_000:
                 break
         return sum(found) / len(found) / SECOND if found else 0.0

@@ -15,6 +15,7 @@ from desim.kernel.interference import Collision
 from desim.kernel.latency import mean_latency
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio
+from desim.kernel.playback import LinkTrace
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
@@ -190,6 +191,7 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for k, fault in enumerate(scenario.fault):
         if isinstance(fault, Fault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
+    yield from _trace_warnings(scenario)
     yield from _channel_warnings(scenario)
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
@@ -204,6 +206,21 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
             f" bound, or messages {'collide or ' if contend else ''}are dropped",
         )
+
+
+def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about traces of links that may end before the run."""
+    owners: list[tuple[str, Any]] = [("network", scenario.network)]
+    owners += [(f"network.link.{k}", link) for k, link in enumerate(scenario.network.link)]
+    for key, owner in owners:
+        for name in ("latency", "loss"):
+            model = getattr(owner, name)
+            if isinstance(model, LinkTrace) and model.after == "error" and model.span < scenario.horizon:
+                yield (
+                    f"{key}.{name}.after",
+                    f"a message that is sent later than {model.span:g} s ends the run with an error, and the horizon is"
+                    f" {scenario.horizon:g} s",
+                )
 
 
 def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -88,13 +88,16 @@ def unit_in(field: FieldInfo) -> str | None:
 
 @cache
 def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table."""
+    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table.
+
+    The kinds of which the key is a text do not count.
+    """
     fields: list[FieldInfo] = []
     models: list[type[BaseModel]] = [Scenario]
     for part in (each for each in key.split(".") if not each.isdigit()):
         fields = [fields_of(model)[part] for model in models if part in model.model_fields]
         models = [model for field in fields for model in _models_of(field)]
-    units = {unit_in(field) for field in fields}
+    units = {unit_in(field) for field in fields if field.annotation is not str}
     return units.pop() if len(units) == 1 else None
 
 

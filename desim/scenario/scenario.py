@@ -39,6 +39,7 @@ from desim.config.traits import name_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.faults import FAULTS, Partition, nodes_of
+from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import LoRa, Radio
 from desim.kernel.seeds import stream
@@ -366,6 +367,8 @@ class Scenario(Value):
             for src, dst in link.ways() if not unknown else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
+        if graph is not None:
+            yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
         yield from self._channel_misfits()
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (

@@ -155,7 +155,7 @@ def validate(source: Source) -> Scenario:
 
 def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML, defaults included; keys with the value None are left out, because TOML has no null."""
-    return tomli_w.dumps(scenario.model_dump(exclude_none=True))
+    return tomli_w.dumps(scenario.model_dump(exclude_none=True), multiline_strings=True)
 
 
 def _read_text(file: Path) -> str:

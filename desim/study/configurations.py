@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from desim.config.data_files import in_short
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
@@ -216,7 +217,7 @@ def label(value: Any) -> str:
     if value is None:
         return "none"
     if isinstance(value, int | float | str):
-        return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(value)
+        return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(in_short(value))
     if isinstance(value, partial):
         given = [*map(label, value.args), *(f"{key}={label(each)}" for key, each in value.keywords.items())]
         return f"{label(value.func)}({', '.join(given)})"

@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 from pydantic import Json
 
+from desim.config.data_files import in_short
 from desim.study.configurations import Configuration
 from desim.study.row import Row
 from desim.study.run_rows import RunRows
@@ -246,7 +247,8 @@ def _differs(name: str, one: Any, other: Any) -> str:
     if name == "scenario":
         old, new = flat(one), flat(other)
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-        texts = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
+        pairs = [(key, *(in_short(each.get(key, "not there")) for each in (old, new))) for key in keys[:5]]
+        texts = "; ".join(f"{key} was {was}, is {now}" for key, was, now in pairs)
         return f"by another scenario: {texts}"
     was, now = json.dumps(one), json.dumps(other)
     is_source = name.startswith(("the code of ", "the content of "))

@@ -111,10 +111,13 @@ def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[
     """Yield the controls of one value of a field.
 
     If the value is a model, these are the controls of its keys, preceded by a control of its kind if it has one. If the
-    value is anything else, this is one control. A field that takes kinds has no control if its value is None.
+    value is anything else, this is one control. A field that takes kinds has no control if its value is None, and nor
+    has a text of several lines.
     """
     choice, plain = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
     inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else plain
+    if isinstance(value, str) and "\n" in value:  # a field of a page has one line
+        return
     if isinstance(value, list | tuple):
         yield _control(place, "text", as_text(value), field)
         return

@@ -2,13 +2,15 @@
 
 Forty nodes on a complete graph. A model whose draws do not depend on the hop is drawn in blocks; what it costs beside
 the ideal is a time of arrival per receiver. Slower are those that ask numpy anew for each broadcast: for distances
-(propagation, by_distance, any finite range), for a jitter on top of what belongs to a pair (per_pair) or for the memory
-of each link (gilbert_elliott); and those under which a message may be lost on arrival (range checked at delivery).
+(propagation, by_distance, any finite range), for a jitter on top of what belongs to a pair (per_pair), for the memory
+of each link (gilbert_elliott) or for its measurement at that time (trace); and those under which a message may be lost
+on arrival (range checked at delivery).
 """
 
 import gc
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from desim.kernel.latency import (
@@ -21,6 +23,7 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
+from desim.kernel.link_traces import LatencyTrace, LossTrace
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
@@ -31,6 +34,16 @@ from tests.benchmarks.conftest import BY_MODEL
 LAPS = 5
 FAR = 10.0
 """Beyond every node, so that the number of receivers stays the same, m."""
+DRAWN = np.random.default_rng(1).uniform(0.01, 0.02, (20, 40, 40)).tolist()
+"""Values at 20 times for each link."""
+FOR_ALL = "t,value\n" + "".join(f"{k / 10},{values[0][1]}\n" for k, values in enumerate(DRAWN))
+BY_LINK = "t,src,dst,value\n" + "".join(
+    f"{k / 10 + src / 1000},{src},{dst},{value}\n"
+    for k, values in enumerate(DRAWN)
+    for src, row in enumerate(values)
+    for dst, value in enumerate(row)
+    if src != dst
+)
 MODELS = {
     "ideal": Links(),
     "constant": Links(latency=Constant(value=0.015)),
@@ -41,10 +54,13 @@ MODELS = {
     "empirical": Links(latency=Empirical(values=(0.005, 0.01, 0.03))),
     "propagation": Links(latency=Propagation(speed=50.0)),
     "per_pair": Links(latency=PerPair()),
+    "trace, all links": Links(latency=LatencyTrace(table=FOR_ALL)),
+    "trace, by link": Links(latency=LatencyTrace(table=BY_LINK)),
     "lognormal, fifo": Links(latency=LOGNORMAL, order="fifo"),
     "bernoulli": Links(loss=Bernoulli(p=0.1)),
     "gilbert_elliott": Links(loss=GilbertElliott(share=0.1, burst=5.0)),
     "gilbert_elliott in time": Links(loss=GilbertElliott(share=0.1, burst=5.0, advance="time")),
+    "loss trace, by link": Links(loss=LossTrace(table=BY_LINK)),
     "by_distance": Links(loss=ByDistance(distance=FAR)),
     "disk": Links(range=FAR, reception=Disk()),
     "quasi_unit_disk": Links(range=FAR, reception=QuasiUnitDisk(certain=1.0)),

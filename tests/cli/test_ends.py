@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -158,6 +159,16 @@ def test_a_pipe_is_refused_at_once(file, tmp_path, monkeypatch, line, pipe, args
     assert done.exit_code == 2
     assert f"{pipe}{'' if line else ':'} cannot be read: not a regular file" in done.stderr
     assert not line or done.stderr.startswith(f"{tmp_path}/f.toml:1: {line.split(' = ')[0]}: ")
+
+
+@pytest.mark.parametrize("options", [(), ("-n", "2")])
+def test_the_end_of_a_trace_is_one_line(file, tmp_path, options):
+    (tmp_path / "rtt.csv").write_text("t,value\n0,0.001\n0.05,0.001\n")
+    done = desim("run", file('network.latency = { kind = "trace", file = "rtt.csv", after = "error" }\n'), *options)
+    assert done.exit_code == 2
+    warning, why = done.stderr.splitlines()
+    assert warning.startswith(f"warning: {tmp_path}/f.toml:1: network.latency.after: a message that is sent later than")
+    assert re.match(r"rtt\.csv ends at 0\.1 s, but a message on the link from \d+ to \d+ is sent at 0\.1\d* s, ", why)
 
 
 @pytest.mark.parametrize("text", ['"hello"', "[]", "1"])

@@ -19,6 +19,7 @@ from desim.results.run_folder import can_plot, events, read, simulate, simulate_
 from desim.scenario.scenario import Recording, Scenario, Team
 from desim.scenario.toml import dump, load
 from desim.simulation.run import run
+from tests.command import accepted
 from tests.conftest import undraw
 
 DATA = {"trace.jsonl", "summary.json", "scenario.toml", "run.json"}
@@ -136,6 +137,29 @@ WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, 
 
 
 @pytest.mark.slow
+def test_a_run_with_measured_links_is_repeated_without_the_file(tmp_path, monkeypatch):
+    """From run.json and from scenario.toml, and byte by byte; the control is an edited file."""
+    file, table = tmp_path / "f.toml", tmp_path / "rtt.csv"
+    file.write_text(
+        'horizon = 0.5\nteam.count = 3\nprotocol = { kind = "sap", schedule = { kind = "poisson", rate = 5.0 } }\n'
+        'network.latency = { kind = "trace", file = "rtt.csv", start = "random" }\nrecord.messages = true\n'
+    )
+    rows = [f"{k / 10},{0.01 + 0.001 * k if k % 7 else ''},x\n" for k in range(50)]
+    table.write_text("".join(["t,value,note\n", *rows]))
+    done = accepted("run", file, "-o", tmp_path / "one")
+    table.write_text("".join(["t,value\n", *(f"{k / 10},0.02\n" for k in range(50))]))
+    accepted("run", file, "-o", tmp_path / "edited")
+    table.unlink()
+    accepted("run", "--from", tmp_path / "one" / "run.json", "-o", tmp_path / "again")
+    accepted("run", tmp_path / "one" / "scenario.toml", "-o", tmp_path / "resolved")
+    one, again, resolved, edited = (
+        (tmp_path / name / "trace.jsonl").read_bytes() for name in ("one", "again", "resolved", "edited")
+    )
+    assert one == again == resolved != edited
+    assert done.stdout
+    assert read(tmp_path / "one").scenario.network.latency.read_from == "rtt.csv"
+
+
 def test_messages_recorded_to_a_file_are_in_the_trace_of_the_folder_and_not_of_the_result(tmp_path):
     result = simulate(tmp_path / "a", TO_FILE, 5)
     assert list(result.trace) == list(run(TO_FILE, 5).trace)

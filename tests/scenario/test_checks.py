@@ -297,6 +297,18 @@ def test_a_period_that_nothing_has_may_be_beyond_the_horizon():
     assert [why for _, why in warned(fault=[RandomCrashes(mean_downtime=99.0)]) if "longer than" in why] == []
 
 
+@pytest.mark.parametrize(
+    ("options", "span"), [({}, 4.5), ({"start": 1.0}, 3.5), ({"after": "hold"}, None), ({"after": "repeat"}, None)]
+)
+def test_a_trace_that_may_end_with_an_error_before_the_run_is_warned_of(options, span):
+    trace = {"kind": "trace", "table": "t,value\n0,0\n1,0\n3,0\n", "after": "error"} | options
+    link = {"src": 0, "dst": 1, "loss": trace}
+    found = warned(network={"latency": trace, "link": [link]}, horizon=5.0)
+    why = f"a message that is sent later than {span} s ends the run with an error, and the horizon is 5 s"
+    assert found == ([] if span is None else [("network.latency.after", why), ("network.link.0.loss.after", why)])
+    assert warned(network={"latency": trace, "link": [link]}, horizon=span or 1.0) == []
+
+
 LONG = [
     ("network.latency", {"network": {"latency": 3.1}}, 3.1),
     ("network.latency", {"network": {"latency": {"kind": "uniform", "low": 0.2, "high": 6.0}}}, 3.1),

@@ -11,6 +11,7 @@ from desim.scenario.key_index import unit_of
         ("horizon", "s"),
         ("network.range", "m"),
         ("network.latency.mean", "s"),
+        ("network.latency.value", "s"),
         ("protocol.schedule.rate", "1/s"),
         ("team.speeds", "m/s"),
         ("team.speeds.last", "m/s"),

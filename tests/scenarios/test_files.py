@@ -46,6 +46,7 @@ def test_a_scenario_with_every_default_filled_in_is_the_same_scenario(name, tmp_
     ("asked", "causes"),
     [
         (("bursts.toml", *SHORT), {"loss"}),
+        (("measured.toml",), {"loss"}),
         (("radio.toml", *SHORT), {"out_of_range", "half_duplex"}),
         (("contention.toml", *SHORT), {"collision", "half_duplex"}),
         pytest.param(("faults.toml",), {"crash", "partition", "jamming"}, marks=pytest.mark.slow),

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from desim import LatencyTrace, LossTrace, SignalTrace
 from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -486,6 +487,22 @@ def test_the_folders_of_the_files_that_a_model_declares_do_not_count(tmp_path, m
 
     assert key(a_low="1", b_up="2") == key(d_low="1", c_up="2") != key(e_low="2", f_up="1")
     assert key(a_same="1", b_same="2") == key(d_same="1", c_same="2")
+
+
+@pytest.mark.parametrize("model", [LatencyTrace, LossTrace, SignalTrace])
+def test_measurements_count_by_the_columns_in_use(tmp_path, model):
+    """Also by the name of their file, and not by its folder, other columns and comments below the rows."""
+
+    def key(text, name="a.csv", folder=""):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / name).write_text(text)
+        table = {"latency" if model is LatencyTrace else "loss": model(file=tmp_path / folder / name)}
+        return config_hash(Scenario(network=table))
+
+    first = key("t,value\n0,0.5\n1,0.25\n")
+    assert first == key("t,value,x\n0,0.5,1\n1,0.25,2\n") == key("t,value\n0,0.5\n1,0.25\n# end\n", folder="b")
+    others = [key("t,value\n0,0.5\n1,0.75\n"), key("t,value\n0,0.5\n2,0.25\n"), key("t,value\n0,0.5\n1,\n")]
+    assert len({first, *others, key("t,value\n0,0.5\n1,0.25\n", "b.csv")}) == 5
 
 
 def test_a_model_whose_files_cannot_be_read_is_refused_with_its_key(monkeypatch):

@@ -237,6 +237,7 @@ THERE = {
     "learning": "latency, loss",
     "many": "latency",
     "lora": "contention",
+    "measured": "latency, loss",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",

@@ -1,0 +1,59 @@
+"""Checks that the models of a network apply to its links; a model of measurements may lack some of them."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from desim.kernel.implicit_complete import is_implicit
+from desim.kernel.links import Links
+from desim.kernel.traits import link_trait
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+Way = tuple[int, int]
+"""A link: sender and receiver."""
+Place = tuple[str | int, ...]
+
+
+def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:
+    """Yield the key, below `network`, and the text of each model that does not apply to a link that would use it.
+
+    Args:
+        links: the link models; their links are in the graph.
+        graph: the communication graph.
+    """
+    for name in ("latency", "loss"):
+        own = dict(_own_models(links, graph, name))
+        uses: list[tuple[Place, Any, Iterator[Way]]] = [
+            (place, model, iter([way])) for way, (place, model) in own.items()
+        ]
+        uses.append(((name,), getattr(links, name), (way for way in _ways(graph) if way not in own)))
+        for place, model, ways in uses:
+            check = link_trait(model, "check_links")
+            try:
+                if check is not None:
+                    check(len(graph), ways)
+            except ValueError as error:
+                yield place, str(error)
+
+
+def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:
+    """Yield the links with a latency or a loss of their own, each with the key of the model and the model."""
+    edges: Any = () if is_implicit(graph) else graph.edges(data=name)
+    for src, dst, model in edges:
+        if model is not None and not isinstance(model, int | float):
+            for way in _directions(graph, src, dst):
+                yield way, (("graph",), model)
+    for k, link in enumerate(links.link):
+        if (model := dict(link)[name]) is not None:
+            for way in link.ways():
+                yield way, (("link", k, name), model)
+
+
+def _ways(graph: "nx.Graph[int]") -> Iterator[Way]:
+    for src, dst in graph.edges:
+        yield from _directions(graph, src, dst)
+
+
+def _directions(graph: "nx.Graph[int]", src: int, dst: int) -> list[Way]:
+    return [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]

@@ -1,0 +1,252 @@
+"""Tables of measurements: what a file may hold, and what is refused with its name and the line."""
+
+import re
+import sys
+
+import networkx as nx
+import pytest
+from pydantic import ValidationError
+
+from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
+from desim.kernel.clock import Clock
+from desim.kernel.links import Links
+from desim.kernel.network import Network
+
+PER_LINK = "t,src,dst,value\n0,0,1,0.1\n0,1,0,0.3\n1,0,1,0.2\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Return a function that creates the trace in a file with some text."""
+
+    def made(text, model=LatencyTrace, **options):
+        (tmp_path / "rtt.csv").write_text(text, encoding="utf-8")
+        return model.model_validate({"file": "rtt.csv"} | options, context={"folder": tmp_path})
+
+    return made
+
+
+def test_comments_blank_lines_and_other_columns_are_left_out_and_each_row_stays_on_its_line(read):
+    text = '\ufeff# by, hand "\n\nx,t , rtt,note\r\n1, 0,40,"a, b"\n\n2,0.5,,\n3,1.0,nan,\n'
+    trace = read(text, value="rtt", unit="ms")
+    assert trace.table == "\n\nt,rtt\n0,40\n\n0.5,\n1.0,nan\n"
+    assert (trace.file, trace.src, trace.dst, trace.read_from) == (None, None, None, "rtt.csv")
+    assert trace.measurements.values.tolist() == [40.0] * 3
+    assert trace.measurements.is_missing.tolist() == [False, True, True]
+
+
+def test_a_trace_no_longer_needs_its_file(read):
+    trace = read(PER_LINK, start="random")
+    assert LatencyTrace.model_validate(trace.plain()) == trace
+    assert LatencyTrace.model_validate(trace.model_dump(exclude_none=True)) == trace
+    assert LatencyTrace(table=PER_LINK, start="random", read_from="rtt.csv") == trace
+    assert repr(trace) == "LatencyTrace(start='random', table='3 rows', read_from='rtt.csv')"
+
+
+@pytest.mark.slow
+def test_a_parquet_file_means_the_same_as_a_csv_file(tmp_path):
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    def read(**columns):
+        parquet.write_table(pa.table(columns), tmp_path / "rtt.parquet")
+        return LatencyTrace(file=tmp_path / "rtt.parquet")
+
+    ends = {"src": [0, 1, 0], "dst": [1, 0, 1]}
+    found = read(t=[0, 0, 1], **ends, value=[0.1, 0.3, None], x=[[1], [2], [3]])
+    assert found.table == PER_LINK.replace("0.2", "")
+    assert found.read_from == "rtt.parquet"
+    refused = {
+        "row 2: a latency should be at least 0 (got -1.0)": {"t": [0, 1], "value": [0.0, -1.0]},
+        "row 3: there is no node 7": {"t": [0, 0, 0], "src": [0, 1, 7], "dst": [1, 0, 0], "value": [1, 1, 1]},
+        "has no column 'value'; its columns are t, rtt": {"t": [0, 1], "rtt": [0.0, -1.0]},
+        "has no rows": {"t": pa.array([], pa.float64()), "value": pa.array([], pa.float64())},
+    }
+    for complaint, columns in refused.items():
+        with pytest.raises(ValidationError, match=rf"rtt\.parquet,? {re.escape(complaint)}"):
+            Scenario(team={"count": 2}, network={"latency": read(**columns)})
+    (tmp_path / "rtt.parquet").write_bytes(b"\xff\xfe")
+    with pytest.raises(ValidationError, match=r"rtt\.parquet cannot be read: .*Parquet"):
+        LatencyTrace(file=tmp_path / "rtt.parquet")
+
+
+def test_parquet_needs_pyarrow(tmp_path, monkeypatch):
+    (tmp_path / "rtt.parquet").write_bytes(b"PAR1")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ValidationError, match=r"rtt\.parquet needs pyarrow: pip install 'pursuit-desim\[parquet\]'"):
+        LatencyTrace(file=tmp_path / "rtt.parquet")
+
+
+@pytest.mark.parametrize(
+    ("unit", "times"),
+    [
+        ("s", ["1700000000.1", "1700000000.2", "1700000000.3"]),
+        ("ms", ["1700000000100", "1700000000200.0", "1.7000000003e12"]),
+        ("us", ["-100000", "0", "100000"]),
+        ("ns", ["1700000000100000001", "1700000000200000001", "1700000000300000001"]),
+    ],
+)
+def test_times_count_from_the_first_and_are_exact(unit, times):
+    """As binary numbers, 1700000000.2 - 1700000000.1 is 0.10000014 s, and the last times are equal."""
+    rows = "".join(f"{time},1\n" for time in times)
+    trace = LatencyTrace(table=f"t,value\n{rows}", time_unit=unit)
+    assert trace.measurements.times.tolist() == [0, 100_000_000, 200_000_000]
+    assert trace.span == 0.3
+
+
+@pytest.mark.parametrize(
+    ("rows", "end"),
+    [
+        ("0,0,1,1\n", 1.0),
+        ("5,0,1,1\n5,1,0,1\n", 1.0),
+        ("0,0,1,1\n3,0,1,1\n4,0,1,1\n", 6.0),  # a mean interval of 2 s
+        ("0,0,1,1\n0.5,1,0,1\n1,0,1,1\n1.5,1,0,1\n", 2.0),  # by turns, each link has an interval of 1 s
+        ("0,0,1,1\n0.5,1,0,1\n1,0,1,1\n1.5,1,0,1\n9,2,1,1\n", 11.25),  # the last time, and a mean interval of 2.25 s
+    ],
+)
+def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
+    assert LatencyTrace(table=f"t,src,dst,value\n{rows}").span == end
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "complaint"),
+    [
+        ("", {}, r"rtt\.csv is empty: its first line should have the names of its columns"),
+        ("# a comment\n\n,,\n", {}, r"rtt\.csv is empty"),
+        ("t,value\n", {}, r"rtt\.csv has no rows"),
+        ("time,rtt\n0,1\n", {}, r"rtt\.csv has no column 't'; its columns are time, rtt"),
+        ("t,value,value\n0,1,1\n", {}, r"rtt\.csv has several columns 'value'; its columns are t, value, value"),
+        ("t,value\n0,1,5\n", {}, r"line 2: has 3 cells, but the table has 2 columns"),
+        ('t,value\n0,"1\n', {}, r"rtt\.csv, line 3: unexpected end of data"),
+        ("# c\nt,value\n0,1\n\n1,x\n", {}, r"rtt\.csv, line 5: value should be a number \(got 'x'\)"),
+        ("t,value\n,1\n", {}, r"line 2: t should be a number \(got ''\)"),
+        ("t,value\nnan,1\n", {}, r"line 2: t should be a number \(got 'nan'\)"),
+        ("t,value\n1e99,1\n", {}, r"line 2: t should be a number \(got '1e99'\)"),
+        ("t,value\n0,1\n2e9,1\n", {}, r"line 3: t should be at most 1e\+09 s after the earliest time"),
+        ("t,value\n0,-3\n", {}, r"line 2: a latency should be at least 0 \(got -3\)"),
+        ("t,value\n0,inf\n", {}, r"line 2: a latency should be at most 1e\+09 \(got inf\)"),
+        ("t,value\n0,3e12\n", {"unit": "ms", "rtt": True}, r"line 2: a latency should be at most 2e\+12 \(got 3e12\)"),
+        (
+            "t,value\n0,1\n2,1\n2,1\n",
+            {},
+            r"line 4: t should increase; it is not later than in line 3, of the same link",
+        ),
+        (
+            "t,src,dst,value\n3,0,1,1\n2,1,0,1\n2,0,1,1\n1,1,0,1\n",
+            {},
+            r"line 4: t should increase; it is not later than in line 2, of the same link",
+        ),
+        (
+            "t,src,value\n0,0,1\n",
+            {},
+            r"src and dst should both be columns of rtt\.csv, or neither; its columns are t, src",
+        ),
+        ("t,value\n0,1\n", {"src": "from", "dst": "to"}, r"rtt\.csv has no column 'from'; its columns are t, value"),
+        ("t,src,dst,value\n0,0,0,1\n", {}, r"line 2: a link should join two nodes \(got 0 and 0\)"),
+        ("t,src,dst,value\n0,0,1.0,1\n", {}, r"line 2: dst should be the number of a node, 0 or more \(got '1\.0'\)"),
+        ("t,src,dst,value\n0,-1,0,1\n", {}, r"line 2: src should be the number of a node, 0 or more \(got '-1'\)"),
+        (
+            PER_LINK,
+            {"both_ways": True},
+            r"line 4: with both_ways, only one direction should have rows; 0 and 1 have both",
+        ),
+        ("t,value\n0,1\n", {"table": "t,value\n0,1\n"}, r"should have a file or a table, not both"),
+        ("t,value\n0,1\n", {"start": "random", "after": "hold"}, r'start = "random" requires after = "repeat"'),
+        ("t,value\n0,1\n", {"start": 1.0, "after": "error"}, r"start should be before the end of the trace at 1 s"),
+    ],
+)
+def test_a_faulty_file_is_refused_with_its_name_and_the_line(read, text, options, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        read(text, **options)
+
+
+@pytest.mark.parametrize(
+    ("model", "cell", "complaint"),
+    [
+        (LossTrace, "1.5", r"line 2: a probability of loss should be at most 1 \(got 1\.5\)"),
+        (LossTrace, "-1", r"line 2: a probability of loss should be at least 0 \(got -1\)"),
+        (SignalTrace, "2147483647", r"line 2: a signal strength in dB should be at most 1000 \(got 2147483647\)"),
+    ],
+)
+def test_a_loss_is_a_probability_and_a_signal_is_in_decibels(read, model, cell, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        read(f"t,value\n0,{cell}\n", model)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("none.csv", "No such file"),
+        ("binary.csv", "codec can't decode"),
+        (".", "Is a directory"),
+    ],
+)
+def test_an_unreadable_file_is_reported_by_its_name(tmp_path, name, why):
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(ValidationError, match=f"{name} cannot be read: .*{why}"):
+        LatencyTrace.model_validate({"file": name}, context={"folder": tmp_path})
+
+
+def test_a_trace_needs_a_file_or_a_table():
+    for given in ({}, {"file": None}):
+        with pytest.raises(ValidationError, match="should have a file, or a table"):
+            LatencyTrace(**given)
+    with pytest.raises(ValidationError, match="the table is empty"):
+        LatencyTrace(table="")
+    with pytest.raises(ValidationError, match="a path"):
+        LatencyTrace(file=3)
+
+
+# The links of the network.
+
+TRACE = {"kind": "trace", "table": PER_LINK}
+ONE_WAY = TRACE | {"table": PER_LINK.replace("0,1,0,0.3\n", "")}
+FAR = TRACE | {"table": f"{PER_LINK}2,0,5,0.1\n"}
+OWN = {"src": 1, "dst": 2, "both_ways": True}
+
+
+@pytest.mark.parametrize(
+    ("network", "complaint"),
+    [
+        ({"latency": TRACE}, "network.latency: the table has no row for the link from 0 to 2"),
+        ({"loss": TRACE}, "network.loss: the table has no row for the link from 0 to 2"),
+        ({"latency": FAR}, r"network.latency: the table, line 5: there is no node 5: the nodes are 0 \.\. 2"),
+        (
+            {"link": [OWN | {"order": "fifo"}, {"src": 0, "dst": 2, "loss": TRACE}]},
+            "network.link.1.loss: .*from 0 to 2",
+        ),
+        (
+            {"graph": {"kind": "edges", "edges": [{"src": 0, "dst": 2, "latency": TRACE}]}},
+            "network.graph: .*from 0 to 2",
+        ),
+        (
+            {"graph": {"kind": "edges", "edges": [{"src": 0, "dst": 1}]}, "latency": ONE_WAY},
+            "the link from 1 to 0; with both_ways = true, a row also holds for the way back",
+        ),
+    ],
+)
+def test_a_link_without_a_row_is_refused_with_the_key_of_its_model(network, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        Scenario(team={"count": 3}, network=network)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        {"graph": {"kind": "edges", "edges": [{"src": 0, "dst": 1}]}, "latency": TRACE},
+        {"graph": {"kind": "edges", "edges": [{"src": 0, "dst": 1}]}, "latency": ONE_WAY | {"both_ways": True}},
+        {"graph": {"kind": "edges", "edges": [{"src": 0, "dst": 1}], "directed": True}, "loss": ONE_WAY},
+        {
+            "graph": {"kind": "edges", "edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 2}]},
+            "latency": TRACE,
+            "link": [OWN | {"latency": 0.5}],
+        },
+    ],
+)
+def test_a_link_that_does_not_exist_or_has_a_model_of_its_own_needs_no_row(network):
+    Scenario(team={"count": 3}, network=network)
+
+
+def test_a_network_refuses_a_link_without_a_row():
+    with pytest.raises(ValueError, match="latency: the table has no row for the link from 0 to 2"):
+        Network(Clock(), nx.complete_graph(3), Links(latency=LatencyTrace(table=PER_LINK)))
