@@ -36,6 +36,7 @@ NEEDED = {
     "empirical": {"values": [0.01, 0.02, 0.5]},
     "max_min": {"candidates": 12},
     "voronoi_vertex": {"arena": [0.0, 10.0]},
+    "recorded": {"waypoints": [[0.3, 5.0, 5.0]]},
     "edges": {"edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 0}, {"src": 1, "dst": 2}], "directed": True},
 }
 """What a kind cannot do without, or would be slow with."""
@@ -78,7 +79,10 @@ def protocol(dice, kinds=KINDS, **parts):
 
 
 def teams(dice, size):
+    """Return a team; in some, a pursuer only relays messages, on its way across the others."""
+    motion = {"kind": "recorded", "waypoints": [[0.0, 0.0, dice.number(0.0, 10.0)], [dice.number(0.5, 4.0), 10.0, 5.0]]}
     return {
+        "relay": [{"pursuer": size // 2, "motion": motion}] if size > 1 and dice.chance(0.25) else [],
         "count": size,
         "box": (0.0, 10.0),
         "speeds": [dice.number(0.5, 3.0) for _ in range(size)],
