@@ -6,10 +6,10 @@ the next; a pause is a repeated position. Lines that begin with `#` are comments
 
     t1 x1 y1 t2 x2 y2 ...
 
-A file of ns-2 (Fall & Varadhan, "The ns Manual", section "Mobile Networking in ns") is a Tcl script. Two statements are
+A file of ns-2 (Fall & Varadhan 2011, "The ns Manual", "Mobile Networking in ns") is a Tcl script. Two statements are
 read, with numbers only; statements about anything else are ignored, and so is the coordinate Z_. At time 2.0, the node
-of the example begins to move towards (50, 20) at 5 m/s. It stands there until the next `setdest`, which may also come
-before the arrival. A speed of 0 stops the node.
+of the example begins to move towards (50, 20) at 5 m/s. After its arrival it stands there. Another `setdest` replaces
+this one, also before the arrival, and a speed of 0 stops the node.
 
     $node_(0) set X_ 10.0
     $ns_ at 2.0 "$node_(0) setdest 50.0 20.0 5.0"
