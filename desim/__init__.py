@@ -75,6 +75,8 @@ if TYPE_CHECKING:
     from desim.pursuit.evasion import Zigzag as Zigzag
     from desim.pursuit.guidance import ConstantBearing as ConstantBearing
     from desim.pursuit.guidance import PurePursuit as PurePursuit
+    from desim.pursuit.recorded import RecordedMotion as RecordedMotion
+    from desim.pursuit.recorded import RelayNode as RelayNode
     from desim.pursuit.sensing import Sensing as Sensing
     from desim.scenario.examples import examples as examples
     from desim.scenario.scenario import Capture as Capture
@@ -127,6 +129,7 @@ _NAMES = {
         "Zigzag",
     ),
     "desim.pursuit.guidance": ("ConstantBearing", "PurePursuit"),
+    "desim.pursuit.recorded": ("RecordedMotion", "RelayNode"),
     "desim.pursuit.sensing": ("Sensing",),
     "desim.scenario.examples": ("examples",),
     "desim.scenario.scenario": ("Capture", "Evader", "Motion", "Recording", "Scenario", "Team"),

@@ -22,6 +22,7 @@ from desim.config.model import docs_of, fields_of, models_in
 from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.view.replay import replay
+from desim.view.trace_table import COLUMNS, KINDS, columns_of
 
 SCENARIOS = Path(scenarios.__file__).parent
 STUDIES = ("rivals", "delay", "range", "evaders", "many", "table1", "two_clocks", "first_picture", "figures")
@@ -47,7 +48,7 @@ FIRST = (
 
 def write(docs: Path) -> None:
     """Write all generated pages below a folder."""
-    for page in (keys, protocols, metrics, events):
+    for page in (keys, protocols, metrics, events, table):
         _write(docs / "reference" / f"{page.__name__}.md", page())
     gallery(docs / "gallery")
 
@@ -122,6 +123,24 @@ def events() -> str:
             f"```python\nfrom {event.__module__} import {event.__name__}\n```",
             "\n".join(fields),
         ]
+    return "\n\n".join(parts) + "\n"
+
+
+def table() -> str:
+    """Return the page of the columns of an exported trace."""
+    having = {name: [kind for kind in KINDS if name in columns_of([kind])] for name in COLUMNS}
+    own = {name: kinds for name, kinds in having.items() if kinds != [*KINDS]}
+    rows = [
+        f"| `{name}` | {column.type} | {column.description} | {', '.join(own[name]) if name in own else 'all'} |"
+        for name, column in COLUMNS.items()
+    ]
+    parts = [
+        "# Columns of a trace as a table",
+        "`desim export` writes the [events](events.md) of a run as a table, in a CSV or Parquet file; see"
+        " [File formats](../howto/formats.md#a-table-for-pandas). Started and Sampled have a row for each pursuer and"
+        " each evader, Queued, Broadcast and Sent one for each receiver, and any other event has one.",
+        "\n".join(["| column | type | what it is | of events |", "|---|---|---|---|", *rows]),
+    ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -21,6 +21,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
+from desim.pursuit.recorded import RecordedMotion
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
@@ -166,7 +167,7 @@ def _headers(table: Table) -> list[str]:
 
 
 TABLES = list(tables())
-BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges)}
+BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges, RecordedMotion)}
 """Keys whose refusals are written out below: the value of another key decides what they take."""
 
 
@@ -262,6 +263,11 @@ FAULTS = [
     "fault = [{ kind = 'crash', node = 1, start = 2.0, end = 1.0 }]",
     "fault = [{ kind = 'partition', start = 1.0, groups = [[0, 1], [1]] }]",
     "network.latency = { kind = 'empirical' }",
+    "evader.strategy = { kind = 'recorded' }",
+    "evader.strategy = { kind = 'recorded', file = 3 }",
+    "evader.strategy = { kind = 'recorded', file = 'no.txt', node = 1 }",
+    "[evader]\nstrategy = { kind = 'recorded', waypoints = [[0.0, 1.0, 1.0], [1.0, 2.0, 1.0]] }",
+    "[[team.relay]]\npursuer = 20\nmotion = { kind = 'recorded', waypoints = [[0.0, 1.0, 1.0]] }",
     "network.link = [{ src = 0, dst = 2 }]",
     "team.count = 4\nnetwork.link = [{ src = 0, dst = 2, order = 'fifo' }, { src = 1, dst = 9, order = 'fifo' }]",
     "network = { graph = { kind = 'ring' }, link = [{ src = 0, dst = 2, order = 'fifo' }] }",

@@ -106,6 +106,7 @@ PLACES = {
     "evader.strategy.during_handover": 'evader.strategy = {{ kind = "listener", during_handover = {} }}',
     "evader.0.strategy": "[[evader]]\nstrategy = {}",
     "team.guidance": "team.guidance = {}",
+    "team.relay.0.motion": "team.relay = [{{ pursuer = 0, motion = {} }}]",
     "announce.dissemination": "announce.dissemination = {}",
     "fault.0": "fault = [{}]",
     "sweep.grid.network.latency": "[sweep.grid]\nnetwork.latency = [{}]",
@@ -143,16 +144,16 @@ def _tables(node, above=""):
 
 
 COMMANDS = [
-    *(["run"], ["sweep", "--dry-run"], ["explain", "-n", "2"], ["replay"]),
+    *(["run"], ["sweep", "--dry-run"], ["explain", "-n", "2"], ["replay"], ["export"]),
     *(["plot", "--kind", kind] for kind in ("trajectory", "spacetime", "perfetto", "film")),
 ]
 
 
 @pytest.mark.parametrize("words", COMMANDS)
 def test_no_command_runs_code_named_in_a_file(mark, written, words):
-    assert "f.toml:3: network.latency.kind: 'evil:late' names code" in refused(
-        *words, written(f"network.latency = {CODE}")
-    )
+    file = written(f"network.latency = {CODE}")
+    to = [file.with_name("x.csv")] if words == ["export"] else []
+    assert "f.toml:3: network.latency.kind: 'evil:late' names code" in refused(*words, file, *to)
     assert not mark.exists()
 
 
@@ -171,7 +172,7 @@ def test_every_command_with_keys_has_the_option():
             yield from every(each) if isinstance(each, click.Group) else [each]
 
     found = [{option for param in each.params for option in param.opts} for each in every(main)]
-    assert len([each for each in found if "--set" in each]) == 7
+    assert len([each for each in found if "--set" in each]) == 8
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 

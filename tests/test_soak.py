@@ -38,6 +38,7 @@ NEEDED = {
     "voronoi_vertex": {"arena": [0.0, 10.0]},
     "trace": {"table": "t,value\n0,0.01\n0.3,0.2\n0.4,\n0.6,0.05", "between": "linear", "start": "random"},
     "signal_trace": {"table": "t,value\n0,-80\n0.3,-91\n0.4,\n0.6,-89", "width": 1.0},
+    "recorded": {"waypoints": [[0.3, 5.0, 5.0]]},
     "edges": {"edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 0}, {"src": 1, "dst": 2}], "directed": True},
 }
 """What a kind cannot do without, or would be slow with."""
@@ -80,7 +81,10 @@ def protocol(dice, kinds=KINDS, **parts):
 
 
 def teams(dice, size):
+    """Return a team; in some, a pursuer only relays messages, on its way across the others."""
+    motion = {"kind": "recorded", "waypoints": [[0.0, 0.0, dice.number(0.0, 10.0)], [dice.number(0.5, 4.0), 10.0, 5.0]]}
     return {
+        "relay": [{"pursuer": size // 2, "motion": motion}] if size > 1 and dice.chance(0.25) else [],
         "count": size,
         "box": (0.0, 10.0),
         "speeds": [dice.number(0.5, 3.0) for _ in range(size)],

@@ -114,8 +114,8 @@ class MotionWatcher:
     """A watcher of the positions of all players, at every sample of the trajectory (`record.trajectory`).
 
     The invariant is that positions are continuous and no player exceeds its speed. Between two samples a pursuer moves
-    at most v_i times the time for which it was active, and an evader at most v_e times the time for which it was at
-    large. In a static game no player moves.
+    at most v_i times the time for which it was active, a relay at most the top speed of its record times the elapsed
+    time, and an evader at most v_e times the time for which it was at large. In a static game no player moves.
 
     Args:
         scenario: the scenario of the run.
@@ -125,6 +125,7 @@ class MotionWatcher:
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
         self._at_large = np.full(len(self._evader_speeds), np.inf)  # time of capture, ns; inf before it
         self._moves = not scenario.motion.static
+        self._relays = scenario.team.relays
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
 
@@ -133,6 +134,7 @@ class MotionWatcher:
         self._active(event)
         if isinstance(event, Started):
             self._speeds = np.array([*event.speeds, *self._evader_speeds])
+            self._speeds[[*self._relays]] = [motion.top_speed for motion in self._relays.values()]
             self._check_positions(event)
         elif isinstance(event, Sampled):
             self._check_positions(event)
@@ -142,6 +144,7 @@ class MotionWatcher:
     def _check_positions(self, event: Started | Sampled) -> None:
         places = complex_points([*event.pursuers, *event.evaders])
         moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
+        moving[[*self._relays]] = event.t
         if self._last is not None:
             since, before, moved = self._last
             bound = self._moves * self._speeds * (moving - moved) / SECOND

@@ -12,6 +12,8 @@ from desim.simulation.run import Result
 Derived = TypeVar("Derived")
 NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
 """The error message for a run without recorded positions."""
+NO_MESSAGES = "the trace lacks the messages that were sent: set record.messages = true"
+"""The error message for a run whose messages were not recorded."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,7 +103,7 @@ def require_messages(result: Result) -> None:
         ValueError: if the trace lacks messages that were sent.
     """
     if lacks_messages(result):
-        raise ValueError("the trace lacks the messages that were sent: set record.messages = true")
+        raise ValueError(NO_MESSAGES)
 
 
 @remembered

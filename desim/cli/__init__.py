@@ -10,7 +10,8 @@ import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
 from desim.cli.explain import explain
-from desim.cli.many import export, merge, sweep
+from desim.cli.export import export
+from desim.cli.many import merge, sweep
 from desim.cli.one import run
 from desim.cli.pages import replay, report
 from desim.cli.play import play

@@ -1,4 +1,4 @@
-"""Many runs: `desim sweep`, `merge`, `export`."""
+"""Many runs: `desim sweep` and `merge`."""
 
 import json
 import sys
@@ -191,7 +191,7 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
-        parts = [opened.enter_context(Store(path, read_only=True)) for path in _store_files(stores)]
+        parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
         for part in parts:
             parts[0].check_same(part.about)
         store = opened.enter_context(Store(out / STORE))
@@ -205,33 +205,7 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
     echo(f"{count} runs are in {out / STORE}")
 
 
-@click.command()
-@click.argument("store", type=click.Path(path_type=Path))
-@click.argument("file", type=click.Path(path_type=Path))
-def export(store: Path, file: Path) -> None:
-    """Write the runs of a STORE (a file or its folder) to FILE, one row per run: .csv or .parquet.
-
-    In CSV, a text that a spreadsheet would take for a formula is prefixed with an apostrophe, and control characters
-    are escaped.
-    """
-    from desim.study.result import SweepResult
-    from desim.study.store import Store
-
-    path, *others = _store_files((store,))
-    if others:
-        fail(f"{store}: has {len(others) + 1} stores: merge them first, or give one of them")
-    with storing(), Store(path, read_only=True, verify=False) as kept:
-        result = SweepResult.of(kept)
-    try:
-        result.write(file)
-    except OSError as error:
-        fail(f"{file}: cannot be written: {error.strerror}")
-    except (ImportError, ValueError) as error:
-        fail(str(error))
-    echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
-
-
-def _store_files(stores: tuple[Path, ...]) -> list[Path]:
+def store_files(stores: tuple[Path, ...]) -> list[Path]:
     """Return the files of stores; a folder stands for all stores in it, shards included."""
     return [file for each in stores for file in (_stores_in(each) if each.is_dir() else [each])]
 

@@ -73,8 +73,7 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
     """
     if not is_recorded(source):
         return _simulated(source, seed, overrides)
-    if seed is not None or overrides:
-        raise click.UsageError("--seed and --set apply to a scenario FILE only: the results in a DIR are recorded")
+    check_recorded_options(seed, overrides)
     from desim.study.folder import open as open_results
 
     try:
@@ -83,6 +82,12 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
         fail(f"{error.filename}: cannot be read: {error.strerror}" if error.strerror else str(error))
     except ValueError as error:
         fail(str(error))
+
+
+def check_recorded_options(seed: int | None, overrides: tuple[str, ...]) -> None:
+    """Raise a usage error if a seed or overrides are given for recorded results."""
+    if seed is not None or overrides:
+        raise click.UsageError("--seed and --set apply to a scenario FILE only: the results in a DIR are recorded")
 
 
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":

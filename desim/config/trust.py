@@ -1,4 +1,4 @@
-"""Handling of untrusted input: terminal escaping, symbolic links, pipes, existing files, import safety."""
+"""Handling of untrusted input: escaping for terminals and spreadsheets, links, pipes, existing files, import safety."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -21,6 +21,17 @@ ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_impor
 def escaped(text: str) -> str:
     """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
     return "".join(each if each.isprintable() or each in "\n\t" else _escape_sequence(ord(each)) for each in text)
+
+
+def csv_cell(value: Any) -> Any:
+    """Return a value as a cell of a CSV file that is safe in spreadsheets and terminals; numbers are unchanged.
+
+    A text that begins with = + - @, a tab or a line break is prefixed with an apostrophe (see OWASP, "CSV Injection").
+    """
+    if not isinstance(value, str):
+        return value
+    shown = escaped(value)
+    return f"'{shown}" if shown.startswith(("=", "+", "-", "@", "\t", "\n")) else shown
 
 
 def without_symlink(path: Path) -> Path:
@@ -61,6 +72,22 @@ def regular_or_missing(path: Path) -> Path:
     if path.exists() and not path.is_file():
         raise OSError(EINVAL, "not a regular file", str(path))
     return path
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield the path PATH.part of a file to be written, which replaces `path` at the end; after an error, remove it.
+
+    Raises:
+        OSError: if the file cannot be replaced.
+    """
+    part = without_symlink(path.with_name(f"{path.name}.part"))
+    try:
+        yield part
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager

@@ -164,8 +164,8 @@ def _as_json(value: Any) -> str:
     return _json(value.plain() if has_plain(value.__class__) else value)
 
 
-def _body_json(value: Any) -> str:
-    """Return a body as JSON."""
+def body_json(value: Any) -> str:
+    """Return a body, or another value with named tuples inside, as JSON; an unknown object is written as its `repr`."""
     return _as_json(value) if has_plain(value.__class__) else _nested(value)
 
 
@@ -206,7 +206,7 @@ _CONVERSIONS: Mapping[Any, Callable[[Any], str]] = {
     NodeId: str,
     Count: str,
     tuple[NodeId, ...]: _nodes_json,
-    Body: _body_json,
+    Body: body_json,
 }
 """The function that converts the value of a field to JSON, by the type of the field; for other types, `_as_json`."""
 

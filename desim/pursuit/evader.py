@@ -123,6 +123,7 @@ class EvaderBody:
         players: positions and velocities of all players: the N pursuers, then the evaders in order.
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
+        top_speed: the greatest speed of any pursuer, m/s.
 
     Attributes:
         slow: (N,) whether each pursuer is no faster than the evader.
@@ -140,6 +141,7 @@ class EvaderBody:
         players: Kinematics,
         speeds: Floats,
         radius: float,
+        top_speed: float,
     ):
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius = len(speeds), radius
@@ -147,7 +149,7 @@ class EvaderBody:
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
         self.slow: list[bool] = self._radial_time.slow.tolist()
-        self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # bound on the closing speed, m/s
+        self._closing_bound = max(top_speed + speed, 1e-9)  # bound on the closing speed, m/s
         self.captured: int | None = None
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
         self._safe_until = -1  # no capture is possible up to this time, ns

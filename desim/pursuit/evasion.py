@@ -18,6 +18,7 @@ from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
 from desim.kernel.portable_math import power
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.observation import EvaderObservation
+from desim.pursuit.recorded import RecordedMotion
 from desim.pursuit.state import State, coordinates
 from desim.pursuit.traits import StrategyTraits
 
@@ -207,7 +208,7 @@ class Listener(Value):
         return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
-STRATEGIES = OneOf(*SIMPLE, Listener, takes=CALLED_WITH, traits=StrategyTraits)
+STRATEGIES = OneOf(*SIMPLE, RecordedMotion, Listener, takes=CALLED_WITH, traits=StrategyTraits)
 """The strategies of an evader."""
 
 

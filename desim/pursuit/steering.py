@@ -11,7 +11,7 @@ from desim.pursuit.world_state import Actions, WorldState
 
 
 class Steering:
-    """Sets the velocities of the pursuers by a guidance law, and those of the evaders by their strategies.
+    """Sets the velocities: of pursuers by a guidance law, of relays by records, of evaders by their strategies.
 
     Args:
         state: the true state of the world.
@@ -24,7 +24,7 @@ class Steering:
     def __init__(self, state: WorldState, law: Guidance, sensor: TeamSensor | None, *, evader_first: bool):
         self._players, self._targets, self._law = state.players, state.bodies, law
         self._speeds, self._speed = state.speeds, state.speeds.tolist()
-        self._evader_first, self._sensor = evader_first, sensor
+        self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
         self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
@@ -62,6 +62,8 @@ class Steering:
                 velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, duration)
+        for relay, motion in self._relays.items():
+            velocities[relay] = motion.velocity(now, players.position(relay))
         players.set_velocities(velocities)
 
     def redirect(self, pursuer: int, now: int, until: int) -> None:

@@ -101,9 +101,14 @@ class View:
         """Return whether a pursuer may choose to chase an evader.
 
         The evader must be at large, its position must be known or estimated, and `prune` must not exclude the pursuer.
+        A relay may chase no evader.
         """
         body = self.state.body(evader)
-        if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
+        if (
+            pursuer in self.state.relays
+            or body.captured is not None
+            or not (self.unlimited or self.estimate(evader) is not None)
+        ):
             return False
         if self._prune == "infeasible":
             (time,) = self.capture_times_of([pursuer], evader)

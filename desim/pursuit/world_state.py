@@ -3,7 +3,7 @@
 The views of the pursuers (`desim.pursuit.views`) read the state; the world (`desim.simulation.world`) changes it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -13,6 +13,7 @@ from desim.config.arrays import Floats, Points
 from desim.kernel.clock import SECOND, Clock
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.recorded import RecordedMotion
 
 Actions = NDArray[np.int64]
 """(N,) the evader that each pursuer chases, 1 .. M, or 0."""
@@ -30,6 +31,7 @@ class WorldState:
         radius: capture radius, m.
         horizon: latest end of the run, ns.
         static: whether all players stand still for the whole run.
+        relays: the motion of each pursuer that never chases and moves along a record.
 
     Attributes:
         size: number of pursuers, N.
@@ -54,10 +56,11 @@ class WorldState:
         radius: float,
         horizon: int,
         static: bool,
+        relays: Mapping[int, RecordedMotion],
     ):
         self._env = env
         self.players, self.bodies, self.speeds = players, bodies, speeds
-        self.radius, self.horizon, self.static = radius, horizon, static
+        self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
         self.size, self.evader_count = len(speeds), len(bodies)
         self.at_large: Sequence[int] = range(1, len(bodies) + 1)
         self.broken: NDArray[np.bool_] = np.zeros(self.size, dtype=bool)

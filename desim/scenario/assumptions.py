@@ -120,8 +120,9 @@ def equal_clocks(scenario: "Scenario") -> str | None:
 
 
 def equal_speeds(scenario: "Scenario") -> str | None:
-    """All pursuers have the same speed."""
-    speeds = set(scenario.team.all_speeds())
+    """All pursuers have the same speed; relays, which never chase, do not count."""
+    relays = scenario.team.relays
+    speeds = {speed for pursuer, speed in enumerate(scenario.team.all_speeds()) if pursuer not in relays}
     return f"speeds are {min(speeds):g} to {max(speeds):g} m/s" if len(speeds) > 1 else None
 
 

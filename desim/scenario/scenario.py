@@ -49,6 +49,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
+from desim.pursuit.recorded import RecordedMotion, RelayNode
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
 from desim.scenario.named_metrics import MetricName
@@ -110,6 +111,8 @@ class Team(Value):
         Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
     ] = PurePursuit()
     """Guidance law of active pursuers."""
+    relay: tuple[RelayNode, ...] = ()
+    """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
 
     @model_validator(mode="before")
     @classmethod
@@ -117,6 +120,17 @@ class Team(Value):
         positions = given.get("positions") if isinstance(given, dict) else None
         if isinstance(positions, list | tuple) and positions and "count" not in given:
             return given | {"count": len(positions)}
+        return given
+
+    @field_validator("relay")
+    @classmethod
+    def _are_pursuers(cls, given: tuple[RelayNode, ...], info: ValidationInfo) -> tuple[RelayNode, ...]:
+        count, pursuers = info.data.get("count"), [each.pursuer for each in given]
+        for pursuer in pursuers:
+            if count is not None and pursuer >= count:
+                raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {count - 1}")
+            if pursuers.count(pursuer) > 1:
+                raise ValueError(f"pursuer {pursuer} is named twice")
         return given
 
     @field_validator("positions", "speeds")
@@ -127,17 +141,35 @@ class Team(Value):
             raise ValueError(f"should be one per pursuer: count is {count}, there are {len(given)}")
         return given
 
+    @property
+    def relays(self) -> dict[int, RecordedMotion]:
+        """The motion of each pursuer in `relay`, by its number."""
+        return {each.pursuer: each.motion for each in self.relay}
+
     def all_speeds(self) -> list[float]:
-        """Return the (N,) speeds, m/s."""
+        """Return the (N,) speeds while they chase, m/s; 0 for relays."""
         if isinstance(self.speeds, Speeds):
-            return [self.speeds.default] * (self.count - 1) + [self.speeds.last]
-        return list(self.speeds) if isinstance(self.speeds, tuple) else [self.speeds] * self.count
+            speeds = [self.speeds.default] * (self.count - 1) + [self.speeds.last]
+        else:
+            speeds = list(self.speeds) if isinstance(self.speeds, tuple) else [self.speeds] * self.count
+        for pursuer in self.relays:
+            speeds[pursuer] = 0.0
+        return speeds
+
+    @property
+    def top_speed(self) -> float:
+        """The greatest speed of any pursuer, m/s, relays included."""
+        return max(*self.all_speeds(), *(motion.top_speed for motion in self.relays.values()), 0.0)
 
     def start(self, seed: int) -> NDArray[np.float64]:
         """Return the (N, 2) initial positions, m."""
         if self.positions is not None:
-            return np.array(self.positions)
-        return stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
+            places = np.array(self.positions)
+        else:
+            places = stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
+        for pursuer, motion in self.relays.items():
+            places[pursuer] = motion.start.real, motion.start.imag
+        return places
 
     def start_profile(self, seed: int) -> NDArray[np.bool_]:
         """Return the (N,) initial profile, whether each pursuer is active."""
@@ -150,7 +182,7 @@ class Evader(Value):
     count: Annotated[int, Field(ge=1, le=1_000, strict=True)] = 1
     """Number of evaders with these parameters."""
     position: Point | None = None
-    """Initial position [x, y], m; if absent, a uniform random draw from `box` per seed."""
+    """Initial position [x, y], m; if absent, that of the record, or a uniform random draw from `box` per seed."""
     box: Box = (8.0, 12.0)
     """Lower and upper bound of both initial coordinates, m."""
     speed: Speed = 0.9
@@ -162,8 +194,26 @@ class Evader(Value):
     reaction_delay: Time = 0.0
     """Delay of its observations of the pursuers' positions and actions, s."""
 
+    @field_validator("strategy")
+    @classmethod
+    def _agrees_with_its_record(cls, strategy: Strategy, info: ValidationInfo) -> Strategy:
+        if isinstance(strategy, RecordedMotion):
+            if info.data.get("position") is not None:
+                raise ValueError("the record determines the initial position: leave out `position`")
+            if info.data.get("count", 1) > 1:
+                raise ValueError("a record is of one evader: with several, give each a table of its own")
+            strategy.check_speed(info.data.get("speed", inf))
+        return strategy
+
+    @property
+    def record(self) -> RecordedMotion | None:
+        """Its record, if its motion is recorded."""
+        return self.strategy if isinstance(self.strategy, RecordedMotion) else None
+
     def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
         """Return the (2,) initial position, m; `index` counts all evaders of the scenario from 0."""
+        if self.record is not None:
+            return np.array([self.record.start.real, self.record.start.imag])
         if self.position is not None:
             return np.array(self.position)
         return stream(seed, "evader", index).uniform(*self.box, size=2)

@@ -157,7 +157,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.fault, state.size, scenario.horizon, seed)
-    positions = _PursuerPositions(state)
+    positions = _PursuerPositions(state, scenario.team.top_speed)
     skews = scenario.fault if scenario.protocol_traits.embodied else ()
     clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(
@@ -208,9 +208,9 @@ class _PursuerPositions(PositionSource):
 
     looks_back = True
 
-    def __init__(self, state: WorldState):
+    def __init__(self, state: WorldState, top_speed: float):
         self._state = state
-        self.max_speed = 0.0 if state.static else float(state.speeds.max())
+        self.max_speed = 0.0 if state.static else top_speed
 
     def __call__(self) -> Floats:
         return coordinates(self._state.positions())

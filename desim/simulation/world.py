@@ -28,8 +28,9 @@ class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
     All players move on piecewise straight paths with common breakpoints: the start of each motion step, each change of
-    an action and each capture. The next capture is predicted from the present velocities. It is predicted again at each
-    breakpoint, and when a pursuer goes down or up.
+    an action and each capture. Motion steps start at multiples of `motion.step` and at the waypoints of records. The
+    next capture is predicted from the present velocities. It is predicted again at each breakpoint, and when a pursuer
+    goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
@@ -63,6 +64,7 @@ class World:
         self.state, self._views, self._sensor = state, views, sensor
         self._sampling = scenario.record.trajectory
         self._step = nanoseconds(scenario.motion.step)
+        self._records = [each.record for each in scenario.evaders if each.record] + [*state.relays.values()]
         self._needed = scenario.capture.captures_to_end or state.evader_count
         self._choices = range(state.evader_count + 1)
         first = scenario.motion.order == "evader_first"
@@ -143,13 +145,22 @@ class World:
         now, state = self._env.now, self.state
         if now == state.horizon:
             return
-        state.step_end = min(now + self._step, state.horizon)
+        state.step_end = self._step_end(now)
         handover = self.eavesdropper is not None and self.eavesdropper.hands_over(now)
         self._steering.step(now, state.step_end, handover=handover)
         self._forecast.update()
         if self._sensor is not None:
             self._sensor.look(now)
         self._at(state.step_end, Phase.MOTION, self._move)
+
+    def _step_end(self, now: int) -> int:
+        """Return the end, ns, of the motion step that begins now.
+
+        It is the next multiple of the motion step or, if earlier, the next waypoint of a record or the horizon.
+        """
+        waypoints = [record.next_waypoint(now) for record in self._records]
+        step_end = (now // self._step + 1) * self._step
+        return min(step_end, self.state.horizon, *(each for each in waypoints if each is not None))
 
     def _capture(self, body: EvaderBody, capturer: int) -> None:
         """Capture an evader; end the run if enough evaders are captured (`capture.captures_to_end`)."""
@@ -193,6 +204,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             players=players,
             speeds=speeds,
             radius=radius,
+            top_speed=team.top_speed,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]
@@ -201,7 +213,15 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         chased = chased * stream(seed, "start targets").integers(1, len(bodies) + 1, size=team.count)
     horizon = nanoseconds(scenario.horizon)
     return WorldState(
-        env, players, bodies, speeds, chased, radius=radius, horizon=horizon, static=scenario.motion.static
+        env,
+        players,
+        bodies,
+        speeds,
+        chased,
+        radius=radius,
+        horizon=horizon,
+        static=scenario.motion.static,
+        relays=team.relays,
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import METRICS
-from desim.config.trust import escaped
+from desim.config.trust import csv_cell
 from desim.study.row import Row
 from desim.study.runs import SweepRuns, text
 
@@ -54,8 +54,8 @@ def write(result: SweepRuns, file: Path) -> None:
         columns = _columns(result)
         with file.open("w", encoding="utf-8", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(map(_cell, columns))
-            writer.writerows(map(_cell, map(record.get, columns)) for record in records(result))
+            writer.writerow(map(csv_cell, columns))
+            writer.writerows(map(csv_cell, map(record.get, columns)) for record in records(result))
     else:
         raise ValueError(f"{file}: should end in .csv or .parquet")
 
@@ -68,17 +68,6 @@ def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
     """Return metrics of a run by name; a missing metric is None, a dict becomes JSON text."""
     values = {name: row.value(name) for name in measured}
     return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in values.items()}
-
-
-def _cell(value: Any) -> Any:
-    """Return a value as a cell of a CSV file that is safe in spreadsheets and terminals; numbers are unchanged.
-
-    A text that begins with = + - @, a tab or a line break is prefixed with an apostrophe (see OWASP, "CSV Injection").
-    """
-    if not isinstance(value, str):
-        return value
-    shown = escaped(value)
-    return f"'{shown}" if shown.startswith(("=", "+", "-", "@", "\t", "\n")) else shown
 
 
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:

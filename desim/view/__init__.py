@@ -1,4 +1,4 @@
 """Pictures and pages of results: replays, alone or in pairs, film, space-time diagram, Perfetto trace, report.
 
-Nothing here computes a metric.
+Traces for pandas, Wireshark and Foxglove. Nothing here computes a metric.
 """

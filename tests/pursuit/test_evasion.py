@@ -364,16 +364,20 @@ def written(tmp_path):
     return write
 
 
+REQUIRED = {"voronoi_vertex": ", arena = [0.0, 20.0]", "recorded": ", waypoints = [[0, 10, 10]]"}
+"""The keys that a kind of strategy cannot do without."""
+
+
 @pytest.mark.parametrize("kind", STRATEGIES.choices())
 def test_a_file_may_ask_for_each_kind(written, kind):
-    arena = ", arena = [0.0, 20.0]" if kind == "voronoi_vertex" else ""
-    strategy = load(written(f'strategy = {{ kind = "{kind}"{arena} }}')).evader.strategy
+    strategy = load(written(f'strategy = {{ kind = "{kind}"{REQUIRED.get(kind, "")} }}')).evader.strategy
     assert kind_of(type(strategy)) == kind
     assert Evader.model_validate(Evader(strategy=strategy).plain()).strategy == strategy
 
 
 def test_every_strategy_is_tested():
-    assert {strategy.kind for strategy in ALL} == set(STRATEGIES.choices())
+    """Recorded motion, whose heading is not 1 long, in tests/pursuit/test_recorded.py."""
+    assert {strategy.kind for strategy in ALL} == set(STRATEGIES.choices()) - {"recorded"}
 
 
 def test_a_listener_holds_strategies_of_its_own(written):
