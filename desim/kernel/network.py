@@ -78,7 +78,8 @@ class Network:
         self._size = self.topology.size
         self._sampler = LinkSampler(links, graph, seed, positions)
         self._medium, self._fault_state = links.medium, fault_state
-        self._records, self._inboxes = Records(env, self._size, predicate), Inboxes(env, self._size)
+        self._records = Records(env, self._size, predicate, repeats=self._sampler.duplicates_messages)
+        self._inboxes = Inboxes(env, self._size)
         self._link_layer = LinkLayer(
             env,
             links,

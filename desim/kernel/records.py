@@ -170,9 +170,10 @@ class Records:
         env: the clock of the simulation.
         size: number of nodes.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
+        repeats: whether a record may be stored twice; the first arrival counts.
     """
 
-    def __init__(self, env: Clock, size: int, predicate: Predicate | None):
+    def __init__(self, env: Clock, size: int, predicate: Predicate | None, *, repeats: bool = False):
         self._env, self._size, self._predicate = env, size, predicate
         self._shared = SharedTable(predicate)
         # Records that are not shared (`share`) are kept for each node that reads them (reader): unread records, in
@@ -186,7 +187,9 @@ class Records:
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with unread records that are not in the order of transmission
-        self._relayed: set[int] = set()  # readers that also get records by `relay`, maybe twice, or after newer ones
+        # Readers that get records maybe twice, or after newer ones: those that also get them by `relay`, or all.
+        self._relayed = set(range(size)) if repeats else set[int]()
+        self._all_but_one = -1 if repeats else size - 1  # number of receivers of a record that may be shared
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes an initial record now, unless they already have a record of the same source."""
@@ -224,7 +227,7 @@ class Records:
         Returns:
             Whether it has been stored.
         """
-        if transmitted != self._size - 1 or 3 * len(unreached) > self._size:
+        if transmitted != self._all_but_one or 3 * len(unreached) > self._size:
             return False
         self._shared.schedule((arrival, record), unreached)
         if len(self._shared.waiting) > MAX_UNREAD:
