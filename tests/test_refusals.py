@@ -21,6 +21,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
+from desim.kernel.netem import Netem
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
@@ -166,7 +167,7 @@ def _headers(table: Table) -> list[str]:
 
 
 TABLES = list(tables())
-BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges)}
+BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges, Netem)}
 """Keys whose refusals are written out below: the value of another key decides what they take."""
 
 

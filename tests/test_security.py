@@ -97,6 +97,7 @@ PLACES = {
     "network.latency": "network.latency = {}",
     "network.latency.base": 'network.latency = {{ kind = "per_pair", base = {} }}',
     "network.loss": "network.loss = {}",
+    "network.duplicate": "network.duplicate = {}",
     "network.reception": "network.reception = {}",
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",
@@ -171,7 +172,7 @@ def test_every_command_with_keys_has_the_option():
             yield from every(each) if isinstance(each, click.Group) else [each]
 
     found = [{option for param in each.params for option in param.opts} for each in every(main)]
-    assert len([each for each in found if "--set" in each]) == 7
+    assert len([each for each in found if "--set" in each]) == 8
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 

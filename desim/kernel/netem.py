@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Bools, Floats
-from desim.config.model import Probability, Time, Value
+from desim.config.model import Counted, Probability, Time, Unsigned, Value
 from desim.config.trust import resolve_path
 from desim.kernel.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.link_context import LinkContext
@@ -34,7 +34,7 @@ class Netem(Value):
     kind: Literal["netem"] = "netem"
     delay: Time = 0.1
     """Mean latency if the distribution is symmetric, s."""
-    jitter: Annotated[Time, Field(le=MAX_JITTER)] = 0.0
+    jitter: Annotated[float, Field(ge=0, le=MAX_JITTER, allow_inf_nan=False, strict=True), Unsigned, Counted] = 0.0
     """Unit of the distribution, s: half of the width if it is uniform, the standard deviation if it is normal; for
     pareto and paretonormal the standard deviation is 0.82 and 0.83 of it."""
     correlation: Probability = 0.0
@@ -59,19 +59,18 @@ class Netem(Value):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict):
+        if not isinstance(given, dict) or given.get("file") is None:
             return given
-        named = [name for name in ("distribution", "table", "file") if given.get(name) is not None]
-        if named[1:] and given.get("distribution") != "uniform":
-            raise ValueError(f"should have one of a distribution, a table and a file, not {' and '.join(named)}")
-        if given.get("file") is None:
-            return given
+        if beside := [name for name in ("distribution", "table") if given.get(name) is not None]:
+            raise ValueError(f"should have either a file or a {beside[0]}")
         return given | {"file": None, "table": read_table(resolve_path(given["file"], info))}
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         if self.table is not None and len(self.table) != SIZE:
             raise ValueError(f"table should have {SIZE} numbers (got {len(self.table)})")
+        if self.table is not None and self.distribution != "uniform":
+            raise ValueError("should have either a distribution or a table")
         if self.delay == 0.0 and (self.reorder or (self.jitter and self.numbers() is not None)):
             raise ValueError("reorder, and a jitter with a table, need a delay > 0, as in tc")
         return self
