@@ -56,9 +56,12 @@ if TYPE_CHECKING:
     from desim.kernel.links import Links as Links
     from desim.kernel.loss import Bernoulli as Bernoulli
     from desim.kernel.loss import ByDistance as ByDistance
+    from desim.kernel.loss import Correlated as Correlated
+    from desim.kernel.loss import FourState as FourState
     from desim.kernel.loss import GilbertElliott as GilbertElliott
     from desim.kernel.medium import Bitrate as Bitrate
     from desim.kernel.medium import LoRa as LoRa
+    from desim.kernel.netem import Netem as Netem
     from desim.kernel.reception import Disk as Disk
     from desim.kernel.reception import LogDistance as LogDistance
     from desim.kernel.reception import QuasiUnitDisk as QuasiUnitDisk
@@ -112,8 +115,9 @@ _NAMES = {
     ),
     "desim.kernel.link_traces": ("LatencyTrace", "LossTrace", "SignalTrace"),
     "desim.kernel.links": ("Links",),
-    "desim.kernel.loss": ("Bernoulli", "ByDistance", "GilbertElliott"),
+    "desim.kernel.loss": ("Bernoulli", "ByDistance", "Correlated", "FourState", "GilbertElliott"),
     "desim.kernel.medium": ("Bitrate", "LoRa"),
+    "desim.kernel.netem": ("Netem",),
     "desim.kernel.reception": ("Disk", "LogDistance", "QuasiUnitDisk"),
     "desim.kernel.trace_file": ("TraceFile",),
     "desim.pursuit.announcements": ("Announcements",),

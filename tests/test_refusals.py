@@ -21,6 +21,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
+from desim.kernel.netem import Netem
 from desim.pursuit.recorded import RecordedMotion
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
@@ -167,7 +168,8 @@ def _headers(table: Table) -> list[str]:
 
 
 TABLES = list(tables())
-BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges, RecordedMotion)}
+BY_HAND = {(each.model, "kind") for each in TABLES}
+BY_HAND |= {(each, "file") for each in (Empirical, Edges, Netem, RecordedMotion)}
 """Keys whose refusals are written out below: the value of another key decides what they take."""
 
 

@@ -97,6 +97,7 @@ PLACES = {
     "network.latency": "network.latency = {}",
     "network.latency.base": 'network.latency = {{ kind = "per_pair", base = {} }}',
     "network.loss": "network.loss = {}",
+    "network.duplicate": "network.duplicate = {}",
     "network.reception": "network.reception = {}",
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",

@@ -178,6 +178,7 @@ def anything(seed):
             "order": dice.one(["overtaking", "fifo"]),
             "loss": dice.one([dice.kind(LOSSES), {"kind": "bernoulli", "p": 0.3}]),
             "medium": medium(dice),
+            "duplicate": dice.one([0.0, 0.3]),
         },
         "fault": faults(dice, size, dice.one([1.0, np.inf])),
         "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},

@@ -12,6 +12,7 @@ from desim.cli.about import check, keys, metrics, protocols, schema
 from desim.cli.explain import explain
 from desim.cli.export import export
 from desim.cli.many import merge, sweep
+from desim.cli.netem import netem
 from desim.cli.one import run
 from desim.cli.pages import replay, report
 from desim.cli.play import play
@@ -51,6 +52,6 @@ def main() -> None:
 
 for command in (
     *(examples, new, run, play, replay, plot, sweep, explain, report),
-    *(merge, export, check, keys, metrics, protocols, schema),
+    *(merge, export, netem, check, keys, metrics, protocols, schema),
 ):
     main.add_command(command)

@@ -15,10 +15,12 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
+from desim.config.data_files import lines_of
 from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.link_context import LinkContext
 from desim.kernel.link_traces import LatencyTrace
+from desim.kernel.netem import Netem
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
 from desim.kernel.traits import LinkTraits, model_of_run
@@ -195,13 +197,8 @@ def _numbers(file: Path) -> list[float]:
         ValueError: if the file cannot be read, contains no numbers or anything but times >= 0 s, or is a table of
             several columns.
     """
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ValueError(f"{file} cannot be read: {reason}") from error
     numbers: list[float] = []
-    rows = [text.partition("#")[0].replace(",", " ").split() for text in lines]
+    rows = [text.replace(",", " ").split() for text in lines_of(file)]
     for line, row in enumerate(rows, 1):
         for item in row:
             try:
@@ -240,6 +237,7 @@ BASES = OneOf(
     ShiftedExponential,
     Gamma,
     Empirical,
+    Netem,
     number=("constant", "value"),
     traits=LinkTraits,
 )
@@ -250,6 +248,7 @@ JITTERS = OneOf(
     Gamma,
     Lognormal,
     Empirical,
+    Netem,
     number=("constant", "value"),
     traits=LinkTraits,
 )
@@ -327,6 +326,8 @@ def mean_latency(model: Latency) -> float | None:
             return model.fixed
         case LatencyTrace():
             return model.mean
+        case Netem():
+            return model.mean()
         case PerPair():
             base, jitter = mean_latency(model.base), mean_latency(model.jitter)
             return None if base is None or jitter is None else base + jitter
@@ -343,6 +344,7 @@ LATENCIES = OneOf(
     Propagation,
     PerPair,
     LatencyTrace,
+    Netem,
     number=("constant", "value"),
     traits=LinkTraits,
 )

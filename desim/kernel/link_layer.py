@@ -112,6 +112,9 @@ class LinkLayer:
         """Whether all outcomes are certain at transmission, and no trace needs them."""
         self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
+        self._enqueue = self._leave if self._transmitter is None else self._transmitter.enqueue
+        """Starts a transmission, or queues it if the transmitter is busy."""
+        self._duplicates = sampler.duplicates_messages
         self._listeners: list[Listener] = []
         self._numbers = count()
 
@@ -164,15 +167,22 @@ class LinkLayer:
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )
         self._log.sent += len(receivers)
-        if self._transmitter is None:
-            self._leave(transmission, 0)
-        else:
-            self._transmitter.enqueue(transmission)
+        self._enqueue(transmission)
+        if self._duplicates:
+            self._enqueue_copy(transmission)
+
+    def _enqueue_copy(self, transmission: Transmission) -> None:
+        """Start or queue a second transmission to the receivers that the model of duplicates selects."""
+        _, src, now, size, receivers, *_ = transmission
+        twice = self._sampler.duplicates(src, receivers, now, size)
+        if twice:
+            self._log.sent += len(twice)
+            self._enqueue(transmission._replace(number=next(self._numbers), receivers=twice))
 
     def _succeed(self, transmission: Transmission) -> None:
-        self._leave(transmission, 0, draws=False)
+        self._leave(transmission, draws=False)
 
-    def _leave(self, transmission: Transmission, airtime: int, *, draws: bool = True) -> None:
+    def _leave(self, transmission: Transmission, airtime: int = 0, *, draws: bool = True) -> None:
         """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`.
 
         If nodes contend, its arrivals are scheduled when its frame ends.

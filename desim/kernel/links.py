@@ -71,6 +71,9 @@ class Links(Value):
     """Processing delays at the sender and the receiver."""
     loss: Annotated[Loss, LOSSES] = Bernoulli()
     """Loss model."""
+    duplicate: Annotated[Loss, LOSSES] = Bernoulli()
+    """Which messages are transmitted twice, by the kinds of `loss`: instead of being lost, a message gets a copy, which
+    counts as a message of its own."""
     medium: Annotated[Medium, MEDIA] = Unlimited()
     """Model of the airtime of messages and of access to the channel."""
     link: tuple[Link, ...] = ()

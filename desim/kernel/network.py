@@ -86,7 +86,8 @@ class Network:
         sampler = LinkSampler(links, graph, seed, positions)
         self.estimates = Estimates(self.topology, links.medium, sampler)
         self._fault_state = fault_state
-        self._records, self._inboxes = Records(env, self._size, predicate), Inboxes(env, self._size)
+        self._records = Records(env, self._size, predicate, repeats=sampler.duplicates_messages)
+        self._inboxes = Inboxes(env, self._size)
         self._link_layer = LinkLayer(
             env,
             links,

@@ -1,9 +1,10 @@
-"""Sampling of the losses and arrival times of each transmission from the link models.
+"""Sampling of the losses, duplicates and arrival times of each transmission from the link models.
 
 A model whose draws are independent of the link is sampled in blocks: a broadcast then takes a slice of a list instead
 of calling numpy.
 """
 
+from itertools import compress
 from math import inf
 from operator import or_
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -70,10 +71,14 @@ class LinkSampler:
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
         self._latency_rng, self._loss_rng, self._override_latency_rng, self._override_loss_rng = streams
+        self._duplicate, self._duplicate_rng = model_of_run(links.duplicate, size), stream(seed, purpose + "duplicate")
+        self.duplicates_messages = not _never_loses(links.duplicate)
+        """Whether messages may be transmitted twice."""
         self._latency_buffer = _buffered(self._latency, self._latency_rng, _as_nanoseconds)
         self._loss_buffer = _buffered(self._loss, self._loss_rng, np.ndarray.tolist)
-        overrides = _overrides(links, graph)
-        self._latency_overrides, self._loss_overrides = overrides["latency"], overrides["loss"]
+        overrides = own_models(links, graph)
+        self._latency_overrides = _of_run(overrides["latency"], size)
+        self._loss_overrides = _of_run(overrides["loss"], size)
         self._order, self._order_overrides = links.order, overrides["order"]
         for place, why in link_misfits(links, graph):
             raise ValueError(f"{'.'.join(map(str, place))}: {why}")
@@ -141,6 +146,15 @@ class LinkSampler:
                 is_lost, context = overrides[node], self._context(src, [node], now, size)
                 lost[k] = is_lost is not None and _booleans(is_lost(context), 1)[0]
         return lost
+
+    def duplicates(self, src: int, dst: list[int], now: int, size: int) -> list[int]:
+        """Draw the receivers to which a message is transmitted twice.
+
+        Raises:
+            ValueError: if the model returns invalid booleans.
+        """
+        drawn = self._duplicate(self._context(src, dst, now, size), self._duplicate_rng)
+        return list(compress(dst, _booleans(drawn, len(dst))))
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
         """Draw the arrival time (ns) at each receiver of a message whose transmission starts now.
@@ -268,7 +282,7 @@ def _never_loses(model: object) -> bool:
     return isinstance(model, Bernoulli) and model.p == 0.0
 
 
-def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
+def own_models(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
     """Return the models and the orders of individual links, by "latency", "loss" and "order".
 
     Each is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
@@ -282,7 +296,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             value = attributes.get(name)
             if value is not None:
                 for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                    found[name].setdefault(way[0], {})[way[1]] = model_of_run(as_model(name, value), len(graph))
+                    found[name].setdefault(way[0], {})[way[1]] = as_model(name, value)
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
@@ -290,8 +304,13 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             for name, overrides in found.items():
                 model = dict(link)[name]
                 if model is not None:
-                    overrides.setdefault(src, {})[dst] = model_of_run(model, len(graph))
+                    overrides.setdefault(src, {})[dst] = model
     return found
+
+
+def _of_run(overrides: Overrides, size: int) -> Overrides:
+    """Return the models of individual links in one run of `size` nodes."""
+    return {src: {dst: model_of_run(model, size) for dst, model in models.items()} for src, models in overrides.items()}
 
 
 def _as_nanoseconds(delays: Any) -> Any:

@@ -22,12 +22,16 @@ class Records:
         env: the clock of the simulation.
         size: number of nodes.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
+        repeats: whether a record may be stored twice; the first arrival counts.
     """
 
-    def __init__(self, env: Clock, size: int, predicate: Predicate | None):
+    def __init__(self, env: Clock, size: int, predicate: Predicate | None, *, repeats: bool = False):
         self._env, self._size = env, size
         self._shared = SharedTable(predicate)
         self._own = OwnTables(size, predicate, self._shared)
+        if repeats:
+            self._own.relayed.update(range(size))
+        self._all_but_one = -1 if repeats else size - 1  # number of receivers of a record that may be shared
         self._scheduled, self._merge_interval = 0, max(4096, size)
 
     def set_initial_belief(self, record: Record) -> None:
@@ -66,7 +70,7 @@ class Records:
         Returns:
             Whether it has been stored.
         """
-        if transmitted != self._size - 1 or 3 * len(unreached) > self._size:
+        if transmitted != self._all_but_one or 3 * len(unreached) > self._size:
             return False
         self._shared.schedule((arrival, record), unreached)
         if len(self._shared.waiting) > MAX_UNREAD:

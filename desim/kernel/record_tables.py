@@ -154,7 +154,7 @@ class OwnTables:
         tables: by node, the newest record of each source.
         matching: by node, the records of its table whose body satisfies the predicate.
         out_of_order: the nodes with unread records that are not in the order of transmission.
-        relayed: the nodes that also get records by other means, maybe twice, or after newer ones.
+        relayed: the nodes that get records maybe twice, or after newer ones, as by other means than a transmission.
     """
 
     def __init__(self, size: int, predicate: Predicate | None, shared: SharedTable):

@@ -64,6 +64,11 @@ def without_loss(scenario: Scenario) -> Scenario:
     )
 
 
+def without_duplicates(scenario: Scenario) -> Scenario:
+    """Return the scenario in which no message is transmitted twice."""
+    return _with_network(scenario, duplicate=Bernoulli())
+
+
 def without_range(scenario: Scenario) -> Scenario:
     """Return the scenario in which linked nodes receive each other's messages at any distance."""
     return _with_network(scenario, range=inf, reception=Disk())
@@ -113,6 +118,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "latency": without_latency,
         "contention": without_contention,
         "loss": without_loss,
+        "duplicates": without_duplicates,
         "range limit": without_range,
         "faults": without_faults,
         "serial decisions": without_serial_decisions,

@@ -15,7 +15,9 @@ COUNTED: Mapping[str, str] = MappingProxyType(
     {".csv": "rows", ".parquet": "rows", ".pcapng": "packets", ".mcap": "messages"}
 )
 """What a file consists of, by its suffix."""
-NEEDED: Mapping[str, tuple[str, str]] = MappingProxyType({".parquet": ("pyarrow", "parquet"), ".mcap": ("mcap", "mcap")})
+NEEDED: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {".parquet": ("pyarrow", "parquet"), ".mcap": ("mcap", "mcap")}
+)
 """The package that a format needs, and the extra of desim with this package."""
 
 

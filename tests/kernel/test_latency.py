@@ -20,6 +20,7 @@ from desim.kernel.latency import (
 )
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
+from desim.kernel.netem import Netem
 from desim.kernel.traits import LinkTraits
 
 SEEDS = range(5)
@@ -51,6 +52,12 @@ DRAWN = {
         sum(LIST) / 5,
         sum(x * x for x in LIST) / 5 - (sum(LIST) / 5) ** 2,
         Empirical(values=(0.050, 0.010, 0.116, 0.010, 0.020)),
+    ),
+    "netem": (
+        Netem(delay=0.05, jitter=0.03, reorder=0.2),
+        0.8 * 0.05,
+        0.8 * (0.05**2 + 0.03**2 / 3) - 0.04**2,
+        Netem(delay=0.0515, jitter=0.03, reorder=0.2),
     ),
 }
 """Model, its mean (s) and variance (s^2), and the same model with something off by 3 % or so."""

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from desim.kernel.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.link_context import LinkContext
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
 
 SEEDS = range(5)
 LINKS = 4000
@@ -279,6 +280,121 @@ def test_bursts_that_are_too_short_for_their_share_are_refused(share, burst, lea
         GilbertElliott(share=share, burst=burst)
     assert GilbertElliott(share=share, burst=float(least) + 1e-9)
     assert GilbertElliott(share=share, burst=burst, advance="time")
+
+
+# Losses of netem.
+
+
+@pytest.mark.slow
+def test_correlated_numbers_have_the_mean_the_variance_and_the_correlation_of_a_moving_average():
+    """With c = 0.25: 1/2, (1 - c) / (1 + c) / 12 = 0.05 and c, in units of 2^32.
+
+    Over 400 000 links at their 30th message, where c^30 is nothing, and 31st: within 3 standard errors, of the mean
+    sqrt(0.05 / n), of the variance by the fourth moment, of the correlation (1 - c^2) / sqrt(n). The control is
+    c = 0.26.
+    """
+
+    def off(correlation):
+        numbers, rng, links = CorrelatedNumbers(correlation), np.random.default_rng(3), 400_000
+        *_, x, y = (numbers(context(links=links), rng) / RANGE for _ in range(31))
+        about, between = (x - 0.5) ** 2, np.corrcoef(x, y)[0, 1]
+        return (
+            (x.mean() - 0.5) / sqrt(0.05 / links),
+            (about.mean() - 0.05) / (about.std() / sqrt(links)),
+            (between - 0.25) / ((1 - 0.25**2) / sqrt(links)),
+        )
+
+    assert max(map(abs, off(0.25))) < 3
+    assert min(map(abs, off(0.26)[1:])) > 3
+
+
+def test_a_number_is_the_one_that_linux_computes_from_the_same_random_numbers():
+    """get_crandom in integers of any length, link by link; the first last number of a link is a random one."""
+    correlation, nodes = 0.25, [1, 2, 3]
+    numbers, rng, plain = CorrelatedNumbers(correlation), np.random.default_rng(5), np.random.default_rng(5)
+    last, rho = {}, round(correlation * (2**32 - 1)) + 1
+    for receivers in ([1, 2, 3], [2], [3, 1], [1, 2, 3]):
+        found = numbers(LinkContext(0, np.array(receivers)), rng).tolist()
+        new = [int(each) for each in plain.integers(2**32, size=len(receivers), dtype=np.uint64)]
+        if not last:
+            last = dict(zip(nodes, map(int, plain.integers(2**32, size=3, dtype=np.uint64)), strict=True))
+        for node, value in zip(receivers, new, strict=True):
+            last[node] = (value * (2**32 - rho) + last[node] * rho) >> 32
+        assert found == [last[node] for node in receivers]
+
+
+def below(limit, c):
+    """Return the probability that the moving average X = (1 - c) U + c X is at most a limit.
+
+    Its distribution F(x) = int_0^1 F((x - (1 - c) u) / c) du is the limit of an iteration, here with 2000 steps.
+    """
+    x, u = np.linspace(0.0, 1.0, 1001), (np.arange(2000) + 0.5) / 2000
+    law = x
+    for _ in range(8):
+        law = np.array([np.interp((each - (1.0 - c) * u) / c, x, law).mean() for each in x])
+    return np.interp(limit, x, law)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("p", "correlation", "share"), [(0.1, 0.25, 0.0175), (0.3, 0.25, 0.233), (0.3, 0.5, 0.129)])
+def test_correlated_losses_are_fewer_than_nominal_and_follow_each_other(p, correlation, share):
+    """`loss random 10% 25%` loses 1.75 % in the long run.
+
+    100 000 links at their 30th message, within 3 standard errors of a binomial; the control is the nominal share.
+    """
+    before, lost = history(Correlated(p=p, correlation=correlation), range(30), 2, links=100_000)[-2:]
+    theory = below(p, correlation)
+    assert theory == pytest.approx(share, rel=0.005)
+    assert abs(errors(lost.sum(), 100_000, theory)) < 3
+    assert abs(errors(lost.sum(), 100_000, p)) > 3
+    assert errors((before & lost).sum(), 100_000, theory**2) > 3
+
+
+def test_losses_without_correlation_are_those_of_bernoulli_and_p_0_loses_nothing():
+    lost = Correlated(p=0.3, correlation=0.0)(context(links=10**5), np.random.default_rng(0))
+    assert abs(errors(lost.sum(), 10**5, 0.3)) < 3
+    assert not np.any(history(Correlated(p=0.0), range(3), 0))
+
+
+FOUR = FourState(p13=0.05, p31=0.3, p32=0.2, p23=0.4, p14=0.02)
+
+
+def test_the_four_states_lose_their_share_and_follow_each_other_as_in_the_chain():
+    """With q = 1/6: 1 + q + q/2 + 0.02 = 1.27; lost (q + 0.02) / 1.27; after a loss, only state 3 loses again, so the
+    next is lost, too, with probability q (1 - 0.3 - 0.2) / 1.27.
+
+    40 000 links at their first, second and 30th messages, 3 standard errors of a binomial; the control is p32 = 0.3.
+    """
+    q = 1 / 6
+    np.testing.assert_allclose(FOUR.stationary(), np.array([1.0, q / 2, q, 0.02]) / 1.27, rtol=1e-12)
+
+    def off(model):
+        lost = history(model, range(30), 4, links=40_000)
+        share, both = (q + 0.02) / 1.27, q * 0.5 / 1.27
+        return [
+            *(errors(lost[k].sum(), 40_000, share) for k in (0, 1, 29)),
+            *(errors((lost[k] & lost[k + 1]).sum(), 40_000, both) for k in (0, 28)),
+        ]
+
+    assert max(map(abs, off(FOUR))) < 3
+    assert max(map(abs, off(FOUR.model_copy(update={"p32": 0.3})))) > 3
+    assert abs(errors(FOUR(context(links=10**5), np.random.default_rng(0)).sum(), 10**5, (q + 0.02) / 1.27)) < 3
+
+
+@pytest.mark.slow
+def test_without_the_states_2_and_4_the_chain_is_that_of_gilbert():
+    """p13 = 0.05 and p31 = 0.2 are a share of 0.2 and bursts of 5: 3 standard errors; the control is p31 = 0.22."""
+    lost = history(FourState(p13=0.05, p31=0.2, p32=0.0, p14=0.0), range(200), 3)
+    assert abs(errors(lost[-1].sum(), LINKS, SHARE)) < 3
+    assert abs(bursts_off(lost)) < 3
+    assert abs(bursts_off(history(FourState(p13=0.05, p31=0.22, p32=0.0, p14=0.0), range(200), 3))) > 3
+
+
+@pytest.mark.parametrize("given", [{"p13": 0.6, "p14": 0.5}, {"p31": 0.6, "p32": 0.5}])
+def test_transitions_of_the_four_states_that_exceed_1_together_are_refused(given):
+    first, second = given
+    with pytest.raises(ValidationError, match=rf"{first} \+ {second} should be at most 1 \(got 1.1\)"):
+        FourState(**given)
 
 
 # Distance.

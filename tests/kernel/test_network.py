@@ -1,7 +1,7 @@
 """The network: records, messages, inboxes; publish against one event per record."""
 
 from itertools import pairwise
-from math import inf
+from math import inf, sqrt
 
 import networkx as nx
 import numpy as np
@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.kernel.access import Csma
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
 from desim.kernel.fault_state import FaultState
@@ -17,12 +18,14 @@ from desim.kernel.latency import Constant
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
+from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.message_size import size_of
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
+
+CONTENDED = Bitrate(bitrate=8.0 * size_of(0), access=Csma())
 
 
 class Uniform:
@@ -42,7 +45,7 @@ class EagerNetwork:
     def __init__(self, clock, graph, links, *, seed, positions):
         self.clock, self.links = clock, links
         self.topology = Topology(graph, links.range, positions)
-        self.rng = {name: stream(seed, name) for name in ("latency", "loss")}
+        self.rng = {name: stream(seed, name) for name in ("latency", "loss", "duplicate")}
         self.seq = dict.fromkeys(graph, 0)
         self.tables = {node: {} for node in graph}
 
@@ -52,8 +55,13 @@ class EagerNetwork:
                 self.tables[node][src] = (0, Record(src, 0, 0, body))
 
     def publish(self, src, body):
-        record = self.next_record(src, body)
-        context = LinkContext(src, self.topology.neighbours(src))
+        record, context = self.next_record(src, body), LinkContext(src, self.topology.neighbours(src))
+        self.transmit(record, context)
+        twice = np.broadcast_to(self.links.duplicate(context, self.rng["duplicate"]), len(context.dst))
+        if twice.any():
+            self.transmit(record, LinkContext(src, context.dst[twice]))
+
+    def transmit(self, record, context):
         lost = np.broadcast_to(self.links.loss(context, self.rng["loss"]), len(context.dst))
         delay = np.broadcast_to(self.links.latency(context, self.rng["latency"]), len(context.dst))
         for node, gone, wait in zip(context.dst.tolist(), lost, delay, strict=True):
@@ -64,7 +72,7 @@ class EagerNetwork:
 
     def deliver(self, node, arrival, record):
         known = self.tables[node].get(record.src)
-        if known is None or known[1].seq < record.seq:
+        if known is None or known[1].seq < record.seq:  # so of two copies the first counts
             self.tables[node][record.src] = (arrival, record)
 
     def next_record(self, src, body):
@@ -98,12 +106,13 @@ def histories(draw):
         )
     )
     loss = Bernoulli(p=draw(st.sampled_from([0.0, 0.3, 1.0])))
+    duplicate = Bernoulli(p=draw(st.sampled_from([0.0, 0.0, 0.5, 1.0])))
     times = st.integers(0, 40).map(lambda k: k * SECOND // 1000)
     nodes = st.integers(0, len(graph) - 1)
     kinds = st.sampled_from(["publish", "read", "both", "publish", "read", "both", "whisper", "pass on"])
     acts = draw(st.lists(st.tuples(times, nodes, kinds), max_size=60))
     reach = draw(st.sampled_from([inf, inf, 0.5]))
-    return graph, Links(latency=latency, loss=loss, range=reach), acts, seed
+    return graph, Links(latency=latency, loss=loss, duplicate=duplicate, range=reach), acts, seed
 
 
 def is_even(body):
@@ -326,12 +335,13 @@ def test_a_message_to_a_node_out_of_reach_is_lost_and_counted():
 
 
 @pytest.mark.parametrize("latency", [Constant(value=0.02), Uniform(0.05), Uniform(0.05, per_hop=0.0)])
-@pytest.mark.parametrize("p", [0.0, 0.25, 1.0])
-def test_every_sent_message_is_delivered_lost_or_in_flight_at_any_time(latency, p):
+@pytest.mark.parametrize(("p", "twice"), [(0.0, 0.0), (0.25, 0.0), (0.25, 0.5), (1.0, 1.0)])
+def test_every_sent_message_is_delivered_lost_or_in_flight_at_any_time(latency, p, twice):
     """The tally of the running network equals the count over its trace, for records and messages together."""
     clock = Clock()
     trace = Trace()
-    network = Network(clock, nx.complete_graph(5), Links(latency=latency, loss=Bernoulli(p=p)), trace=trace)
+    links = Links(latency=latency, loss=Bernoulli(p=p), duplicate=Bernoulli(p=twice))
+    network = Network(clock, nx.complete_graph(5), links, trace=trace)
 
     def transmit():
         for k in range(60):
@@ -348,6 +358,45 @@ def test_every_sent_message_is_delivered_lost_or_in_flight_at_any_time(latency, 
             assert network.message_counts()[:5] == (now, len(arrivals), len(arrivals) - lost - flying, lost, flying)
 
     run_process(clock, transmit())
+
+
+@pytest.mark.parametrize("medium", [Unlimited(), Bitrate(bitrate=8.0 * size_of(0)), CONTENDED])
+def test_a_duplicate_is_a_message_of_its_own(medium):
+    """All are transmitted twice, one after the other if it takes time: the inbox has two, the table one record.
+
+    Each broadcast to two counts as four messages, each of which takes no time or 1 s.
+    """
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(duplicate=Bernoulli(p=1.0), medium=medium))
+    network.send(0, None, 1)
+    network.publish(0, 1)
+    clock.run(until=9 * SECOND)
+    for node in (1, 2):
+        assert [message.body for message in network.inbox(node).drain()] == [1, 1]
+        assert network.latest_records(node)[0][1].seq == 1
+    counts = network.message_counts()
+    assert (counts.sent, counts.delivered, counts.transmissions) == (8, 8, 4)
+    assert counts.bytes_sent == 4 * size_of(0)
+
+
+def test_the_copy_has_a_loss_and_a_latency_of_its_own():
+    """Half of the messages to 4000 nodes are lost, so 3/4 of the nodes get the message or its copy. Of the nodes that
+    get both, half get the copy first. Within 3 standard errors of a binomial; the control has no copies.
+    """
+    clock, count = Clock(), 4_000
+
+    def arrivals(twice):
+        links = Links(latency=Uniform(1.0), loss=Bernoulli(p=0.5), duplicate=Bernoulli(p=twice))
+        network = Network(clock, nx.star_graph(count), links, trace=(trace := Trace()))
+        network.send(0, None, "x")
+        found = np.array([event.arrival for event in trace.of(Sent)]).reshape(-1, count)
+        return found[:, (found != LOST).any(axis=0)]
+
+    either = arrivals(1.0)
+    both = either[:, (either != LOST).all(axis=0)]
+    assert abs(either.shape[1] - 0.75 * count) < 3 * sqrt(count * 0.75 * 0.25)
+    assert abs((both[1] < both[0]).mean() - 0.5) < 3 * 0.5 / sqrt(both.shape[1])
+    assert abs(arrivals(0.0).shape[1] - 0.75 * count) > 3 * sqrt(count * 0.75 * 0.25)
 
 
 @pytest.mark.parametrize("bad", [-1e-9, -1.0, float("nan"), float("inf")])

@@ -21,8 +21,9 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
+from desim.kernel.link_memory import LinkMemory
 from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott, _Row
+from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import BLOCK, LinkSampler
@@ -495,8 +496,8 @@ def test_losses_are_those_of_a_plain_model_that_draws_link_by_link(model, moving
 @pytest.mark.parametrize("model", MODELS[2:])
 def test_the_comparison_detects_links_that_are_not_put_aside(model, monkeypatch):
     """The control: each new list of receivers starts anew."""
-    select = _Row.select
-    monkeypatch.setattr(_Row, "select", lambda row, dst: row.__init__(0.3) or select(row, dst))
+    select = LinkMemory.select
+    monkeypatch.setattr(LinkMemory, "select", lambda row, dst: dst is row.dst or row.__init__(0.3) or select(row, dst))
     found, plain = losses_and_plain_losses(model, 0, moving=False)
     assert found != plain
 

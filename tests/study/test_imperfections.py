@@ -80,6 +80,7 @@ WORST = Scenario(
         order="fifo",
         processing=Processing(sender=0.1, receiver=0.2),
         loss=GilbertElliott(share=0.2, burst=1.0),
+        duplicate=LOSSY,
         medium=LoRa(
             half_duplex=True,
             queue_limit=3,
@@ -158,6 +159,7 @@ CHANGES = {
             for key, each in LOSS.items()
         },
     },
+    "duplicates": {"network.preset": None, "network.duplicate.p": 0.0},
     "range limit": {
         "network.preset": None,
         "network.range": "Infinity",
@@ -238,6 +240,7 @@ THERE = {
     "many": "latency",
     "lora": "contention",
     "measured": "latency, loss",
+    "netem": "latency, loss, duplicates",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",

@@ -1,0 +1,93 @@
+"""`desim netem`: the links of a scenario as commands of `tc`, and back."""
+
+from pathlib import Path
+
+import click
+
+from desim.cli.options import ALLOW_IMPORT, SET, echo, fail, source_of, write
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.option("--dev", "device", default="eth0", help="Network device of each node; default: eth0.")
+@click.option(
+    "--table",
+    "folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Folder of distribution tables NAME.dist: those that the commands need are written there, and those that"
+    " --parse and --from name are read there; default: none is written, read from the working directory.",
+)
+@click.option("--parse", "text", metavar="COMMAND", help="Instead of a FILE: a command of tc to read.")
+@click.option(
+    "--from",
+    "commands",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Instead of a FILE: a file of commands of tc to read.",
+)
+@ALLOW_IMPORT
+@SET
+def netem(
+    file: Path | None,
+    device: str,
+    folder: Path | None,
+    text: str | None,
+    commands: Path | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Print the commands `tc qdisc add ... netem` that give real links of Linux the behaviour of a scenario FILE.
+
+    What netem cannot express gives a warning. With --parse or --from, read such commands, and print the table [network]
+    of a scenario.
+    """
+    if sum(given is not None for given in (file, text, commands)) != 1:
+        raise click.UsageError("needs one of FILE, --parse COMMAND and --from FILE")
+    if file is not None:
+        _write(file, overrides, device, folder)
+    elif text is not None:
+        _read(text, "--parse", folder)
+    elif commands is not None:
+        try:
+            _read(commands.read_text(encoding="utf-8"), str(commands), folder)
+        except OSError as error:
+            fail(f"{commands}: cannot be read: {error.strerror}")
+        except UnicodeDecodeError as error:
+            fail(f"{commands}: is not UTF-8 text ({error.reason})")
+
+
+def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | None) -> None:
+    """Print the commands for the links of a scenario; write their tables to a folder, if one is given."""
+    from desim.kernel.netem_tables import TABLES, table_text
+    from desim.kernel.tc_writer import script
+
+    _, scenario = source_of(file, overrides)
+    found = script(scenario.network, scenario.team.count, device)
+    missing = [*found.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]
+    for key, why in missing:
+        echo(f"warning: {file}: {key}: {why}", err=True)
+    own = sorted(found.tables.keys() - TABLES.keys())
+    if own and folder is None:
+        echo(f"warning: {file}: tc needs the tables {', '.join(own)}: write them with --table DIR", err=True)
+    echo("\n".join(found.lines))
+    if own and folder is not None:  # tc reads all tables from one folder
+        for name, table in found.tables.items():
+            write(table_text(table, name).encode(), folder / f"{name}.dist")
+            echo(f"wrote {folder / f'{name}.dist'}", err=True)
+        echo(f"tc reads them if TC_LIB_DIR={folder.absolute()} is in its environment", err=True)
+
+
+def _read(text: str, source: str, folder: Path | None) -> None:
+    """Print the table `[network]` that commands of tc describe."""
+    import tomli_w
+
+    from desim.kernel.tc_reader import read_script
+    from desim.kernel.tc_syntax import TcError
+
+    try:
+        found = read_script(text, source, folder)
+    except TcError as error:
+        fail(str(error))
+    for each in found.ignored:
+        echo(f"warning: {each}", err=True)
+    echo(tomli_w.dumps({"network": found.network}), end="")

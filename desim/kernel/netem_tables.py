@@ -1,0 +1,131 @@
+"""Distribution tables of delays, as `tc netem` reads them.
+
+A table is a quantile function at 4096 equally spaced probabilities, scaled by 8192: with a delay mu, a jitter sigma and
+a random index U, a packet is delayed by mu + sigma table[U] / 8192 (tabledist in Linux, net/sched/sch_netem.c). A file
+NAME.dist holds the numbers as text, with white space between them; `#` begins a comment. tc reads it for
+`distribution NAME`.
+
+The tables normal, pareto and paretonormal equal, number by number, those that iproute2 generates at its build
+(netem/normal.c, pareto.c and paretonormal.c, from NIST Net by Carson & Santay 2003).
+"""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from math import ceil, fsum, sqrt
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Floats, Integers
+from desim.config.data_files import lines_of
+
+SIZE = 4096
+"""Length of a table."""
+SCALE = 8192
+"""A number of a table is a quantile of the normalised delay, times SCALE."""
+LOWEST, HIGHEST = -(2**15), 2**15 - 1
+"""The range of the numbers of a table, which tc stores in 16 bits; in units of sigma, -4 to 4."""
+PER_LINE = 8
+
+
+class Fit(NamedTuple):
+    """A distribution of delays, in the form of tc: `delay` + `jitter` `table`[U] / SCALE."""
+
+    delay: float
+    """s"""
+    jitter: float
+    """s"""
+    table: tuple[int, ...]
+    """(SIZE,) numbers in LOWEST .. HIGHEST, ascending."""
+
+
+def fit(quantile: Callable[[Floats], Floats]) -> Fit:
+    """Fit a table to a quantile function of delays, s.
+
+    The table holds the quantiles at (k + 1/2) / SIZE. The delay is their mean. The jitter is their standard deviation,
+    or more if a quantile differs from the mean by more than the table can express. Each quantile is reproduced within
+    half of jitter / SCALE, plus 1 ns, because both are rounded to whole nanoseconds.
+    """
+    quantiles = quantile((np.arange(SIZE) + 0.5) / SIZE)
+    delay = round(fsum(quantiles) / SIZE, 9)
+    gaps = quantiles - delay
+    widest = max(float(gaps.max()) / HIGHEST, float(gaps.min()) / LOWEST) * SCALE
+    jitter = ceil(max(sqrt(fsum(gaps * gaps) / SIZE), widest) * 1e9) / 1e9
+    return Fit(delay, jitter, _whole(gaps / jitter * SCALE if jitter else gaps))
+
+
+def table_text(table: tuple[int, ...], name: str) -> str:
+    """Return the text of the file NAME.dist."""
+    rows = (table[k : k + PER_LINE] for k in range(0, len(table), PER_LINE))
+    lines = [" ".join(map(str, row)) for row in rows]
+    return "\n".join([f"# This is the distribution table for the {name} distribution.", *lines, ""])
+
+
+def read_table(file: Path) -> tuple[int, ...]:
+    """Return the table in a file.
+
+    Raises:
+        ValueError: if the file cannot be read, or does not contain SIZE integers in LOWEST .. HIGHEST.
+    """
+    numbers: list[int] = []
+    for line, text in enumerate(lines_of(file), 1):
+        for word in text.split():
+            try:
+                numbers.append(int(word))
+            except ValueError as error:
+                raise ValueError(f"{file}, line {line}: {word!r} is not an integer") from error
+            if not LOWEST <= numbers[-1] <= HIGHEST:
+                raise ValueError(f"{file}, line {line}: should be in {LOWEST} .. {HIGHEST} (got {word})")
+    if len(numbers) != SIZE:
+        raise ValueError(f"{file} should contain {SIZE} numbers (got {len(numbers)})")
+    return tuple(numbers)
+
+
+@cache
+def normal() -> tuple[int, ...]:
+    """Return the standard normal distribution, from -4 to 3.5 sigma."""
+    return _whole(_normal())
+
+
+@cache
+def pareto() -> tuple[int, ...]:
+    """Return 4/3 (X - 3/2) for a Pareto distributed X >= 1 with exponent a = 3, up to 4 sigma.
+
+    X has the mean 3/2 and the quantiles (1 - u)^(-1/3), here at u = k / SIZE. Its standard deviation times 4/3 is 1.15;
+    because it is cut off, that of the table is 0.82.
+    """
+    return _whole(_pareto())
+
+
+@cache
+def paretonormal() -> tuple[int, ...]:
+    """Return 3/4 of a Pareto plus 1/4 of a normal distributed delay with the same quantile, rounded towards 0.
+
+    The standard deviation of the table is 0.83.
+    """
+    return _whole(np.trunc((_normal() + 3 * np.array(_whole(_pareto()))) / 4))
+
+
+TABLES: Mapping[str, Callable[[], tuple[int, ...]]] = MappingProxyType(
+    {"normal": normal, "pareto": pareto, "paretonormal": paretonormal}
+)
+"""The functions that return the tables of iproute2, by the name in `distribution NAME`."""
+
+
+def _normal() -> Integers:
+    """Return the normal quantiles at (k + 1/8) / SIZE, rounded down to multiples of 0.00005 as in netem/normal.c."""
+    from scipy.special import ndtri
+
+    z = np.asarray(ndtri((np.arange(SIZE) + 0.125) / SIZE))
+    return np.rint(np.floor(z * 20_000.0) / 20_000.0 * SCALE).astype(np.int64)
+
+
+def _pareto() -> Floats:
+    quantiles = np.array([(1.0 - k / SIZE) ** (-1.0 / 3.0) for k in range(SIZE)])  # `**` of numpy is not portable
+    return (quantiles - 1.5) * (4.0 / 3.0) * SCALE
+
+
+def _whole(numbers: Floats | Integers) -> tuple[int, ...]:
+    return tuple(np.clip(np.rint(numbers), LOWEST, HIGHEST).astype(int).tolist())

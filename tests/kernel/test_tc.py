@@ -1,0 +1,353 @@
+"""Links as commands of tc, and back."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.access import Csma
+from desim.kernel.graphs import Edges, Link, Ring
+from desim.kernel.latency import Constant, Empirical, Lognormal, PerPair, Propagation, Uniform
+from desim.kernel.links import Links, Processing
+from desim.kernel.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
+from desim.kernel.medium import Bitrate, LoRa
+from desim.kernel.netem import Netem
+from desim.kernel.netem_tables import SCALE, table_text
+from desim.kernel.tc_reader import read_script
+from desim.kernel.tc_syntax import TcError
+from desim.kernel.tc_writer import script
+
+SIZE = 4
+
+
+def milliseconds(least):
+    return st.integers(least, 10_000).map(lambda number: number / 1000)
+
+
+SHARES = st.integers(0, 1000).map(lambda number: number / 1000)
+POSITIVE = st.integers(1, 1000).map(lambda number: number / 1000)
+JITTERS = st.integers(1, 2000).map(lambda number: number / 1000)
+
+
+def netems():
+    """Return latencies that no simpler kind describes."""
+    free = {"correlation": SHARES, "distribution": st.sampled_from(["normal", "pareto", "paretonormal"])}
+    reordered = {"reorder": POSITIVE, "reorder_correlation": SHARES, "gap": st.integers(1, 9)}
+    return st.one_of(
+        st.builds(Netem, delay=milliseconds(1), jitter=JITTERS, **free),
+        st.builds(Netem, delay=milliseconds(1), jitter=JITTERS, correlation=POSITIVE, **reordered),
+        st.builds(Netem, delay=milliseconds(1), **reordered),
+    )
+
+
+def uniforms():
+    """Return uniform latencies whose middle and half of the width are whole milliseconds."""
+    return st.tuples(milliseconds(1), POSITIVE).map(
+        lambda pair: (
+            Uniform(low=max(round(pair[0] - pair[1], 3), 0.0), high=round(pair[0] + pair[1], 3))
+            if pair[0] >= pair[1]
+            else Uniform(low=0.0, high=2 * pair[1])
+        )
+    )
+
+
+def four_states():
+    pairs = st.tuples(POSITIVE, POSITIVE).map(lambda pair: tuple(round(each * 0.5, 4) for each in pair))
+    return st.tuples(pairs, pairs, POSITIVE).map(
+        lambda all_: FourState(p13=all_[0][0], p14=all_[0][1], p31=all_[1][0], p32=all_[1][1], p23=all_[2])
+    )
+
+
+def bursts():
+    """Return the model of Gilbert & Elliott with bursts that are long enough for every share drawn here."""
+    losses = {"loss_good": SHARES, "loss_bad": SHARES}
+    return st.builds(
+        GilbertElliott, share=st.integers(0, 900).map(lambda n: n / 1000), burst=st.integers(9, 50).map(float), **losses
+    )
+
+
+EVENTS = st.one_of(st.builds(Bernoulli, p=SHARES), st.builds(Correlated, p=POSITIVE, correlation=POSITIVE))
+LATENCIES = st.one_of(st.builds(Constant, value=milliseconds(0)), uniforms(), netems())
+LOSSES = st.one_of(EVENTS, bursts(), four_states())
+
+
+@st.composite
+def networks(draw):
+    """Return links that commands of tc describe completely, in the form in which they are read."""
+    latency, loss = draw(LATENCIES), draw(LOSSES)
+    medium = draw(
+        st.one_of(
+            st.just(Links().medium),
+            st.builds(
+                Bitrate,
+                bitrate=st.integers(1, 10**9).map(float),
+                header=st.integers(0, 100),
+                queue_limit=st.one_of(st.just(np.inf), st.integers(0, 1000).map(float)),
+            ),
+        )
+    )
+
+    def order(latency):
+        overtakes = isinstance(latency, Constant) or (isinstance(latency, Netem) and latency.reorder)
+        return "fifo" if isinstance(medium, Bitrate) and not overtakes else "overtaking"
+
+    links = []
+    for src, dst in draw(st.lists(st.sampled_from([(0, 1), (1, 2), (3, 0)]), unique=True)):
+        own = {"latency": draw(LATENCIES), "loss": draw(LOSSES)}
+        own["order"] = order(own["latency"])
+        usual = {"latency": latency, "loss": loss, "order": order(latency)}
+        if own := {key: each for key, each in own.items() if each != usual[key]}:
+            links.append(Link(src=src, dst=dst, both_ways=draw(st.booleans()), **own))
+    return Links(
+        latency=latency, loss=loss, order=order(latency), medium=medium, duplicate=draw(EVENTS), link=tuple(links)
+    )
+
+
+@example(Links())
+@given(networks())
+def test_the_commands_of_a_scenario_give_the_same_scenario_when_read_back(links):
+    lines, _, missing = script(links, SIZE)
+    assert {key for key, _ in missing} <= {"network.medium.queue_limit"}
+    network, ignored = read_script("\n".join(lines))
+    assert Links.model_validate(network) == links
+    assert not ignored
+
+
+MEASURED = Links(
+    latency=Lognormal(), loss=Bernoulli(p=0.1), link=(Link(src=0, dst=1, latency=Empirical(values=(0.1, 0.3))),)
+)
+
+
+def test_a_latency_with_quantiles_becomes_a_table_and_the_commands_read_back_are_the_same(tmp_path):
+    """Read back, the latency is of the kind `netem`, and its commands have the same numbers."""
+    lines, tables, missing = script(MEASURED, SIZE)
+    assert list(tables) == ["desim-lognormal", "desim-empirical"]
+    assert not missing
+    for name, table in tables.items():
+        (tmp_path / f"{name}.dist").write_text(table_text(table, name))
+    links = Links.model_validate(read_script("\n".join(lines), folder=tmp_path).network)
+    assert links.latency.table == tables["desim-lognormal"]
+    u = np.array([0.001, 0.5, 0.999])
+    assert links.latency.quantile(u) == pytest.approx(
+        Lognormal().quantile(u), abs=links.latency.jitter / SCALE, rel=0.05
+    )
+    again = script(links, SIZE)
+    assert list(again.tables.values()) == list(tables.values())
+    assert [re.sub("desim-[a-z]+(-2)?", "X", line) for line in again.lines] == [
+        re.sub("desim-[a-z]+", "X", line) for line in lines
+    ]
+
+
+TC = shutil.which("tc")
+NO_DEVICE = "desim-no-device"
+
+
+def refusal_of_tc(line, folder):
+    """Return what tc says about a command for a device that does not exist, which it notices last."""
+    words = line.replace("dev eth0", f"dev {NO_DEVICE}").split()
+    done = subprocess.run(
+        [TC, *words[1:]], capture_output=True, text=True, check=False, env={"TC_LIB_DIR": str(folder)}
+    )
+    return done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(TC is None, reason="tc is not installed")
+@settings(max_examples=100, deadline=None)
+@given(links=networks())
+def test_the_commands_are_accepted_by_tc(tmp_path_factory, links):
+    """The control is a word that tc does not know, and a table that is not there."""
+    folder = tmp_path_factory.mktemp("tables")
+    lines, tables, _ = script(links, SIZE)
+    for name, table in tables.items():
+        (folder / f"{name}.dist").write_text(table_text(table, name))
+    for line in lines:
+        if line.startswith("tc"):
+            line = re.sub(r"dev \S+", "dev eth0", line)
+            assert "Cannot find device" in refusal_of_tc(line, folder)
+            assert "Cannot find device" not in refusal_of_tc(f"{line} lost 1%", folder)
+    if tables:
+        name = next(iter(tables))
+        assert "No distribution data" in refusal_of_tc(
+            f"tc qdisc add dev eth0 root netem delay 1ms 1ms distribution {name}", "/none"
+        )
+
+
+READ = {
+    "": {},
+    "delay 100ms": {"latency": {"kind": "constant", "value": 0.1}},
+    "latency 0.1s 20msec": {"latency": {"kind": "uniform", "low": 0.08, "high": 0.12}},
+    "delay 10ms 20ms": {"latency": {"kind": "netem", "delay": 0.01, "jitter": 0.02}},
+    "delay 10ms 20ms 25%": {"latency": {"kind": "netem", "delay": 0.01, "jitter": 0.02, "correlation": 0.25}},
+    "delay 10ms distribution normal": {"latency": {"kind": "constant", "value": 0.01}},
+    "delay 10ms 1ms distribution uniform": {"latency": {"kind": "uniform", "low": 0.009, "high": 0.011}},
+    "delay 10ms reorder 25% 50% gap 5": {
+        "latency": {"kind": "netem", "delay": 0.01, "reorder": 0.25, "reorder_correlation": 0.5, "gap": 5}
+    },
+    "loss 1%": {"loss": {"kind": "bernoulli", "p": 0.01}},
+    "drop random 0.3 25": {"loss": {"kind": "correlated", "p": 0.003, "correlation": 0.25}},
+    "loss 0%": {},
+    "loss gemodel 5% 20%": {"loss": {"kind": "gilbert_elliott", "share": 0.2, "burst": 5.0}},
+    "loss gemodel 1%": {"loss": {"kind": "gilbert_elliott", "share": 0.01, "burst": 1.01010101}},
+    "loss gemodel 5% 20% 70% 0.1%": {
+        "loss": {"kind": "gilbert_elliott", "share": 0.2, "burst": 5.0, "loss_bad": 0.7, "loss_good": 0.001}
+    },
+    "loss state 5% 20%": {"loss": {"kind": "gilbert_elliott", "share": 0.2, "burst": 5.0}},
+    "loss state 5% 20% 30%": {
+        "loss": {"kind": "four_state", "p13": 0.05, "p31": 0.2, "p32": 0.3, "p23": 1.0, "p14": 0.0}
+    },
+    "duplicate 1%": {"duplicate": {"kind": "bernoulli", "p": 0.01}},
+    "rate 1mbit": {"medium": {"kind": "bitrate", "bitrate": 1e6, "header": 42}},
+    "rate 1MBps -42 limit 11": {"medium": {"kind": "bitrate", "bitrate": 8e6, "header": 0, "queue_limit": 10.0}},
+    "rate 1gbit delay 2ms 1ms": {
+        "latency": {"kind": "uniform", "low": 0.001, "high": 0.003},
+        "order": "fifo",
+        "medium": {"kind": "bitrate", "bitrate": 1e9, "header": 42},
+    },
+}
+
+
+@pytest.mark.parametrize("options", READ)
+def test_options_are_read_as_the_simplest_models(options):
+    """A latency without table and correlation is uniform, and the states 1 and 3 alone are Gilbert's model."""
+    assert read_script(f"tc qdisc add dev eth0 root netem {options}") == (READ[options], [])
+
+
+def test_a_file_of_commands_may_have_what_such_files_have():
+    """Other comments, continued lines, deletion, other roots, and the same command for several devices."""
+    text = """\
+        # my links
+        tc qdisc del dev eth0 root
+        sudo TC_LIB_DIR=/tmp ip netns exec n1 tc qdisc replace dev eth0 parent 1:1 handle 10: netem \\
+            delay 5ms \\
+            loss 1%
+        tc qdisc add dev eth1 root netem loss 1% delay 5ms limit 2000
+
+        # link 2 -> 0
+        tc qdisc change dev eth2 root netem loss 1%
+        """
+    network, (ignored,) = read_script(text, "links.sh")
+    assert network == {
+        "latency": {"kind": "constant", "value": 0.005},
+        "loss": {"kind": "bernoulli", "p": 0.01},
+        "link": [{"src": 2, "dst": 0, "latency": {"kind": "constant", "value": 0.0}}],
+    }
+    assert ignored.startswith("links.sh:6:9: limit has no effect without a rate")
+
+
+REFUSED = {
+    "dealy 100ms": (34, "'dealy' is not allowed here; allowed: delay, distribution, reorder, gap, loss, duplicate, ra"),
+    "delay 100": (40, "'100' should be a time with its unit: s, ms, us or ns"),
+    "delay 1ms 2ms 101%": (48, "'101%' should be a percentage in 0% .. 100%"),
+    "delay": (34, "'delay' should be followed by a value"),
+    "delay 1ms delay 2ms": (44, "'delay' is given twice"),
+    "loss burst 1%": (39, "'burst' is not allowed here; allowed: a percentage, random, state, gemodel"),
+    "loss gemodel 1% 0%": (1, "loss: a link that is lost for ever is not modelled"),
+    "loss state 60% 10% 0% 50% 50%": (1, "loss: p13 + p14 should be at most 1 (got 1.1)"),
+    "corrupt 1%": (34, "'corrupt' is not modelled: "),
+    "delay 1ms slot 1ms": (44, "'slot' is not modelled: "),
+    "rate 1mbit 20 100 5": (48, "'100' is not modelled: desim has no cells"),
+    "rate fast": (39, "'fast' should be a bit rate of at least 1bit, in tbit, gbit"),
+    "rate 1mbit -50": (1, "medium: should be greater than or equal to 0"),
+    "gap 5": (38, "gap needs reorder"),
+    "delay 1ms gap 0": (48, "'0' should be a whole number in 1 .. 4294967295"),
+    "delay 0ms reorder 5%": (1, "latency: reorder, and a jitter with a table, need a delay > 0, as in tc"),
+    "distribution normal": (47, "distribution needs delay"),
+    "delay 1ms 1ms distribution nromal": (1, "latency: nromal.dist cannot be read: No such file"),
+}
+
+
+@pytest.mark.parametrize("options", REFUSED)
+def test_a_word_that_is_not_allowed_is_refused_with_line_column_and_what_is(options):
+    column, why = REFUSED[options]
+    with pytest.raises(TcError, match=rf"^links:2:{column}: {re.escape(why)}"):
+        read_script(f"# links\ntc qdisc add dev eth0 root netem {options}", "links")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            "ls -l",
+            "tc:1:1: 'ls' is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPT",
+        ),
+        ("tc class add", "tc:1:4: 'class' is not allowed here"),
+        (
+            "tc qdisc add dev eth0 root tbf",
+            "tc:1:28: 'tbf' is not allowed here; allowed: dev, parent, handle, root, netem",
+        ),
+        ("tc qdisc add dev", "tc:1:14: 'dev' should be followed by a value"),
+        ("ip link set eth0 up", "tc:1:4: 'link' is not allowed here"),
+        (
+            "tc qdisc add dev a root netem\ntc qdisc add dev b root netem loss 1%",
+            "tc:2:1: differs from the command above for",
+        ),
+        (
+            "# link 0 -> 1\ntc qdisc add dev a root netem duplicate 1%",
+            "tc: duplicate of link 0 -> 1 should be as for the",
+        ),
+        (
+            "# link 1 -> 1\ntc qdisc add dev a root netem rate 1mbit",
+            "tc: rate and limit of link 1 -> 1 should be as for",
+        ),
+    ],
+)
+def test_commands_that_are_none_of_netem_or_differ_are_refused(text, why):
+    with pytest.raises(TcError, match=re.escape(why)):
+        read_script(text)
+
+
+MISSING = [
+    (Links(range=5.0), "network.range: netem does not know positions"),
+    (Links(graph=Ring()), "network.graph: netem does not remove links"),
+    (Links(latency=Propagation()), "network.latency: netem needs quantiles"),
+    (Links(latency=PerPair()), "network.latency: netem needs quantiles"),
+    (Links(loss=ByDistance()), "network.loss: netem has no such model"),
+    (Links(loss=GilbertElliott(advance="time")), "network.loss: netem has no such model"),
+    (Links(duplicate=FourState()), "network.duplicate: netem has no such model"),
+    (Links(latency=Uniform(), order="fifo"), "network.order: netem lets packets overtake each other here"),
+    (Links(latency=Uniform(), medium=Bitrate(bitrate=1e6)), "network.order: netem keeps the order of packets here"),
+    (Links(medium=LoRa()), "network.medium: netem has only a bit rate"),
+    (Links(medium=Bitrate(bitrate=1.0, shared=True)), "network.medium.shared: "),
+    (Links(medium=Bitrate(bitrate=1.0, half_duplex=True)), "network.medium.half_duplex: "),
+    (Links(medium=Bitrate(bitrate=1.0, queue_limit=3)), "network.medium.queue_limit: "),
+    (Links(medium=Bitrate(bitrate=1.0, access=Csma())), "network.medium.access: netem has no contention"),
+    (Links(link=(Link(src=0, dst=1, loss=ByDistance()),)), "link 0 -> 1: loss: netem has no such model"),
+]
+
+
+@pytest.mark.parametrize(("links", "why"), MISSING)
+def test_what_netem_cannot_express_is_listed(links, why):
+    found = [": ".join(each) for each in script(links, SIZE).missing]
+    assert len(found) == 1
+    assert found[0].startswith(why)
+
+
+def test_processing_delays_are_added_and_edges_of_the_graph_count_as_links():
+    """An edge without direction is two links; a link of its own precedes an edge."""
+    edges = [{"src": 0, "dst": 1, "latency": 0.2}, {"src": 1, "dst": 2, "loss": 0.5}]
+    links = Links(
+        graph=Edges.model_validate({"edges": edges}),
+        latency=Constant(value=0.1),
+        processing=Processing(sender=0.01, receiver=0.02),
+        link=(Link(src=1, dst=0, latency=Constant(value=0.3)),),
+    )
+    lines = script(links, 3, "wlan0").lines
+    assert [line.removeprefix("tc qdisc add dev ") for line in lines if line.startswith("tc")] == [
+        "wlan0 root netem delay 130ms",
+        "wlan0-1-0 root netem delay 330ms",
+        "wlan0-0-1 root netem delay 230ms",
+        "wlan0-1-2 root netem delay 130ms loss random 50%",
+        "wlan0-2-1 root netem delay 130ms loss random 50%",
+    ]
+
+
+def test_tables_of_one_kind_with_different_numbers_have_different_names():
+    own = Link(src=0, dst=1, latency=Lognormal(cv=1.0))
+    lines, tables, _ = script(Links(latency=Lognormal(), link=(own,)), SIZE)
+    assert [*tables] == ["desim-lognormal", "desim-lognormal-2"]
+    assert lines[-1].endswith("distribution desim-lognormal-2")
