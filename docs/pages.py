@@ -39,6 +39,7 @@ FIRST = (
     "radio",
     "lora",
     "contention",
+    "reliable",
     "search",
     "many",
 )

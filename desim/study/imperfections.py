@@ -19,6 +19,8 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import LoRa, Medium, Radio, Unlimited
 from desim.kernel.reception import Disk
+from desim.kernel.transport import BestEffort, Coded, Reliable
+from desim.pursuit.announcements import one_hop
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Scenario
 
@@ -62,6 +64,14 @@ def without_loss(scenario: Scenario) -> Scenario:
         graph=_graph_without(scenario, "loss"),
         link=_links_without(scenario.network, "loss"),
     )
+
+
+def without_transport(scenario: Scenario) -> Scenario:
+    """Return the scenario in which messages are sent once, and none is acknowledged, retransmitted or coded."""
+    free = _with_network(scenario, transport=BestEffort())
+    if not isinstance(scenario.announce.dissemination, Reliable | Coded):
+        return free
+    return free.model_copy(update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})})
 
 
 def without_range(scenario: Scenario) -> Scenario:
@@ -113,6 +123,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "latency": without_latency,
         "contention": without_contention,
         "loss": without_loss,
+        "transport": without_transport,
         "range limit": without_range,
         "faults": without_faults,
         "serial decisions": without_serial_decisions,

@@ -51,7 +51,7 @@ def test_the_kinds_of_protocols_are_completed():
 
 
 def test_the_names_of_examples_and_of_starting_files_are_completed():
-    assert completed("examples", "re") == ["reckoning", "relay"]
+    assert completed("examples", "re") == ["reckoning", "relay", "reliable"]
     assert completed("examples", "") == sorted(path.stem for path in SCENARIOS.glob("*.toml"))
     assert completed("new", "pro") == ["protocol"]
     assert completed("exa") == ["examples"]
