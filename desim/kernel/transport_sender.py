@@ -105,17 +105,19 @@ class ReliableSender:
             return
         self._acknowledged[node] = stamp
         now, received = self._endpoint.env.now, set(acknowledgement.received)
+        acts = False
         for entry in list(self._sent()):
             owed = entry.owed.get(node)
             if owed is None:
                 continue
             if entry.seq < acknowledgement.expected or (entry.seq in received and not self._model.ordered):
                 self._finish(entry, node)
+                acts |= not entry.owed
             elif owed.is_held != (entry.seq in received):  # a receiver that has lost its memory holds nothing any more
-                owed.is_held = not owed.is_held
+                owed.is_held, acts = not owed.is_held, True
                 owed.due = NEVER if owed.is_held else now
-        self._close_gap(node)
-        self.advance()
+        if self._close_gap(node) or acts:
+            self.advance()
 
     def advance(self) -> None:
         """Perform all actions that are due, transmit what the window allows, and set the timer."""
@@ -213,14 +215,16 @@ class ReliableSender:
         if not entry.owed:
             del self._entries[entry.seq]
 
-    def _close_gap(self, node: int) -> None:
-        """Let the timer tell a receiver not to wait, if it holds the first message that it has not acknowledged.
+    def _close_gap(self, node: int) -> bool:
+        """Plan to tell a receiver not to wait, if it holds the first message that it has not acknowledged.
 
-        The messages that it waits for have then been given up.
+        The messages that it waits for have then been given up. Return whether this is planned now.
         """
         first = next((entry.owed[node] for entry in self._sent() if node in entry.owed), None)
-        if first is not None and first.is_held and first.due == NEVER:
-            first.attempts, first.due = 0, self._endpoint.env.now
+        if first is None or not first.is_held or first.due < NEVER:
+            return False
+        first.attempts, first.due = 0, self._endpoint.env.now
+        return True
 
 
 class CodedSender:
