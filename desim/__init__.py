@@ -66,6 +66,9 @@ if TYPE_CHECKING:
     from desim.kernel.reception import LogDistance as LogDistance
     from desim.kernel.reception import QuasiUnitDisk as QuasiUnitDisk
     from desim.kernel.trace_file import TraceFile as TraceFile
+    from desim.kernel.transport import BestEffort as BestEffort
+    from desim.kernel.transport import Coded as Coded
+    from desim.kernel.transport import Reliable as Reliable
     from desim.pursuit.announcements import Announcements as Announcements
     from desim.pursuit.evasion import ConstantHeading as ConstantHeading
     from desim.pursuit.evasion import Diffusion as Diffusion
@@ -120,6 +123,7 @@ _NAMES = {
     "desim.kernel.netem": ("Netem",),
     "desim.kernel.reception": ("Disk", "LogDistance", "QuasiUnitDisk"),
     "desim.kernel.trace_file": ("TraceFile",),
+    "desim.kernel.transport": ("BestEffort", "Coded", "Reliable"),
     "desim.pursuit.announcements": ("Announcements",),
     "desim.pursuit.evasion": (
         "ConstantHeading",

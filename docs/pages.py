@@ -40,6 +40,7 @@ FIRST = (
     "radio",
     "lora",
     "contention",
+    "reliable",
     "search",
     "many",
 )

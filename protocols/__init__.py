@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from protocols.cbaa import CBAA as CBAA
     from protocols.cbba import CBBA as CBBA
     from protocols.centralised import Centralised as Centralised
+    from protocols.dissemination import CodedOneHop as CodedOneHop
     from protocols.dissemination import Flooding as Flooding
     from protocols.dissemination import Gossip as Gossip
     from protocols.dissemination import OneHop as OneHop
+    from protocols.dissemination import ReliableOneHop as ReliableOneHop
     from protocols.fictitious_play import FictitiousPlay as FictitiousPlay
     from protocols.fictitious_play import JointStrategyFictitiousPlay as JointStrategyFictitiousPlay
     from protocols.geometric import Argmin as Argmin
@@ -68,6 +70,8 @@ KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "one_hop": "protocols.dissemination:OneHop",
             "flooding": "protocols.dissemination:Flooding",
             "gossip": "protocols.dissemination:Gossip",
+            "reliable": "protocols.dissemination:ReliableOneHop",
+            "coded": "protocols.dissemination:CodedOneHop",
         },
     }
 )

@@ -5,12 +5,15 @@ dissemination returns a process that handles the announcements of teammates. In 
 
 Paper: Flooding: in the paper, each receiver of a new announcement rebroadcasts it once, after a random delay (Ni,
     Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records
-    (anti-entropy of Demers et al. 1987).
-Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay).
+    (anti-entropy of Demers et al. 1987). Reliable: automatic repeat request, see `desim.kernel.transport`.
+Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay); for reliable and
+    coded those of the transport.
 Assumes: nothing; one hop is enough on a complete graph.
 Messages: one broadcast per announcement; in flooding, about one per pursuer and announcement. A gossip message carries
-    all known records.
-Robust to loss: yes, with heartbeats; flooding also without them where there are several paths.
+    all known records. Reliable: also one acknowledgement per receiver, and the repetitions. Coded: one broadcast per
+    piece.
+Robust to loss: yes, with heartbeats; flooding also without them where there are several paths, and reliable without
+    them if a receiver stays in range.
 """
 
 from functools import partial
@@ -20,11 +23,13 @@ from pydantic import Field
 
 from desim.config.model import Time, Value
 from desim.kernel.clock import Phase
+from desim.kernel.message_size import size_of
+from desim.kernel.transport import Coded, Depth, Reliable, Transport, Window
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
 PORT = "announcements"
-"""The port at which the announcements of flooding and gossip arrive."""
+"""The port at which announcements arrive that are sent as messages: all but those of `OneHop`."""
 
 
 class Dissemination(Protocol):
@@ -105,7 +110,62 @@ class Gossip(Value):
 
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""
-        while True:
-            yield me.arrival(PORT, Phase.RELAY)
-            for message in me.mail(PORT):
-                me.merge_records(message.body.records)
+        yield from merge_all(me)
+
+
+class ReliableOneHop(Reliable):
+    """Each announcement is transmitted again to the neighbours that have not acknowledged it; none is forwarded.
+
+    By default a newer announcement replaces one that is not acknowledged yet (`depth` is 1), because announcements are
+    state. Robust to loss: yes, also without heartbeats. Messages: per announcement a broadcast, and for each neighbour
+    an acknowledgement of 24 bytes and p / (1 - p) repetitions at a probability p of loss.
+    """
+
+    hops: ClassVar[int] = 1
+    window: Window = 1
+    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait."""
+    depth: Depth = 1
+    """Number of messages that `keep_last` keeps."""
+
+    @property
+    def retransmits(self) -> bool:
+        """Whether an announcement is transmitted again until it is acknowledged, or a newer one replaces it."""
+        return not self.gives_up
+
+    def broadcast(self, me: Agent, announcement: Any) -> None:
+        """Send the announcement to the neighbours."""
+        send_record(me, announcement, self)
+
+    def __call__(self, me: Agent) -> Process:
+        """Merge the records that arrive."""
+        yield from merge_all(me)
+
+
+class CodedOneHop(Coded):
+    """Each announcement is broadcast in coded pieces, of which some suffice; none is acknowledged or forwarded.
+
+    Robust to loss: more than one hop, at the cost of the bytes of all pieces.
+    """
+
+    hops: ClassVar[int] = 1
+
+    def broadcast(self, me: Agent, announcement: Any) -> None:
+        """Send the pieces of the announcement to the neighbours."""
+        send_record(me, announcement, self)
+
+    def __call__(self, me: Agent) -> Process:
+        """Merge the records that arrive."""
+        yield from merge_all(me)
+
+
+def send_record(me: Agent, announcement: Any, transport: Transport) -> None:
+    """Send an announcement to all neighbours as a record; its bytes are those of the announcement and the transport."""
+    me.send(None, Forwarded((me.record(announcement),)), PORT, transport=transport, size=size_of(announcement))
+
+
+def merge_all(me: Agent) -> Process:
+    """Merge the records in all messages that arrive."""
+    while True:
+        yield me.arrival(PORT, Phase.RELAY)
+        for message in me.mail(PORT):
+            me.merge_records(message.body.records)

@@ -8,12 +8,11 @@ counts 1.5 times as much as in the one before, because the channel may be busy.
 from collections.abc import Generator
 from typing import Any
 
+from desim.kernel.retransmission import MAX_GROWTH, first_timeout
 from desim.pursuit.agent import Agent
 
 BACKOFF = 1.5
 """Factor by which the airtime in the time-out grows from one attempt to the next."""
-MAX_GROWTH = 100
-"""Number of attempts after which the time-out stops growing."""
 Waiting = Generator[Any, Any, bool]
 """A part of a process that waits and returns true or false."""
 
@@ -29,7 +28,7 @@ class RetransmissionTimer:
 
     def __init__(self, me: Agent, airtime: float, min_timeout: float):
         self._airtime = 1.25 * airtime
-        self._first = max(2.5 * me.latency + self._airtime, min_timeout)
+        self._first = first_timeout(me.latency, airtime, min_timeout)
 
     def __call__(self, attempt: int = 0) -> float:
         """Return the time-out, s, of a transmission after a number of attempts without an answer."""

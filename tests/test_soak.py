@@ -18,6 +18,7 @@ from desim.kernel.latency import LATENCIES
 from desim.kernel.loss import LOSSES
 from desim.kernel.medium import MEDIA
 from desim.kernel.reception import RECEPTION_MODELS
+from desim.kernel.transport import TRANSPORTS
 from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
@@ -120,6 +121,14 @@ def faults(dice, size, until):
     return [plan | {"box": (0.0, 10.0)}, *(each for each in [*more, skew, partition, jamming] if dice.chance(0.3))]
 
 
+def transport(dice):
+    """Return a transport, with all qualities or with none."""
+    qualities = {"lifespan": dice.number(0.05, 1.0), "deadline": 0.2, "lease": dice.number(0.1, 0.5)}
+    more = {"window": dice.count(1, 4), "ordered": dice.chance(0.5), "max_repeats": dice.one([2.0, np.inf]), "depth": 4}
+    found = dice.kind(TRANSPORTS)
+    return found | dice.one([{}, qualities]) | (more if found["kind"] == "reliable" else {})
+
+
 def medium(dice):
     """Return a medium, one on which what is sent may have to wait in all ways that there are."""
     found = dice.kind(MEDIA)
@@ -179,6 +188,7 @@ def anything(seed):
             "loss": dice.one([dice.kind(LOSSES), {"kind": "bernoulli", "p": 0.3}]),
             "medium": medium(dice),
             "duplicate": dice.one([0.0, 0.3]),
+            "transport": transport(dice),
         },
         "fault": faults(dice, size, dice.one([1.0, np.inf])),
         "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from desim.analysis.metrics import active_time, energy
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.events import Event, Watcher
-from desim.kernel.invariants import Conservation
+from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
@@ -37,14 +37,15 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    These watchers are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`; `watchers` are added to them. Use this
-    function in tests of a protocol or a model.
+    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher` and `MotionWatcher`; `watchers` are added to
+    them. Use this function in tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
     """
     stopwatches = ActiveTimeWatcher()
-    result = run(scenario, seed, Conservation(), stopwatches, MotionWatcher(scenario), *watchers)
+    own = Conservation(), DeliveredOnce(), stopwatches, MotionWatcher(scenario)
+    result = run(scenario, seed, *own, *watchers)
     stopwatches.judge(result)
     return result
 

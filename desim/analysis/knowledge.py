@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
 from desim.kernel.clock import SECOND
-from desim.kernel.events import LOST, Broadcast, Lost, Sent
+from desim.kernel.events import LOST, Broadcast, Delivered, Lost, Sent
 from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
 from desim.pursuit.announcements import announced_action, records_in, relayed_records
@@ -42,6 +42,8 @@ PIECE = np.dtype(
 )
 FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 """Positions in the trace before and after all events."""
+DELIVERED = -1
+"""In place of the number of a transmission: a message that a transport has delivered, and that is not lost."""
 
 
 @remembered
@@ -163,10 +165,11 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
     lost: list[int] = []
     clocks = _Clocks(result, size)
     for place, event in enumerate(result.trace):
-        if isinstance(event, Broadcast | Sent):
+        if isinstance(event, Broadcast | Sent | Delivered):
             announced, reached = clocks.true_records(event), list(event.fates())
             if announced and reached:
-                carried.append((len(reached), event.transmission, place, len(records), len(announced)))
+                number = DELIVERED if isinstance(event, Delivered) else event.transmission
+                carried.append((len(reached), number, place, len(records), len(announced)))
                 records += announced
                 fates += reached
         elif isinstance(event, Lost):
@@ -186,8 +189,8 @@ class _Clocks:
         self._errors = clock_errors(result.scenario.fault, size, result.seed)
         self._right = not any(offset or drift for offset, drift in self._errors)
 
-    def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
-        """Return the records that a transmission carries, forwarded or the sender's own, with true time stamps."""
+    def true_records(self, event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
+        """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
         relays = relayed_records(event.body) is not None
         return tuple(map(self._corrected, records_in(event))) if relays and not self._right else records_in(event)
 

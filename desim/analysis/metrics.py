@@ -42,6 +42,17 @@ from desim.analysis.trace_index import (
     positions_known,
     trace_index,
 )
+from desim.analysis.transport import (
+    acknowledgements,
+    deadlines_missed,
+    delivery_delay,
+    given_up,
+    has_transport,
+    liveliness_lost,
+    mean_attempts,
+    retransmissions,
+    share_delivered,
+)
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.kernel.clock import seconds
@@ -55,6 +66,7 @@ __all__ = [
     "Metric",
     "MetricError",
     "Summary",
+    "acknowledgements",
     "active_time",
     "activity",
     "age_at_decision",
@@ -66,10 +78,15 @@ __all__ = [
     "captured",
     "changes",
     "crowded_time",
+    "deadlines_missed",
+    "delivery_delay",
     "energy",
     "excess_time",
+    "given_up",
     "handovers",
     "idle_time",
+    "liveliness_lost",
+    "mean_attempts",
     "mean_capture_time",
     "measured",
     "messages",
@@ -79,6 +96,8 @@ __all__ = [
     "plain",
     "potential_gap",
     "regret",
+    "retransmissions",
+    "share_delivered",
     "summary",
     "switches",
     "time_to_relay",
@@ -293,6 +312,36 @@ class Summary(Mapping[str, Any]):
         silent_at_0=True,
     )
     """Share of the time in which the channels were busy."""
+    share_delivered: float | None = entry(
+        share_delivered,
+        note="of the messages under a transport, by the end of the run",
+        given=has_transport,
+        more_is="better",
+    )
+    mean_attempts: float | None = entry(
+        mean_attempts, note="transmissions of a message to each receiver", given=has_transport, more_is="worse"
+    )
+    delivery_delay: float | None = entry(
+        delivery_delay, "s", "from sending to delivery", given=has_transport, more_is="worse"
+    )
+    retransmissions: int | None = entry(
+        retransmissions,
+        note=lambda run: f"{run['acknowledgements']:,} acknowledgements",
+        given=has_transport,
+        more_is="worse",
+    )
+    acknowledgements: int | None = entry(acknowledgements, given=has_transport, more_is="worse")
+    given_up: int | None = entry(
+        given_up,
+        note="messages that some receiver had not acknowledged",
+        given=has_transport,
+        silent_at_0=True,
+        more_is="worse",
+    )
+    deadlines_missed: int | None = entry(
+        deadlines_missed, note="", given=has_transport, silent_at_0=True, more_is="worse"
+    )
+    liveliness_lost: int | None = entry(liveliness_lost, note="", given=has_transport, silent_at_0=True)
     age_mean: float | None = entry(
         age_mean, "s", "averaged over time and pairs", given=messages_recorded, more_is="worse"
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, TypeVar
 
-from desim.kernel.events import MESSAGES, MessageCounts
+from desim.kernel.events import MESSAGES, MessageCounts, TransportCounts
 from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.simulation.run import Result
 
@@ -110,3 +110,10 @@ def require_messages(result: Result) -> None:
 def messages(result: Result) -> MessageCounts:
     """Return the numbers of messages; a broadcast counts as one message per receiver."""
     return result.trace.of(MessageCounts)[0]
+
+
+@remembered
+def transport(result: Result) -> TransportCounts | None:
+    """Return what transports did; None if no message needed a transport."""
+    counts = result.trace.of(TransportCounts)
+    return counts[0] if counts else None

@@ -12,10 +12,7 @@ import numpy as np
 from desim.config.arrays import Bools, Integers
 from desim.config.model import MAX_TIME
 from desim.kernel.access import Access, Csma, CsmaCa, SlottedAloha, Tdma
-from desim.kernel.clock import SECOND, NodeClock, nanoseconds, seconds
-
-NEVER = np.iinfo(np.int64).max
-"""The time of an action that is not planned, ns."""
+from desim.kernel.clock import NEVER, SECOND, NodeClock, nanoseconds, seconds
 
 
 class Contenders:

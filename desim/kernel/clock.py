@@ -24,6 +24,8 @@ GC_THRESHOLDS = 100_000, 50, 100
 """The thresholds of the garbage collector during a run; see `gc.set_threshold`."""
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
+NEVER = (1 << 63) - 1
+"""A time that no run reaches, ns; the largest 64-bit integer."""
 
 
 class Phase(IntEnum):
@@ -128,6 +130,41 @@ class Instant(simpy.Event):
         self.env = env
         self.callbacks: list[Callable[[simpy.Event], None]] = []
         heappush(env._queue, (when, priority, next(env._eid), self))  # type: ignore[misc]  # `schedule`, inlined
+
+
+class Timer:
+    """Calls a function at the earliest of the times to which it has been set, with one scheduled event at a time.
+
+    An event that an earlier time has replaced has no effect. A time later than the present one has no effect either:
+    the function that is called sets the timer anew.
+
+    Args:
+        env: the clock.
+        priority: the SimPy priority of the call, usually a `Phase`.
+        act: the function.
+    """
+
+    __slots__ = ("_act", "_env", "_priority", "_when")
+
+    def __init__(self, env: Clock, priority: int, act: "Callable[[], object]"):
+        self._env, self._priority, self._act = env, priority, act
+        self._when = NEVER
+
+    def set(self, when: int) -> None:
+        """Call the function at a time, ns, or now if it has passed, unless it is called earlier anyway."""
+        when = max(when, self._env.now)
+        if when < self._when:
+            self._when = when
+            Instant(self._env, when, self._priority).callbacks.append(lambda _: self._ring(when))
+
+    def stop(self) -> None:
+        """Do not call the function until the timer is set again."""
+        self._when = NEVER
+
+    def _ring(self, when: int) -> None:
+        if when == self._when:
+            self._when = NEVER
+            self._act()
 
 
 class NodeClock:

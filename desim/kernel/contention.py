@@ -12,10 +12,10 @@ from itertools import count
 from typing import Generic, TypeVar
 
 from desim.kernel.access import CsmaCa
-from desim.kernel.access_methods import NEVER, Contenders, method
+from desim.kernel.access_methods import Contenders, method
 from desim.kernel.air import Air
 from desim.kernel.carrier_sense import CarrierSense
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds
+from desim.kernel.clock import NEVER, Clock, Instant, NodeClock, Phase, nanoseconds
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
 from desim.kernel.medium import Radio

@@ -132,6 +132,115 @@ class MessageCounts(NamedTuple):
     """Share of time the channel was busy, in [0, 1]; the mean over all nodes if each has its own channel."""
 
 
+class Delivered(NamedTuple):
+    """A transport handed a message to a receiver; without a transport, a message is delivered as it arrives."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+    to_all: bool
+    """Whether the message was sent to all neighbours."""
+    seq: Count
+    """The number of the message among those of the sender at the port, to all or to this receiver."""
+    created: Nanoseconds
+    """When `send` was called, ns."""
+    attempt: Count
+    """The number of the attempt, or of the piece, with which it arrived, from 1 on."""
+    body: Body
+
+    def fates(self) -> Iterator[tuple[int, int]]:
+        """Yield the receiver and the time of the delivery, ns, like `Broadcast.fates`."""
+        yield self.dst, self.t
+
+
+class Retransmitted(NamedTuple):
+    """A message was transmitted again to a receiver that had not acknowledged it in time."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+    to_all: bool
+    seq: Count
+    attempt: Count
+    """The number of this attempt, from 2 on."""
+
+
+GiveUp = Literal["repeats", "lifespan", "superseded", "memory_loss"]
+"""Why a message is given up; "repeats": it was repeated often enough, "superseded": newer messages filled the history,
+"memory_loss": its sender lost its memory."""
+
+
+class GivenUp(NamedTuple):
+    """A sender gave up a message that a receiver had not acknowledged; the receiver may have got it all the same."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+    to_all: bool
+    seq: Count
+    cause: GiveUp
+
+
+class Expired(NamedTuple):
+    """A receiver dropped a message that was older than its lifespan."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+    to_all: bool
+    seq: Count
+
+
+class DeadlineMissed(NamedTuple):
+    """A receiver has waited longer than the deadline for a message of a sender at a port."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+
+
+class LivelinessLost(NamedTuple):
+    """A receiver has received nothing from a node at a port for the time of its lease."""
+
+    t: Nanoseconds
+    src: NodeId
+    dst: NodeId
+    port: str
+
+
+class TransportCounts(NamedTuple):
+    """What the transports of a network did until time t; each receiver of a message counts as one message."""
+
+    t: Nanoseconds
+    submitted: Count
+    """Number of messages that were given to a transport."""
+    delivered: Count
+    expired: Count
+    """Number of messages that their receivers dropped because of the lifespan."""
+    given_up: dict[GiveUp, Count]
+    """Number of messages that their senders gave up, by cause."""
+    attempts: Count
+    """Number of transmissions of messages, or of pieces, to each of their receivers."""
+    retransmissions: Count
+    acknowledgements: Count
+    deadlines_missed: Count
+    lives_lost: Count
+    """Number of times that a node lost the liveliness of another."""
+    delay: Nanoseconds
+    """Sum of the times from sending to delivery over all delivered messages, ns."""
+
+
+DELIVERIES = (Delivered, Retransmitted, GivenUp, Expired)
+"""The types of events of transports about single messages, which are recorded if messages are."""
+TRANSPORT = (*DELIVERIES, DeadlineMissed, LivelinessLost, TransportCounts)
+"""The types of events of transports; without a transport there are none."""
+
+
 Kind = TypeVar("Kind")
 Watcher = Callable[[Event], object]
 """A function called with each event; the run ends if the function returns True, and fails if it raises."""

@@ -9,14 +9,15 @@ of a crash is lost, and one that arrives at the instant of the recovery is deliv
 from collections import Counter
 from collections.abc import Collection
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from desim.kernel.access import CsmaCa
 from desim.kernel.clock import nanoseconds
-from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent
+from desim.kernel.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 from desim.kernel.interference import Collision
 from desim.kernel.medium import Radio
+from desim.kernel.transport_frames import carried
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -180,6 +181,39 @@ class Conservation:
         return any(isinstance(fault, Partition) and _group(fault, src) != _group(fault, dst) for fault in self._faults)
 
 
+class DeliveredOnce:
+    """A watcher of one run that raises AssertionError if a transport delivers a message twice, or out of order.
+
+    - A message is delivered at most once to each receiver, unless the receiver has lost its memory in between.
+    - Messages of a sender to a receiver at a port that is `ordered` are delivered in the order in which they were sent.
+      Those to all neighbours have an order of their own.
+
+    Args:
+        ordered: the ports at which messages are delivered in order, or True for all.
+    """
+
+    def __init__(self, ordered: "Collection[str] | Literal[True]" = ()):
+        self._ordered = ordered
+        self._delivered: dict[tuple[int, int, str, bool], set[tuple[int, int]]] = {}
+        """By sender, receiver, port, and whether to all: the time and the number of each delivered message."""
+        self._last: dict[tuple[int, int, str, bool], tuple[int, int]] = {}
+        """By the same: the time and the number of the last delivered message."""
+
+    def __call__(self, event: Event) -> None:
+        """Check an event."""
+        if isinstance(event, FaultEnded) and isinstance(event.fault, Crash) and not event.fault.memory:
+            for flow in [flow for flow in self._delivered if flow[1] == event.fault.node]:
+                del self._delivered[flow], self._last[flow]
+        elif isinstance(event, Delivered):
+            flow, message = (event.src, event.dst, event.port, event.to_all), (event.created, event.seq)
+            _require(event.created <= event.t, "no message is delivered before it was sent", event)
+            _require(message not in self._delivered.get(flow, ()), "a message is delivered once", event)
+            if self._ordered is True or event.port in self._ordered:
+                _require(message > self._last.get(flow, (0, 0)), "messages are delivered in order", event)
+            self._delivered.setdefault(flow, set()).add(message)
+            self._last[flow] = message
+
+
 class OneToken:
     """A watcher of one run that raises AssertionError if there are more tokens than allowed.
 
@@ -208,11 +242,11 @@ class OneToken:
 
     def __call__(self, event: Event) -> None:
         """Check an event."""
-        if isinstance(event, Sent) and isinstance(event.body, self._kind):
-            hop = event.src, event.dst, event.body.epoch, event.body.hop
+        if isinstance(event, Sent) and isinstance(token := carried(event.body), self._kind):
+            hop = event.src, event.dst, token.epoch, token.hop
             if hop not in self._passed and (self._group is None or event.src in self._group):
                 self._passed.add(hop)
-                self._check_hop(event, event.body.epoch, event.body.hop)
+                self._check_hop(event, token.epoch, token.hop)
 
     def _check_hop(self, event: Sent, epoch: Any, hop: int) -> None:
         _require(hop > self._hops.get(epoch, -1), "an epoch has one token", event)

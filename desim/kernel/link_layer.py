@@ -18,7 +18,7 @@ from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.message_log import MessageLog
-from desim.kernel.message_size import size_of
+from desim.kernel.message_size import negative_size, size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
@@ -162,7 +162,7 @@ class LinkLayer:
         if size is None:
             size = size_of(content.body)
         elif size < 0:
-            raise ValueError(f"the size of a message should be at least 0 bytes (got {size})")
+            raise negative_size(size)
         transmission = _new(
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )

@@ -12,6 +12,7 @@ from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
+from desim.kernel.transport import TRANSPORTS, BestEffort, Transport
 
 
 class Processing(Value):
@@ -76,6 +77,9 @@ class Links(Value):
     counts as a message of its own."""
     medium: Annotated[Medium, MEDIA] = Unlimited()
     """Model of the airtime of messages and of access to the channel."""
+    transport: Annotated[Transport, TRANSPORTS] = BestEffort()
+    """How messages that nodes send to each other are carried, for example retransmitted. Announcements are not such
+    messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
 

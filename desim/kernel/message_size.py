@@ -48,6 +48,11 @@ def size_of(body: Any) -> int:
     return HEADER + _size(body)
 
 
+def negative_size(size: int) -> ValueError:
+    """Return the error about a negative size of a message."""
+    return ValueError(f"the size of a message should be at least 0 bytes (got {size})")
+
+
 def _size(body: Any) -> int:
     if type(body) in SCALARS:
         return NUMBER

@@ -14,17 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 from desim.kernel.clock import SECOND, Clock, NodeClock
 from desim.kernel.estimates import Estimates
-from desim.kernel.events import MessageCounts, Trace
+from desim.kernel.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
-from desim.kernel.message_size import as_sent
+from desim.kernel.message_size import as_sent, negative_size, size_of
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
 from desim.kernel.records import Predicate, Record, Table
 from desim.kernel.topology import Topology
+from desim.kernel.transport import Transport
+from desim.kernel.transport_layer import TransportLayer
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -88,6 +90,7 @@ class Network:
         self._fault_state = fault_state
         self._records = Records(env, self._size, predicate, repeats=sampler.duplicates_messages)
         self._inboxes = Inboxes(env, self._size)
+        self._trace, self._clocks, self._medium = trace, clocks or [NodeClock(env)] * self._size, links.medium
         self._link_layer = LinkLayer(
             env,
             links,
@@ -98,11 +101,13 @@ class Network:
             fault_state,
             trace if trace is not None and trace.wants_messages else None,
             None if positions is None else as_position_source(positions),
-            clocks or [NodeClock(env)] * self._size,
+            self._clocks,
             seed,
         )
         self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.delivery.arrivals
         self._first_kept = self._arrivals.kept.first
+        self._transport, self._is_plain = links.transport, links.transport.is_plain
+        self._layer: TransportLayer | None = None  # created by the first message that needs it
         self._seq = [0] * self._size
 
     # Operations of nodes.
@@ -131,18 +136,30 @@ class Network:
         """
         self._transmit(src, None, self.next_record(src, body, stamp), size)
 
-    def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
+    def send(
+        self,
+        src: int,
+        dst: int | None,
+        body: Any,
+        *,
+        port: str = "",
+        size: int | None = None,
+        transport: Transport | None = None,
+    ) -> None:
         """Send a message to one node, or to all neighbours (None); its arrival wakes the processes that wait for it.
 
-        The message goes to the inbox of the receiver at `port`; `size` is as in `publish`.
+        The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
+        transport, which may retransmit it (`desim.kernel.transport`); None: that of the links (`Links.transport`). All
+        messages at a port should have the same transport.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
-        where only the newest value matters. A message to a node that is not linked to the sender is lost, and so is one
-        that fails the range check (see `Links.range_check`). All receivers share one body and must not change it; later
-        changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
+        where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
+        is one that fails the range check (see `Links.range_check`). All receivers share one body and must not change
+        it; later changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if the receiver is the sender, or the size is negative.
+            ValueError: if the receiver is the sender, the size is negative, or messages at the port have another
+                transport.
         """
         if not 0 <= src < self._size:
             raise self._unknown(src)
@@ -150,7 +167,15 @@ class Network:
             raise self._unknown(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
+        message = _new(Message, (src, self._env.now, as_sent(body)))
+        if self._is_plain if transport is None else transport.is_plain:
+            self._transmit(src, dst, message, size, port)
+            return
+        if size is None:
+            size = size_of(body)
+        elif size < 0:
+            raise negative_size(size)
+        self._transport_layer.send(src, dst, message, port, size, transport or self._transport)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
@@ -195,6 +220,23 @@ class Network:
         """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
 
+    @property
+    def _transport_layer(self) -> TransportLayer:
+        """The transport layer, which is created when it is first needed."""
+        if self._layer is None:
+            self._layer = TransportLayer(
+                self._env,
+                self.topology,
+                self._inboxes,
+                self._fault_state,
+                self._clocks,
+                self._trace,
+                transmit=self._transmit,
+                latency=lambda: self.estimates.latency,
+                airtime=self._medium,
+            )
+        return self._layer
+
     def _unknown(self, node: int) -> ValueError:
         """Return the error about a node that does not exist."""
         return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
@@ -223,6 +265,10 @@ class Network:
         if not memory:
             self._records.forget(node)
             self._inboxes.drain(node)
+        if self._layer is not None:
+            if not memory:
+                self._layer.forget(node)
+            self._layer.resume(node)
 
     @property
     def fault_state(self) -> FaultState:
@@ -238,3 +284,7 @@ class Network:
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         return self._link_layer.message_counts()
+
+    def transport_counts(self) -> TransportCounts | None:
+        """Return the counts of transports up to now; None if no message has needed a transport."""
+        return None if self._layer is None else self._layer.counts()

@@ -18,6 +18,7 @@ from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
+from desim.kernel.transport import Transport
 from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
 from desim.pursuit.beliefs import Beliefs
 from desim.pursuit.knowledge import Knowledge
@@ -169,17 +170,34 @@ class Agent(Knowledge):
         for record in records:
             self._network.insert(self.id, record)
 
-    def send(self, dst: int | None, body: Any, port: str = "") -> None:
+    def send(
+        self,
+        dst: int | None,
+        body: Any,
+        port: str = "",
+        *,
+        transport: Transport | None = None,
+        size: int | None = None,
+    ) -> None:
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
         Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
         (`mail`). A body that contains a list, a dict or an array is copied at sending, so later changes have no effect
         on the message. All receivers get the same object and must not change it.
 
+        Args:
+            dst: the receiver; None: all neighbours.
+            body: what is sent.
+            port: the port of the inbox.
+            transport: how the message is carried, for example retransmitted until it is acknowledged; None: as
+                `network.transport` says. All messages at a port should have the same transport.
+            size: the size of the message, bytes; None: computed from the body, see `desim.kernel.message_size`.
+
         Raises:
-            ValueError: if the receiver is the sender, or there is no such teammate.
+            ValueError: if the receiver is the sender, there is no such teammate, the size is negative, or messages at
+                the port have another transport.
         """
-        self._network.send(self.id, dst, body, port=port)
+        self._network.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""

@@ -10,10 +10,11 @@ from pydantic import Discriminator, Field, Tag
 from desim.config.choice import OneOf
 from desim.config.json_numbers import from_json
 from desim.config.model import Flag, Period, Timeout, Value
-from desim.kernel.events import Broadcast, Sent
+from desim.kernel.events import Broadcast, Delivered, Sent
 from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
+from desim.kernel.transport_frames import carried
 from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.views import View
 
@@ -108,8 +109,11 @@ def relayed_records(body: Any) -> tuple[Record, ...] | None:
     return records if isinstance(records, tuple) else None
 
 
-def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
-    """Return the records in a transmission: the relayed records, the broadcast record, or none."""
+def records_in(event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
+    """Return the records in a transmission or delivery: the relayed records, the broadcast record, or none.
+
+    A frame of a transport (`desim.kernel.transport_frames`) has none: they count when they are delivered.
+    """
     relayed = relayed_records(event.body)
     if relayed is not None:
         return relayed
@@ -133,7 +137,7 @@ class Eavesdropper:
 
     def __call__(self, content: Record | Message, last_arrival: int) -> None:
         """Overhear a transmission at its start; `last_arrival` is the time of its last arrival, ns, or `LOST`."""
-        records = (content,) if isinstance(content, Record) else relayed_records(content.body)
+        records = (content,) if isinstance(content, Record) else relayed_records(carried(content.body))
         for record in records or ():
             self._overhear(record, last_arrival)
 

@@ -92,6 +92,9 @@ class DisseminationTraits(Assuming):
 
     hops: float = inf
     """Largest number of hops that an announcement travels."""
+    retransmits: Flag = False
+    """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
+    one replaces it."""
 
     @property
     def relays(self) -> bool:

@@ -13,7 +13,18 @@ from pydantic import BeforeValidator, Field
 from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
 from desim.config.trust import regular_or_missing, without_symlink
-from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.events import (
+    MESSAGES,
+    TRANSPORT,
+    Broadcast,
+    Event,
+    Lost,
+    MessageCounts,
+    Queued,
+    Sent,
+    Trace,
+    TransportCounts,
+)
 from desim.kernel.faults import Fault, FaultEnded, FaultStarted, nodes_of
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
@@ -23,7 +34,10 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
 from desim.simulation.run import Result, run
 
-EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, MessageCounts, FaultStarted, FaultEnded)
+EVENTS = (
+    *(Started, Decided, BrokeDown, Sampled, Captured, Ended),
+    *(*MESSAGES, MessageCounts, *TRANSPORT, FaultStarted, FaultEnded),
+)
 """The types of events in a trace."""
 
 
@@ -269,7 +283,7 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
         if event.t < t:
             yield number, "is earlier than the line before"
         t = event.t
-        if isinstance(event, Started | MessageCounts | Ended):
+        if isinstance(event, Started | MessageCounts | TransportCounts | Ended):
             if type(event) in once:
                 yield number, f"is a second {type(event).__name__}"
             once.add(type(event))

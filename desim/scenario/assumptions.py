@@ -78,6 +78,9 @@ def messages_get_through(scenario: "Scenario") -> str | None:
         return "nothing is ever announced"
     if network.range < inf and not scenario.motion.static:
         return "a pursuer that comes into range does not receive earlier announcements (`announce.trigger`)"
+    if DisseminationTraits.of(scenario.announce.dissemination).retransmits:
+        crashes = no_crashes(scenario) is not None
+        return "a pursuer that crashes may forget what it has acknowledged" if crashes else None
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     medium = network.medium
     drops = medium.half_duplex or medium.queue_limit < inf or _may_collide(medium)

@@ -18,10 +18,11 @@ from desim.kernel.medium import Radio
 from desim.kernel.playback import LinkTrace
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
+from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import DisseminationTraits
 from desim.scenario.assumptions import violations
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import PROTOCOLS, Scenario
 
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 LONG_LATENCY = 0.1
@@ -186,8 +187,9 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
-    if announce.trigger == "never" and DisseminationTraits.of(announce.dissemination).relays:
+    if announce.trigger == "never" and _sends_announcements(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
+    yield from _transport_warnings(scenario)
     for k, fault in enumerate(scenario.fault):
         if isinstance(fault, Fault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
@@ -221,6 +223,33 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                     f"a message that is sent later than {model.span:g} s ends the run with an error, and the horizon is"
                     f" {scenario.horizon:g} s",
                 )
+
+
+def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about transports without an effect, and windows that are never full."""
+    announce, transport = scenario.announce, scenario.network.transport
+    for key, model in (("network.transport", transport), ("announce.dissemination", announce.dissemination)):
+        if isinstance(model, Reliable) and model.history == "keep_last" and model.depth < model.window:
+            yield (
+                f"{key}.window",
+                f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
+            )
+    sends = scenario.schedule_traits.spreads_to is not None or scenario.sensing.limited
+    if transport != BestEffort() and scenario.announces and not sends and PROTOCOLS.holds(scenario.protocol):
+        if isinstance(announce.dissemination, Reliable | Coded):
+            yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"
+        elif not _sends_announcements(scenario):
+            yield (
+                "network.transport",
+                "it has no effect on announcements, which are published as state; the kinds 'reliable' and 'coded' of"
+                " `announce.dissemination` send them as messages",
+            )
+
+
+def _sends_announcements(scenario: Scenario) -> bool:
+    """Return whether announcements are sent as messages, not published."""
+    dissemination = scenario.announce.dissemination
+    return isinstance(dissemination, Reliable | Coded) or DisseminationTraits.of(dissemination).relays
 
 
 def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -197,6 +197,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         who = "the protocol" if notes else "code of the scenario"
         raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
     world.sample()
+    if (transport := network.transport_counts()) is not None:
+        trace.append(transport)
     trace.append(network.message_counts())
     assert end.event is not None
     trace.append(end.event)

@@ -19,6 +19,8 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import LoRa, Medium, Radio, Unlimited
 from desim.kernel.reception import Disk
+from desim.kernel.transport import BestEffort, Coded, Reliable
+from desim.pursuit.announcements import one_hop
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Scenario
 
@@ -67,6 +69,14 @@ def without_loss(scenario: Scenario) -> Scenario:
 def without_duplicates(scenario: Scenario) -> Scenario:
     """Return the scenario in which no message is transmitted twice."""
     return _with_network(scenario, duplicate=Bernoulli())
+
+
+def without_transport(scenario: Scenario) -> Scenario:
+    """Return the scenario in which messages are sent once, and none is acknowledged, retransmitted or coded."""
+    free = _with_network(scenario, transport=BestEffort())
+    if not isinstance(scenario.announce.dissemination, Reliable | Coded):
+        return free
+    return free.model_copy(update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})})
 
 
 def without_range(scenario: Scenario) -> Scenario:
@@ -119,6 +129,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "contention": without_contention,
         "loss": without_loss,
         "duplicates": without_duplicates,
+        "transport": without_transport,
         "range limit": without_range,
         "faults": without_faults,
         "serial decisions": without_serial_decisions,

@@ -11,9 +11,10 @@ The pursuers are the threads of one process. Each receiver is a process whose tr
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from math import inf, nextafter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
@@ -21,6 +22,7 @@ from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import without_symlink
 from desim.kernel.clock import SECOND
+from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
@@ -32,6 +34,16 @@ TEAM = 1
 """The number (tid) of the thread of events that concern the whole team."""
 FIRST = 2
 """The tid of pursuer 0, and the pid of the messages to pursuer 0; the numbers of later pursuers follow."""
+OF_TRANSPORT: Mapping[type, tuple[str, str]] = MappingProxyType(
+    {
+        Retransmitted: ("src", "repeats message {seq} to {dst}"),
+        GivenUp: ("src", "gives up message {seq} to {dst}: {cause}"),
+        Expired: ("dst", "drops message {seq} of {src}"),
+        DeadlineMissed: ("dst", "misses a message of {src}"),
+        LivelinessLost: ("dst", "loses the liveliness of {src}"),
+    }
+)
+"""For each type of an event of a transport: which of its pursuers has the instant, and the name of the instant."""
 Entry = dict[str, Any]
 """One event of the format, a JSON object."""
 
@@ -105,8 +117,19 @@ def _instants(result: Result) -> Iterator[Entry]:
         who = {"evader": capture.evader, "capturer": capture.capturer}
         name = f"evader {capture.evader} captured"
         yield _entry("i", name, TEAM, capture.t, cat="capture", s="g", args=who)
+    yield from _transport(result)
     end = ended(result)
     yield _entry("i", end.reason, TEAM, end.t, cat="end", s="g", args={"capturer": end.capturer})
+
+
+def _transport(result: Result) -> Iterator[Entry]:
+    """Yield an instant for each message that a transport repeated, gave up or dropped, or that a receiver missed."""
+    for event in result.trace:
+        if type(event) in OF_TRANSPORT:
+            pursuer, name = OF_TRANSPORT[type(event)]
+            fields = dict(zip(event._fields[1:], list(event)[1:], strict=True))
+            tid = FIRST + fields[pursuer]
+            yield _entry("i", name.format_map(fields), tid, event.t, cat="transport", s="t", args=fields)
 
 
 def _counts(result: Result) -> Iterator[Entry]:

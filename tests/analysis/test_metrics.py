@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.analysis import transport
 from desim.analysis.metrics import (
     METRICS,
     Summary,
@@ -29,7 +30,7 @@ from desim.analysis.metrics import (
 )
 from desim.analysis.trace_index import ended, remembered, trace_index
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import MessageCounts, Trace
+from desim.kernel.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.faults import FaultStarted, Jamming
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import BrokeDown, Decided, Ended, Started
@@ -320,6 +321,24 @@ def test_every_field_of_a_summary_is_one_entry_that_measures_it(relay):
     assert list(plain(numbers)) == list(METRICS)
 
 
+OF_TRANSPORTS = (
+    *("share_delivered", "mean_attempts", "delivery_delay", "retransmissions", "acknowledgements"),
+    *("given_up", "deadlines_missed", "liveliness_lost"),
+)
+
+
+def test_what_transports_achieved_is_measured_if_there_are_any():
+    """Of 10 messages 8 arrived, in 15 attempts and 0.4 s together."""
+    counts = TransportCounts(9, 10, 8, 1, {"repeats": 2, "lifespan": 1}, 15, 5, 9, 3, 4, 400_000_000)
+    told = Result(Scenario(), 0, Trace())
+    told.trace.append(counts)
+    assert [getattr(transport, name)(told) for name in OF_TRANSPORTS] == [0.8, 1.5, 0.05, 5, 9, 3, 3, 4]
+    silent = Result(Scenario(), 0, Trace())
+    assert not transport.has_transport(silent)
+    with pytest.raises(ValueError, match=r"no message needed a transport: see network.transport"):
+        transport.share_delivered(silent)
+
+
 def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
     numbers = summary(run(Scenario(horizon=0.5, record=Recording(messages=True))))
     assert {name for name, value in plain(numbers).items() if value is None} <= {
@@ -327,6 +346,7 @@ def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
         "capturer",
         "mean_capture_time",
         "time_to_relay",
+        *OF_TRANSPORTS,
     }
     assert Summary(json.loads(json.dumps(dict(numbers)))) == numbers
     assert pickle.loads(pickle.dumps(numbers)) == numbers

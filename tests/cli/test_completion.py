@@ -52,6 +52,7 @@ def test_the_kinds_of_protocols_are_completed():
 
 def test_the_names_of_examples_and_of_starting_files_are_completed():
     assert completed("examples", "rec") == ["reckoning", "recorded"]
+    assert completed("examples", "rel") == ["relay", "reliable"]
     assert completed("examples", "") == sorted(path.stem for path in SCENARIOS.glob("*.toml"))
     assert completed("new", "pro") == ["protocol"]
     assert completed("exa") == ["examples"]

@@ -35,7 +35,7 @@ from desim.scenario.assumptions import (
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
 from protocols.best_response import BestResponse, BetterReply
-from protocols.dissemination import Flooding, Gossip
+from protocols.dissemination import CodedOneHop, Flooding, Gossip, ReliableOneHop
 from protocols.fictitious_play import FictitiousPlay
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.mutex import LocalMutex
@@ -173,6 +173,22 @@ def test_a_pursuer_that_comes_into_range_has_missed_earlier_announcements():
     found = messages_get_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
     assert_reason(found, "comes into range")
     assert messages_get_through(four(network=Links(range=50.0))) is None
+
+
+@pytest.mark.parametrize(
+    ("dissemination", "fault", "why"),
+    [
+        (ReliableOneHop(), [], None),
+        (ReliableOneHop(), [HALVES], None),
+        (ReliableOneHop(), [Crash(start=0.0, node=0)], "may forget what it has acknowledged"),
+        (ReliableOneHop(max_repeats=5), [], "never repeated"),
+        (ReliableOneHop(lifespan=1.0), [], "never repeated"),
+        (CodedOneHop(pieces=5), [], "never repeated"),
+    ],
+)
+def test_information_gets_through_if_it_is_repeated_until_it_is_acknowledged(dissemination, fault, why):
+    announce = Announcements(trigger="change", dissemination=dissemination)
+    assert_reason(messages_get_through(four(network=LOSSY, announce=announce, fault=fault)), why)
 
 
 @pytest.mark.parametrize("trigger", ["change", "never"])

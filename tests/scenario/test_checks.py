@@ -13,6 +13,7 @@ from desim.kernel.interference import CaptureEffect
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.reception import QuasiUnitDisk
+from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.checks import latency_warnings, warnings
@@ -20,11 +21,12 @@ from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 from desim.study.sweep import SweepPlan
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
-from protocols.dissemination import Flooding
+from protocols.dissemination import CodedOneHop, Flooding, ReliableOneHop
 from protocols.geometric import Argmin, Voronoi
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Rounds
 from protocols.server import Server
+from protocols.token import TokenRing
 
 JITTER = {"jitter": 0.1}
 BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
@@ -33,6 +35,12 @@ BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 
 FAST = {"kind": "bitrate", "bitrate": 8 * 24e3}
 """An announcement of 24 bytes takes a millisecond."""
+RELIABLE = Links(transport=Reliable())
+
+
+def users_own(me):
+    """Send or announce what it likes: a protocol of a user."""
+    yield from ()
 
 
 def warned(**given):
@@ -117,6 +125,27 @@ def test_the_default_is_not_warned_of():
             "an announcement of 24 bytes takes 0.001 s on the air, longer than a slot of 0.000999 s",
         ),
         (
+            {"announce": Announcements(trigger="never", dissemination=ReliableOneHop())},
+            "announce.dissemination",
+            "nothing is ever announced",
+        ),
+        (
+            {"network": Links(transport=Reliable(window=4, depth=3)), "protocol": users_own},
+            "network.transport.window",
+            "no more than depth = 3 messages are kept, so a window of 4 is never full",
+        ),
+        (
+            {"announce": Announcements(dissemination=ReliableOneHop(window=2))},
+            "announce.dissemination.window",
+            "no more than depth = 1 messages are kept, so a window of 2 is never full",
+        ),
+        ({"network": RELIABLE}, "network.transport", "it has no effect on announcements, which are published as state"),
+        (
+            {"network": RELIABLE, "announce": Announcements(dissemination=CodedOneHop())},
+            "network.transport",
+            "it has no effect: announcements have their own",
+        ),
+        (
             {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
             None,
             "",
@@ -183,6 +212,12 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         },
         {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-3)}), "announce": JITTER},
         {"network": Links(medium=FAST | {"access": SlottedAloha(slot=1e-4)}), "protocol": Centralised()},
+        {"network": RELIABLE, "announce": Announcements(dissemination=Flooding())},
+        {"network": RELIABLE, "protocol": SpatialAdaptivePlay(schedule=TokenRing())},
+        {"network": RELIABLE, "protocol": Server()},
+        {"network": RELIABLE, "protocol": users_own},
+        {"network": RELIABLE, "sensing": Sensing(radius=9.0)},
+        {"network": Links(transport=Reliable(window=9, history="keep_all")), "protocol": Server()},
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},

@@ -38,6 +38,7 @@ from desim.study.store_file import StoreError
 from desim.study.sweep import RunError, sweep
 from desim.study.workers import workers_for
 from protocols.cbba import CBBA
+from protocols.dissemination import CodedOneHop
 from protocols.local_min import LocalMin
 from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
@@ -95,6 +96,7 @@ SPOILT = {
     "latency": {"network": Links(latency=Constant(value=0.7))},
     "contention": {"network": Links(medium=Bitrate(bitrate=20_000.0, access=Aloha()))},
     "loss": {"network": Links(loss=Bernoulli(p=1.0))},
+    "transport": {"announce": Announcements(dissemination=CodedOneHop(pieces=2))},
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},
     "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
@@ -158,10 +160,10 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
         assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
         assert not cost.interacts
-    assert (
-        "\nabsent: latency, contention, loss, range limit, faults, serial decisions, stale knowledge, limited sight"
-        in (found.table())
+    absent = (
+        "latency, contention, loss, transport, range limit, faults, serial decisions, stale knowledge, limited sight"
     )
+    assert f"\nabsent: {absent}" in found.table()
 
 
 @pytest.mark.slow
@@ -259,7 +261,7 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
-        "absent: contention, range limit, faults, serial decisions, stale knowledge, limited sight\n"
+        "absent: contention, transport, range limit, faults, serial decisions, stale knowledge, limited sight\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
@@ -733,7 +735,7 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing", "excludes_0"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    assert document["absent"] == ["contention", "loss", "range limit", "stale knowledge", "limited sight"]
+    assert document["absent"] == ["contention", "loss", "transport", "range limit", "stale knowledge", "limited sight"]
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
 

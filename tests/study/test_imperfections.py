@@ -19,6 +19,7 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.medium import Bitrate, LoRa, Unlimited
 from desim.kernel.reception import Disk, QuasiUnitDisk
+from desim.kernel.transport import Coded
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Started
 from desim.pursuit.sensing import Sensing
@@ -34,11 +35,12 @@ from desim.study.imperfections import (
     without_range,
     without_serial_decisions,
     without_staleness,
+    without_transport,
 )
 from desim.study.store import flat
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
-from protocols.dissemination import Gossip
+from protocols.dissemination import CodedOneHop, Gossip, ReliableOneHop
 from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
@@ -89,6 +91,7 @@ WORST = Scenario(
             access=SlottedAloha(slot=0.5),
             reception=CaptureEffect(),
         ),
+        transport=Coded(pieces=3, needed=2),
         link=(Link(src=0, dst=1, latency=LATE, loss=LOSSY, both_ways=True), Link(src=1, dst=2, order="fifo")),
     ),
     announce=Announcements(
@@ -160,6 +163,11 @@ CHANGES = {
         },
     },
     "duplicates": {"network.preset": None, "network.duplicate.p": 0.0},
+    "transport": {
+        "network.preset": None,
+        "network.transport.kind": "best_effort",
+        **below("network.transport", "pieces", "needed", "spacing"),
+    },
     "range limit": {
         "network.preset": None,
         "network.range": "Infinity",
@@ -244,6 +252,7 @@ THERE = {
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",
+    "reliable": "latency, loss, transport, stale knowledge, limited sight",
     "search": "latency, limited sight",
     "server": "latency",
     "soak": "latency, loss, faults, serial decisions",
@@ -305,9 +314,15 @@ def test_the_default_scenario_has_turns_and_nothing_else():
     assert kept == [name for name in IMPERFECTIONS if name != "serial decisions"]
 
 
-@pytest.mark.parametrize("remove", [without_latency, without_loss, without_range])
+@pytest.mark.parametrize("dissemination", [ReliableOneHop(), CodedOneHop()])
+def test_announcements_that_are_repeated_or_coded_reach_the_neighbours_once(dissemination):
+    scenario = Scenario(announce=Announcements(dissemination=dissemination, trigger="change"))
+    assert without_transport(scenario) == Scenario(announce=Announcements(trigger="change"))
+
+
+@pytest.mark.parametrize("remove", [without_latency, without_loss, without_transport, without_range])
 def test_a_network_without_an_imperfection_keeps_its_preset(remove):
-    """A named network that has none of the three, by other values than those it is named for."""
+    """A named network that has none of the four, by other values than those it is named for."""
     named = Links(preset="wifi", latency=Constant())
     scenario = Scenario(network=named)
     assert remove(scenario) is scenario

@@ -8,18 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.kernel.events import Sent
+from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted, Sent
 from desim.pursuit.events import Decided
 from desim.scenario.scenario import Recording
 from desim.view.deliveries import chasing, deliveries
-from desim.view.perfetto import PURSUERS, _microseconds, perfetto, trace_events, write
+from desim.view.perfetto import FIRST, PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from tests.golden import golden
 from tests.view.by_hand import INACTIVE, MS, history, pair
 
 SHORT = ("horizon=1.0", "record.messages=true")
 RUNS = [("soak.toml", *SHORT), *(pytest.param(each, marks=pytest.mark.slow) for each in (
-    ("faults.toml",), ("radio.toml", *SHORT), ("contention.toml", *SHORT), ("token_ring.toml", *SHORT), ("many.toml",)
+    ("faults.toml",), ("radio.toml", *SHORT), ("contention.toml", *SHORT), ("token_ring.toml", *SHORT), ("many.toml",),
+    ("reliable.toml", *SHORT),
 ))]  # fmt: skip
 
 
@@ -173,6 +174,25 @@ def test_timelines_of_runs_by_hand_are_golden(tmp_path):
     Imported(text)
     Imported(perfetto(pair()))
     golden("perfetto.txt", text + perfetto(pair()))
+
+
+def test_what_a_transport_repeats_and_gives_up_is_an_instant_of_its_pursuer():
+    flow = (0, 1, "port")
+    events = [
+        Retransmitted(10 * MS, *flow, False, 3, 2),
+        GivenUp(20 * MS, *flow, False, 3, "repeats"),
+        Expired(30 * MS, *flow, True, 4),
+        DeadlineMissed(40 * MS, *flow),
+        LivelinessLost(50 * MS, *flow),
+    ]
+    found = [each for each in trace_events(history(*events)) if each.get("cat") == "transport"]
+    assert [(each["ts"], each["tid"] - FIRST, each["name"]) for each in found] == [
+        (10_000, 0, "repeats message 3 to 1"),
+        (20_000, 0, "gives up message 3 to 1: repeats"),
+        (30_000, 1, "drops message 4 of 0"),
+        (40_000, 1, "misses a message of 0"),
+        (50_000, 1, "loses the liveliness of 0"),
+    ]
 
 
 def test_without_messages_there_are_no_network_processes():
