@@ -99,18 +99,19 @@ class Contention(Generic[Item]):
 
     def enqueue(self, item: Item) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
-        queue, is_sending = self._queues[item.src], item.src in self._sending
+        queue = self._queues[item.src]
         self._wait(item)
         if self._airtime(item) > self._access.longest:
             self._lose(item, "access")
             return
         queue.append(item)
-        if len(queue) == 1 and not is_sending:
+        if len(queue) == 1:
             self._prepare(item.src, arrived=True)
-        elif len(queue) > self._medium.queue_limit + (not is_sending):  # the first contends, the others wait
-            place = int(not is_sending)
-            self._lose(queue[place], "queue")
-            del queue[place]
+        # The first is not dropped if it contends, or is to be transmitted again.
+        kept = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
+        if len(queue) > self._medium.queue_limit + kept:
+            self._lose(queue[kept], "queue")
+            del queue[kept]
 
     def flush(self, src: int) -> list[Item]:
         """Remove and return all transmissions of a node, also that on the air, which then has no outcome."""
@@ -141,7 +142,9 @@ class Contention(Generic[Item]):
         return self._ack is not None and item.to_one
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
-        """Let the first transmission in the queue of a node contend, if there is one."""
+        """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
+        if node in self._sending or self._nodes.ready[node]:
+            return  # at the end of its silence, another action of this instant may have come first
         if self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
             self._access.prepare(node, self._env.now, arrived=arrived)
