@@ -145,10 +145,11 @@ class TokenNode:
         self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
         self._answered: set[int] = set()  # pursuers that answered since the last forwarding or new epoch
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
-        self._hop_time = hop_time(me)
-        # The time-out covers a round trip and the airtime of messages queued ahead of the token and of its receipt.
+        sending_time = me.interval(full_token(me))
+        self._longest_hop = me.latency + sending_time
+        # The time-out covers a round trip and the messages that are queued ahead of the token and of its receipt.
         self._time_out = RetransmissionTimer(
-            me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
+            me, sending_time + 5.0 * me.interval(TokenNotice(UNHEARD, 0)), holding_time
         )
         self._next_probe = 0.0  # the next probe is not sent before this local time, s
         self._deadline = me.now + self.loss_timeout  # local time, s, at which the token is considered lost
@@ -162,7 +163,7 @@ class TokenNode:
         before that pursuer regenerates the token, too.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
-        return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
+        return hops * (self._longest_hop + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
 
     # The states.
 

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Limit, Value
-from desim.kernel.access import ACCESSES, Access, Ideal
+from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, Signal
 
 MAX_BYTES = 255
@@ -89,6 +89,17 @@ class Radio(Value):
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
         return self(size)
+
+    def interval(self, size: int, nodes: int) -> float:
+        """Return the time, s, for which a message of `size` bytes keeps one of `nodes` nodes from sending the next one.
+
+        It is the airtime, with the silence after it if there is a duty cycle, and with TDMA at least a round of slots.
+        """
+        least = self(size) / (self.duty_cycle or 1.0)
+        if not isinstance(self.access, Tdma):
+            return least
+        period = len(self.access.owners(nodes)) * self.access.slot
+        return max(ceil(least / period), 1) * period
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s."""

@@ -19,6 +19,7 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
+from desim.kernel.medium import Radio
 from desim.kernel.message_size import as_sent, size_of
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
@@ -217,6 +218,11 @@ class Network:
     def airtime(self, body: Any) -> float:
         """Return the airtime, s, of a message with this body."""
         return self._medium(size_of(body))
+
+    def interval(self, body: Any) -> float:
+        """Return the time, s, for which a message with this body keeps its sender from sending the next one."""
+        medium, size = self._medium, size_of(body)
+        return medium.interval(size, self._size) if isinstance(medium, Radio) else medium(size)
 
     @cached_property
     def typical_latency(self) -> float:

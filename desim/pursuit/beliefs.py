@@ -145,7 +145,9 @@ class Beliefs:
         """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
-            delay = self._network.typical_latency + self._network.airtime(self._announcement())
+            announcement = self._announcement()
+            delay = self._network.typical_latency + self._network.airtime(announcement)
+            period = max(period, self._network.interval(announcement))
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.access import Aloha, CsmaCa
+from desim.kernel.access import Aloha, CsmaCa, Tdma
 from desim.kernel.interference import LoRaInterference
 from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponential
 from desim.kernel.links import Links
@@ -92,6 +92,20 @@ def test_a_queue_is_unlimited_by_default_and_infinity_survives_json():
     assert Bitrate(bitrate=1.0).queue_limit == inf
     assert Bitrate.model_validate(Bitrate(bitrate=1.0).plain()) == Bitrate(bitrate=1.0)
     assert Bitrate(bitrate=1.0, queue_limit=3).queue_limit == 3
+
+
+def test_a_duty_cycle_and_the_slots_of_a_tdma_delay_the_next_message():
+    """10 ms on the air: with a duty cycle of 5 % 200 ms, and with three slots of 50 ms rounds of 150 ms."""
+    slots = Tdma(slot=0.05)
+    for access, duty_cycle, expected in (
+        (Aloha(), None, 0.01),
+        (Aloha(), 0.05, 0.2),
+        (slots, None, 0.15),
+        (slots, 0.1, 0.15),
+        (slots, 0.05, 0.3),
+    ):
+        medium = Bitrate(bitrate=8000.0, access=access, duty_cycle=duty_cycle)
+        assert medium.interval(10, 3) == pytest.approx(expected)
 
 
 # Presets.

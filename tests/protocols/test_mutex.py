@@ -9,6 +9,7 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
+from desim.kernel.access import Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Star
 from desim.kernel.latency import Constant, Lognormal
@@ -153,6 +154,14 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
     run(Scenario(horizon=0.1, team=Team(count=5), protocol=protocol, network=slow), 0)
     (slot,) = slots
     assert slot == pytest.approx((1.0 / 5.0 + 2.0 * 0.02 + 352 * 8 / 9600) / 5)
+
+
+def test_no_request_is_repeated_while_messages_wait_for_the_slots_of_a_tdma():
+    """A round takes 0.3 s, and two requests with two replies 0.15 s on the air."""
+    medium = Bitrate(bitrate=9600.0, access=Tdma(slot=0.1))
+    result = run(frozen(flips(LocalMutex(rate=0.2)), count=3, horizon=20.0, medium=medium), 1)
+    requests = [(each.src, each.dst, each.body) for each in bodies(result, Request)]
+    assert len(requests) == len(set(requests)) > 3
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 from desim import run
+from desim.kernel.access import Aloha, Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.invariants import OneToken
@@ -74,6 +75,21 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_with_records_of_all_pursuer
     run(frozen(protocol, count=20, latency=0.1, horizon=0.1, medium=Bitrate(bitrate=9600.0)), 0)
     (slot,) = slots
     assert slot == pytest.approx(0.01 + 0.1 + 688 * 8 / 9600)
+
+
+@pytest.mark.parametrize(
+    ("medium", "count"),
+    [
+        (LoRa(access=Aloha(), duty_cycle=0.01, queue_limit=1), 3),
+        (Bitrate(bitrate=19_200.0, access=Tdma(slot=8 * 368 / 19_200), queue_limit=1), 10),
+    ],
+    ids=["duty cycle", "TDMA"],
+)
+def test_no_token_is_sent_twice_or_lost_while_duty_cycle_or_slots_delay_it(medium, count):
+    result = run(frozen(flips(TokenRing()), count=count, horizon=60.0, medium=medium), 1)
+    ages = [(each.body.epoch[0], each.body.hop) for each in bodies(result, Token)]
+    assert ages == [(1, hop) for hop in range(1, len(ages) + 1)]
+    assert len(ages) > 5
 
 
 @pytest.mark.slow
