@@ -172,8 +172,8 @@ class LoRa(Radio):
         return given
 
     def __call__(self, size: int) -> float:
-        """Return the airtime, s, of all frames of a message with `spreading_factor`."""
-        return self._message(size, self.spreading_factor)
+        """Return the airtime, s, of all frames of a message with the largest spreading factor of the nodes."""
+        return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
 
     def check(self, size: int) -> None:
         """Raise ValueError if the medium is not for a network of `size` nodes."""

@@ -40,7 +40,7 @@ from desim.kernel.access import Tdma
 from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.links import Links
-from desim.kernel.medium import LoRa, Radio
+from desim.kernel.medium import Radio
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
@@ -329,11 +329,8 @@ class Scenario(Value):
 
     @property
     def announcement_airtime(self) -> float:
-        """Longest airtime of an announcement, s; nodes differ if they have spreading factors of their own."""
-        medium, size = self.network.medium, self.announcement_size
-        if isinstance(medium, LoRa) and medium.spreading_factors is not None:
-            return max(medium.airtime(size, node) for node in range(self.team.count))
-        return medium(size)
+        """Longest airtime of an announcement, s."""
+        return self.network.medium(self.announcement_size)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

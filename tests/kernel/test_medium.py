@@ -108,6 +108,12 @@ def test_a_duty_cycle_and_the_slots_of_a_tdma_delay_the_next_message():
         assert medium.interval(10, 3) == pytest.approx(expected)
 
 
+def test_the_airtime_of_a_message_is_that_of_the_slowest_node():
+    medium = LoRa(access=Aloha(), spreading_factors=(7, 12, 9))
+    assert medium(24) == medium.airtime(24, 1) == LoRa(spreading_factor=12)(24)
+    assert medium.airtime(24, 0) == LoRa()(24)
+
+
 # Presets.
 
 
