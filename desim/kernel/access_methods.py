@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Sequence
+from math import floor, inf
 from typing import ClassVar
 
 import numpy as np
@@ -203,17 +204,19 @@ class _Tdma(AccessMethod):
         self._slot, self._clocks = seconds(nanoseconds(model.slot)), clocks
         self.longest = nanoseconds(model.slot) - nanoseconds(model.guard)
         owners = model.owners(len(clocks))
-        self._round = len(owners)
+        self._slots_per_round = len(owners)
         self._slots: list[list[int]] = [[] for _ in clocks]
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
-        self._used = [-1] * len(clocks)
-        """The last slot that each node has used, from the start of the run."""
+        self._used = [-inf] * len(clocks)
+        """The number of the last slot that each node has used; slot 0 begins when its clock shows 0."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
-        rounds = max(int(clock.at(now) / self._slot) // self._round - 1, 0)
-        for k in (turn * self._round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]):
+        rounds = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # may be negative: clocks differ
+        for k in (
+            turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
+        ):
             start = clock.when(k * self._slot)
             if start >= now and k > self._used[node]:
                 self._nodes.due[node] = start

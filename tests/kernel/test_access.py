@@ -664,6 +664,15 @@ def test_a_node_starts_by_its_own_clock():
     assert starts(trace) == [(0, 0.0), (1, 3000.0)]
 
 
+def test_a_node_whose_clock_is_behind_has_its_slots_from_the_start():
+    """A clock that is 5 s behind shows -5 s at the start, where a round of 4 ms begins; slot 1 begins at 2 ms."""
+    clock, net, trace = network(Tdma(slot=0.002), 2, clocks=[(0.0, 1.0), (-5.0, 1.0)])
+    for _ in range(2):
+        net.publish(1, None, size=SIZE)
+    clock.run()
+    assert starts(trace) == [(1, 2000.0), (1, 6000.0)]
+
+
 # Queues and crashes.
 
 
