@@ -160,10 +160,11 @@ class CaptureEffect(Value):
 
 
 class Sinr(Value):
-    """A frame is received if its power is above noise and the sum of all interference by a threshold.
+    """A frame is received if its power is above noise and the sum of all interference by a threshold at all times.
 
-    The power of a frame at distance d is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential
-    variable of mean 1 for each frame and receiver. Interference has no range: all overlapping frames count.
+    The sum is the largest of those of the frames that are on the air at one instant. The power of a frame at distance d
+    is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential variable of mean 1 for each frame
+    and receiver. Interference has no range: all overlapping frames count.
     """
 
     needs_positions: ClassVar[bool] = True
@@ -187,10 +188,15 @@ class Sinr(Value):
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the signal-to-interference-and-noise ratio reaches the threshold."""
         received = self._power(overlap, overlap.frame)
-        interference = np.full(len(received), self.noise)
-        for other in overlap.others:
-            interference += self._power(overlap, other)
-        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * interference
+        powers = [self._power(overlap, other) for other in overlap.others]
+        worst = np.full(len(received), self.noise)
+        for instant in sorted({max(other.begin, overlap.frame.begin) for other in overlap.others}):
+            interference = np.full(len(received), self.noise)
+            for other, power in zip(overlap.others, powers, strict=True):
+                if other.begin <= instant < other.end:
+                    interference += power
+            worst = np.maximum(worst, interference)
+        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * worst
         return enough
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
