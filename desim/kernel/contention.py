@@ -114,14 +114,17 @@ class Contention(Generic[Item]):
             del queue[kept]
 
     def flush(self, src: int) -> list[Item]:
-        """Remove and return all transmissions of a node, also that on the air, which then has no outcome."""
+        """Remove and return all transmissions of a node whose radio goes down now, also that on the air.
+
+        The frame on the air stays there until its end, as interference and as a busy channel, but has no outcome.
+        """
         taken = list(self._queues[src])
         self._queues[src].clear()
         self._nodes.ready[src] = False
         self._access.reset(src)
         item = self._sending.get(src)
         if item is not None:
-            self._sending[src] = None  # the radio is off
+            self._sending[src] = None
             taken.append(item)
         return taken
 

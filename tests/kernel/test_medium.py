@@ -186,6 +186,15 @@ def test_a_table_that_a_preset_has_too_is_completed_from_it(given):
     assert Links(preset="lora_sf12").medium == LoRa(spreading_factor=12, queue_limit=1, **rest)
 
 
+def test_the_tables_in_a_table_are_completed_from_a_preset_too():
+    preset = Links(preset="wifi").medium
+    for table in ({"window": 32}, {"kind": "csma_ca", "window": 32}):
+        medium = Links(preset="wifi", medium={"access": table}).medium
+        assert medium == preset.model_copy(update={"access": preset.access.model_copy(update={"window": 32})})
+    other = Links(preset="wifi", medium={"access": {"kind": "aloha"}}).medium
+    assert other == preset.model_copy(update={"access": Aloha()})
+
+
 def test_a_table_of_another_kind_than_the_preset_s_is_not_mixed_with_it():
     medium = Links(preset="lora_sf12", medium={"kind": "bitrate", "bitrate": 100.0}).medium
     assert medium == Bitrate(bitrate=100.0)
