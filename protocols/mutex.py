@@ -24,6 +24,7 @@ from pydantic import Field
 
 from desim.config.model import Duration, Rate, Value
 from desim.kernel.clock import nanoseconds
+from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
@@ -80,6 +81,10 @@ class LocalMutex(Value):
         degree, latency = me.mean_degree, me.latency
         airtime = degree * sum(map(me.airtime, request_and_reply(me)))
         return max(1.0 / self.rate + 2.0 * latency + airtime, (degree + 1) * latency) / me.team_size
+
+    def message_size(self, pursuers: int, announcement: int) -> int:
+        """Return the size of a reply, bytes."""
+        return HEADER + 2 * NUMBER + announcement
 
     def without_serial_decisions(self) -> dict[str, Any]:
         """Return the table, as in a scenario file, of a Poisson schedule with the same `rate`."""

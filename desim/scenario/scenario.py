@@ -399,15 +399,20 @@ class Scenario(Value):
             key, _, why = str(error).partition(": ")
             yield tuple(key.split(".")), why
             return
-        airtime, guard = nanoseconds(self.announcement_airtime), nanoseconds(access.guard)
+        sizes = {"an announcement": self.announcement_size} if self.announces else {}
+        if (message_size := self.schedule_traits.message_size) is not None:
+            sizes["a message of the schedule"] = message_size(count, self.announcement_size)
+        if not sizes:
+            return
+        what, size = max(sizes.items(), key=lambda each: each[1])
+        airtime, guard = nanoseconds(medium(size)), nanoseconds(access.guard)
         free = nanoseconds(access.slot) - guard
-        if self.announces and airtime > free:
+        if airtime > free:
             least = -(-(airtime + guard) // 1000) / 1e6
             yield (
                 ("network", "medium", "access", "slot"),
-                f"an announcement of {self.announcement_size} bytes takes {seconds(airtime):g} s on the air, but a slot"
-                f" without its guard time only {seconds(free):g} s: it should be at least {least:.10g} s"
-                f" (got {access.slot:g})",
+                f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
+                f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
             )
 
 

@@ -16,9 +16,10 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.message_size import size_of
 from desim.pursuit.events import Decided
 from desim.scenario.scenario import Team
-from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request
+from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request, request_and_reply
 from protocols.schedules import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing
 
@@ -148,6 +149,7 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
 
     def protocol(me):
         slots.add(LocalMutex(rate=5.0).mean_slot(me))
+        assert max(map(size_of, request_and_reply(me))) == LocalMutex().message_size(5, 24) == 16 + 16 + 24
         yield me.sleep(0.0)
 
     slow = Links(latency=Constant(value=0.02), medium=Bitrate(bitrate=9600.0))

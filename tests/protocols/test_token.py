@@ -22,6 +22,7 @@ from desim.kernel.invariants import OneToken
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate, LoRa
+from desim.kernel.message_size import size_of
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
@@ -30,7 +31,16 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_passing import Token, TokenNode, TokenNotice, TokenReceipt, circulate, longest_absent, not_absent
+from protocols.token_passing import (
+    Token,
+    TokenNode,
+    TokenNotice,
+    TokenReceipt,
+    circulate,
+    full_token,
+    longest_absent,
+    not_absent,
+)
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
@@ -70,6 +80,7 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_with_records_of_all_pursuer
 
     def protocol(me):
         slots.add(TokenRing(holding_time=0.01).mean_slot(me))
+        assert size_of(full_token(me)) == TokenRing().message_size(20, 24) == 688
         yield me.sleep(0.0)
 
     run(frozen(protocol, count=20, latency=0.1, horizon=0.1, medium=Bitrate(bitrate=9600.0)), 0)
