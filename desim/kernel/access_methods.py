@@ -136,7 +136,8 @@ class _Persistent(AccessMethod):
 class _CsmaCa(AccessMethod):
     """The distributed coordination function: with k slots left, a node transmits when DIFS + k slots have been idle.
 
-    Nodes without a frame count their slots, too. If none is left, their next frame is transmitted at once.
+    A node without a frame counts its slots down, too. If none is left, its next frame needs no back-off: it starts once
+    the channel has been idle for DIFS.
     """
 
     senses = True
@@ -168,7 +169,8 @@ class _CsmaCa(AccessMethod):
         self._left[nodes] = left - np.minimum(np.maximum(elapsed, 0), left)
         ready = nodes[self._nodes.ready[nodes]]
         if len(ready):
-            # A node that is due now has not sensed the frame in time; the sender of the frame has no back-off to draw.
+            # A node whose back-off ends now transmits all the same: it cannot sense the frame in time. The sender is
+            # not ready, so it is not among these nodes.
             later = ready[self._nodes.due[ready] > now]
             self._nodes.due[later] = NEVER
             for node in later[self._immediate[later]].tolist():

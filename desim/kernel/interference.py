@@ -22,7 +22,7 @@ Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
 
 
 NEAREST = 1e-3
-"""Distance at and below which a frame has the same power, m."""
+"""Least distance in the path loss, m; at smaller distances the power is the same."""
 LN_10 = math.log(10.0)
 SEPARATION = 30.0 / 125.0
 """Smallest distance of two LoRa frequencies that do not interfere, in bandwidths."""
@@ -147,7 +147,8 @@ class CaptureEffect(Value):
     exponent: Exponent = 3.0
     """Path loss exponent: 2 in free space, 3 to 4 over ground."""
     lock: Flag = False
-    """Whether a receiver stays with the first frame that it hears, and loses all that begin before the end of it."""
+    """Whether a receiver locks on to the first frame that it hears, and loses every frame that begins before that frame
+    ends. It locks at once: the time of a preamble is not modelled."""
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
@@ -209,9 +210,10 @@ class LoRaInterference(Value):
 
     Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
     a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
-    received only if the other ends before the last five symbols of its preamble. Frames of different spreading factors
-    interfere if the other is stronger by the isolation between the two. Receivers hear all spreading factors and
-    frequencies, as gateways do.
+    received only if the other ends before the last five symbols of its preamble. In LoRaSim, the simulator of Bor et
+    al., the earlier of two frames is then received, too; here its end is lost unless it is stronger. Frames of
+    different spreading factors interfere if the other is stronger by the isolation between the two. Receivers hear all
+    spreading factors and frequencies, as gateways do.
     """
 
     needs_positions: ClassVar[bool] = True

@@ -43,10 +43,11 @@ class Radio(Value):
     shared: Flag = False
     """Whether all nodes share one channel, which carries one message at a time."""
     half_duplex: Flag = False
-    """Whether a node cannot receive while it transmits; no effect on a shared channel, and nodes that contend never can
-    (`access`)."""
+    """Whether a node cannot receive while it transmits. It has no effect on a shared channel. Nodes that contend
+    (`access`) never receive while they transmit."""
     queue_limit: Limit = inf
-    """Maximum number of waiting messages per node; beyond it the oldest is dropped; inf = unlimited."""
+    """Maximum number of waiting messages per node, without the one that is transmitted or contends; beyond it the
+    oldest is dropped; inf = unlimited."""
     access: Annotated[Access, ACCESSES] = Ideal()
     """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
     interfere."""
