@@ -24,6 +24,7 @@ from pydantic import Field
 
 from desim.config.model import Duration, Rate, Value
 from desim.kernel.clock import nanoseconds
+from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
@@ -78,7 +79,12 @@ class LocalMutex(Value):
         neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
-        return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
+        airtime = degree * sum(map(me.airtime, request_and_reply(me)))
+        return max(1.0 / self.rate + 2.0 * latency + airtime, (degree + 1) * latency) / me.team_size
+
+    def message_size(self, pursuers: int, announcement: int) -> int:
+        """Return the size of a reply, bytes."""
+        return HEADER + 2 * NUMBER + announcement
 
     def without_serial_decisions(self) -> dict[str, Any]:
         """Return the table, as in a scenario file, of a Poisson schedule with the same `rate`."""
@@ -96,10 +102,10 @@ class LocalMutex(Value):
             section.leave()
 
 
-def request_airtime(me: Agent, neighbours: float) -> float:
-    """Return the airtime, s, of requests to a number of neighbours and of their replies, all on one channel."""
+def request_and_reply(me: Agent) -> tuple[Request, Reply]:
+    """Return a request and its reply; only their sizes matter."""
     stamp, record = (0, 0), Record(me.id, 0, 0, me.announcement())
-    return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
+    return Request(stamp), Reply(stamp, (record,))
 
 
 class CriticalSection:
@@ -111,7 +117,8 @@ class CriticalSection:
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
-        self._time_out = RetransmissionTimer(me, request_airtime(me, len(me.neighbours())), min_timeout)
+        sending_time = len(me.neighbours()) * sum(map(me.interval, request_and_reply(me)))
+        self._time_out = RetransmissionTimer(me, sending_time, min_timeout)
         self._highest = 0  # highest Lamport time of the requests so far
         self._own_request: Stamp | None = None  # stamp of its own request; None without one
         self._missing: dict[int, int] = {}  # by neighbour without a reply: number of unanswered requests

@@ -98,7 +98,8 @@ class Server(Value):
         current = Order(-1, None)
         orders: dict[int, list[tuple[int, int]]] = {}
         delay = me.latency + me.airtime(me.located())
-        report_timeout = 3.0 * self.period + 2.0 * delay if me.team_size > 1 else 0.0
+        report_period = max(self.period, me.interval(me.located()))
+        report_timeout = 3.0 * report_period + 2.0 * delay if me.team_size > 1 else 0.0
         last_report = me.now
         for tick in self._ticks(me):
             alarm = me.at(tick)

@@ -18,8 +18,9 @@ import numpy as np
 from pydantic import Field
 
 from desim.config.model import Period, Value
+from desim.kernel.message_size import HEADER, NUMBER
 from desim.pursuit.agent import Agent, Process
-from protocols.token_passing import Token, circulate, hop_time, not_absent
+from protocols.token_passing import UNHEARD, Token, circulate, hop_time, not_absent
 
 
 class _WithToken(Value):
@@ -39,6 +40,10 @@ class _WithToken(Value):
         the time is holding_time.
         """
         return self.holding_time + hop_time(me)
+
+    def message_size(self, pursuers: int, announcement: int) -> int:
+        """Return the size of a token with the records of all pursuers, bytes."""
+        return HEADER + (len(UNHEARD) + 1 + pursuers) * NUMBER + pursuers * announcement
 
     def without_serial_decisions(self) -> dict[str, Any]:
         """Return the table, as in a scenario file, of a schedule in which all pursuers revise every `mean_slot`."""

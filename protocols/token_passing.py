@@ -137,7 +137,8 @@ def loss_timeout(me: Agent, holding_time: float, time_outs: Iterable[float]) -> 
     of next higher id before that pursuer regenerates the token, too.
     """
     hops = 3 * me.team_size + 2 * me.id
-    return hops * (hop_time(me) + holding_time) + sum(time_outs)
+    longest_hop = me.latency + me.interval(full_token(me))
+    return hops * (longest_hop + holding_time) + sum(time_outs)
 
 
 class TokenNode:
@@ -163,9 +164,10 @@ class TokenNode:
         self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
         self._answered: set[int] = set()  # pursuers that answered since the last forwarding or new epoch
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
-        # The time-out covers a round trip and the airtime of messages queued ahead of the token and of its receipt.
+        sending_time = me.interval(full_token(me))
+        # The time-out covers a round trip and the messages that are queued ahead of the token and of its receipt.
         self._time_out = RetransmissionTimer(
-            me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
+            me, sending_time + 5.0 * me.interval(TokenNotice(UNHEARD, 0)), holding_time
         )
         self._next_probe = 0.0  # the next probe is not sent before this local time, s
         self._loss_timeout = loss_timeout(me, holding_time, map(self._time_out, range(attempts)))

@@ -31,7 +31,8 @@ BITRATE = 19_200.0
 AIRTIME = 8.0 * 24 / BITRATE
 """Airtime of an announcement of 24 bytes, s."""
 LOADS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-"""Offered loads G: the airtime of the heartbeats of all pursuers, as a share of the time; for a token, its airtime."""
+"""Offered loads G: the airtime of all heartbeats as a share of the time; for a token ring, the airtime of the token as
+a share of its holding time."""
 JITTER = 0.5
 """Jitter of the heartbeats."""
 CLOCKS = Poisson(rate=5.0)
@@ -45,7 +46,8 @@ PROTOCOLS: Mapping[str, Any] = MappingProxyType(
 TOKEN = "token ring"
 NAMES = (*PROTOCOLS, TOKEN)
 LONGEST: Mapping[str, int] = MappingProxyType({"SAP": 24, "local_min": 24, "CBBA": 120, TOKEN: 368})
-"""The number of bytes of the longest message of each protocol in a team of `N`: of CBBA and a token, of all claims."""
+"""Size of the longest message of each protocol in a team of `N`, bytes. A message of CBBA holds all claims, a token the
+records of all pursuers."""
 CSMA_CA = CsmaCa(slot=0.0005, sifs=0.0005, difs=0.001, window=16, ack=0.003, sensing_delay=0.0002)
 REFERENCE = "ideal queue"
 """The access model with which the others are compared."""

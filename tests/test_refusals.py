@@ -289,6 +289,8 @@ FAULTS = [
     f"team.count = 2\n{RADIO}{ACCESS}kind = 'tdma'\nslot = 0.1\nslots = [0, 1, 2]",
     f"{RADIO}{ACCESS}kind = 'tdma'\nguard = 0.001\nslot = 0.02",
     f"{RADIO}{ACCESS}kind = 'tdma'\nguard = 0.1\nslot = 0.1",
+    "team.count = 9\nprotocol = { kind = 'sap', schedule = { kind = 'token_ring' } }\n"
+    f"{RADIO}{ACCESS}kind = 'tdma'\nslot = 0.1",
     f"{RADIO}{ACCESS}kind = 'csma_ca'\nsifs = 0.1",
     "team.count = 3\n[network.medium]\nkind = 'lora'\naccess = 'aloha'\nspreading_factors = [7, 8]",
     "team.count = 2\n[network.medium]\nkind = 'lora'\n\nfrequencies = [868e6, 869e6]",

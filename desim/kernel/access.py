@@ -79,10 +79,10 @@ class CsmaCa(CarrierSensing):
     """The distributed coordination function of IEEE 802.11 (Bianchi 2000; for broadcast, Ma & Chen 2007).
 
     A node transmits after the channel has been idle for DIFS and a random number of slots. While it senses a frame, it
-    keeps the number of slots that are left. After each frame it draws a new number. Broadcasts are not acknowledged. A
-    message to one node is: if the frame is lost, the node doubles its window and transmits it again, after DIFS and a
-    back-off. Acknowledgements are always received. Not modelled: EIFS, NAV, RTS/CTS and the time-out of
-    acknowledgements.
+    keeps the number of slots that are left. After each frame it draws a new number. Broadcasts are not acknowledged.
+    Messages to one node are acknowledged. If such a frame is lost, the node doubles its window, draws a new back-off
+    and transmits the frame again. Acknowledgements are always received. Not modelled: EIFS, NAV, RTS/CTS and the
+    time-out of acknowledgements.
 
     The default times are those of 802.11g without protection.
     """

@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Sequence
+from math import floor, inf
 from typing import ClassVar
 
 import numpy as np
@@ -132,7 +133,8 @@ class _Persistent(AccessMethod):
 class _CsmaCa(AccessMethod):
     """The distributed coordination function: with k slots left, a node transmits when DIFS + k slots have been idle.
 
-    Nodes without a frame count their slots, too. If none is left, their next frame is transmitted at once.
+    A node without a frame counts its slots down, too. If none is left, its next frame needs no back-off: it starts once
+    the channel has been idle for DIFS.
     """
 
     senses = True
@@ -164,7 +166,8 @@ class _CsmaCa(AccessMethod):
         self._left[nodes] = left - np.minimum(np.maximum(elapsed, 0), left)
         ready = nodes[self._nodes.ready[nodes]]
         if len(ready):
-            # A node that is due now has not sensed the frame in time; the sender of the frame has no back-off to draw.
+            # A node whose back-off ends now transmits all the same: it cannot sense the frame in time. The sender is
+            # not ready, so it is not among these nodes.
             later = ready[self._nodes.due[ready] > now]
             self._nodes.due[later] = NEVER
             for node in later[self._immediate[later]].tolist():
@@ -200,17 +203,19 @@ class _Tdma(AccessMethod):
         self._slot, self._clocks = seconds(nanoseconds(model.slot)), clocks
         self.longest = nanoseconds(model.slot) - nanoseconds(model.guard)
         owners = model.owners(len(clocks))
-        self._round = len(owners)
+        self._slots_per_round = len(owners)
         self._slots: list[list[int]] = [[] for _ in clocks]
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
-        self._used = [-1] * len(clocks)
-        """The last slot that each node has used, from the start of the run."""
+        self._used = [-inf] * len(clocks)
+        """The number of the last slot that each node has used; slot 0 begins when its clock shows 0."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
-        rounds = max(int(clock.at(now) / self._slot) // self._round - 1, 0)
-        for k in (turn * self._round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]):
+        rounds = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # may be negative: clocks differ
+        for k in (
+            turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
+        ):
             start = clock.when(k * self._slot)
             if start >= now and k > self._used[node]:
                 self._nodes.due[node] = start

@@ -41,11 +41,13 @@ class Air:
             raise ValueError("network.medium.reception: reception by power needs positions")
 
     def add(self, frame: Frame) -> None:
-        """Put a frame on the air now."""
+        """Put a frame on the air now, or one that begins in a known time."""
         now = self._env.now
         if self._locks:
             frame.locked = np.ones(len(self._all), dtype=bool)
         for other in self._frames:
+            if other.end <= frame.begin or frame.end <= other.begin:
+                continue
             frame.overlapping.append(other)
             other.overlapping.append(frame)
             if frame.locked is not None and other.locked is not None:
@@ -66,7 +68,7 @@ class Air:
         return causes
 
     def busy_time(self) -> int:
-        """Return the total time, ns, at which some node has been transmitting."""
+        """Return the total time, ns, for which there have been frames; SIFS before acknowledgements counts, too."""
         return self._busy + (self._env.now - self._busy_since if self._frames else 0)
 
     def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
@@ -86,7 +88,8 @@ class Air:
         received = self._interference(overlap)
         if frame.locked is not None:
             received = received & frame.locked[nodes]
-        lost: dict[int, Cause] = dict.fromkeys(nodes[~received].tolist(), "collision")
+        cause: Cause = "collision" if frame.overlapping else "loss"
+        lost = dict.fromkeys(nodes[~received].tolist(), cause)
         deaf = {each.src for each in frame.overlapping}
         return lost | {node: "half_duplex" for node in receivers if node in deaf}
 

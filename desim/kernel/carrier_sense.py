@@ -50,7 +50,10 @@ class CarrierSense:
             raise ValueError("network.medium.access: a sensing range needs positions")
 
     def listeners(self, node: int) -> Integers:
-        """Return the nodes that sense the frames of a node; itself too if there is no delay, so that all do at once."""
+        """Return the nodes that sense the frames of a node.
+
+        Without a sensing delay the node itself is among them, so that all are updated at once.
+        """
         if not self._method.senses:
             return np.empty(0, dtype=np.int64)
         found = self._known.get(node)

@@ -86,7 +86,7 @@ class Contention(Generic[Item]):
         self._nodes = Contenders(topology.size)
         self._access = method(access, self._nodes, stream(seed, "access"), clocks)
         self._carrier = CarrierSense(env, access, self._access, self._nodes, topology, positions, self._plan)
-        self._ack = nanoseconds(access.sifs + access.ack) if isinstance(access, CsmaCa) else None
+        self._acknowledges = isinstance(access, CsmaCa)
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]
         self._sending: dict[int, Item | None] = {}
@@ -99,28 +99,32 @@ class Contention(Generic[Item]):
 
     def enqueue(self, item: Item) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
-        queue, is_sending = self._queues[item.src], item.src in self._sending
+        queue = self._queues[item.src]
         self._wait(item)
         if self._airtime(item) > self._access.longest:
             self._lose(item, "access")
             return
         queue.append(item)
-        if len(queue) == 1 and not is_sending:
+        if len(queue) == 1:
             self._prepare(item.src, arrived=True)
-        elif len(queue) > self._medium.queue_limit + (not is_sending):  # the first contends, the others wait
-            place = int(not is_sending)
-            self._lose(queue[place], "queue")
-            del queue[place]
+        # The first is not dropped if it contends, or is to be transmitted again.
+        kept = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
+        if len(queue) > self._medium.queue_limit + kept:
+            self._lose(queue[kept], "queue")
+            del queue[kept]
 
     def flush(self, src: int) -> list[Item]:
-        """Remove and return all transmissions of a node, also that on the air, which then has no outcome."""
+        """Remove and return all transmissions of a node whose radio goes down now, also that on the air.
+
+        The frame on the air stays there until its end, as interference and as a busy channel, but has no outcome.
+        """
         taken = list(self._queues[src])
         self._queues[src].clear()
         self._nodes.ready[src] = False
         self._access.reset(src)
         item = self._sending.get(src)
         if item is not None:
-            self._sending[src] = None  # the radio is off
+            self._sending[src] = None
             taken.append(item)
         return taken
 
@@ -131,17 +135,19 @@ class Contention(Generic[Item]):
         yield from (item for item in self._sending.values() if item is not None and self._is_acknowledged(item))
 
     def airtime(self) -> int:
-        """Return the total time, ns, at which some node has been transmitting."""
+        """Return the total time, ns, for which there have been frames on the air."""
         return self.air.busy_time()
 
     def _airtime(self, item: Item) -> int:
         return nanoseconds(self._medium.airtime(item.size, item.src))
 
     def _is_acknowledged(self, item: Item) -> bool:
-        return self._ack is not None and item.to_one
+        return self._acknowledges and item.to_one
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
-        """Let the first transmission in the queue of a node contend, if there is one."""
+        """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
+        if node in self._sending or self._nodes.ready[node]:
+            return  # at the end of its silence, another action of this instant may have come first
         if self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
             self._access.prepare(node, self._env.now, arrived=arrived)
@@ -178,15 +184,15 @@ class Contention(Generic[Item]):
         self._sending[node] = item
         self._start(item)
         is_repeated = self._is_acknowledged(item) and item.number in self._repeated
-        frame = self._transmit(item.number, node, airtime, next(self._draws) if is_repeated else item.number)
+        draw = next(self._draws) if is_repeated else item.number
+        frame = self._transmit(item.number, node, self._env.now, airtime, draw)
         if not self._is_acknowledged(item):
             self._leave(item, airtime)
         return frame
 
-    def _transmit(self, number: int, node: int, airtime: int, draw: int) -> Frame:
-        """Put a frame on the air."""
-        now = self._env.now
-        frame = Frame(number, draw, node, now, now + airtime, self._carrier.listeners(node))
+    def _transmit(self, number: int, node: int, begin: int, airtime: int, draw: int) -> Frame:
+        """Put a frame on the air that begins now, or in a known time."""
+        frame = Frame(number, draw, node, begin, begin + airtime, self._carrier.listeners(node))
         self.air.add(frame)
         Instant(self._env, frame.end, Phase.DELIVERY).callbacks.append(lambda _: self._end(frame))
         return frame
@@ -227,7 +233,9 @@ class Contention(Generic[Item]):
         Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
 
     def _acknowledge(self, node: int) -> None:
-        """Let a node transmit an acknowledgement; its airtime includes SIFS."""
-        assert self._ack is not None
-        self._carrier.sense(self._transmit(ACKNOWLEDGEMENT, node, self._ack, next(self._draws)), 1)
+        """Let a node transmit an acknowledgement after SIFS; in that time, too, the channel is sensed as busy."""
+        assert isinstance(self._medium.access, CsmaCa)
+        begin = self._env.now + nanoseconds(self._medium.access.sifs)
+        airtime = nanoseconds(self._medium.access.ack)
+        self._carrier.sense(self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws)), 1)
         self._nodes.due[node] = NEVER

@@ -38,8 +38,9 @@ class Event(Protocol):
 
 
 Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "access", "half_duplex", "collision"]
-"""The cause of a loss; "queue": dropped from a full queue, "access": dropped because the channel was always busy,
-"half_duplex": the receiver was transmitting, "collision": another frame overlapped it at the receiver."""
+"""The cause of a loss. "loss": by chance, or by noise; "queue": dropped from a full queue; "access": dropped by its
+sender, because the channel was busy too often (csma) or its slots are too short (tdma); "half_duplex": the receiver was
+transmitting; "collision": another frame overlapped it at the receiver."""
 
 
 class Queued(NamedTuple):
@@ -68,7 +69,7 @@ class Broadcast(NamedTuple):
     """Arrival time at each node of `dst`, ns, or `LOST`; one entry if all are equal. A message can still be lost on
     arrival."""
     created: Nanoseconds
-    """When the record was published, ns; earlier than t if the transmitter was busy."""
+    """When the record was published, ns; earlier than t if it waited."""
     size: Count
     """Bytes."""
     body: Body
@@ -80,7 +81,11 @@ class Broadcast(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """A message was sent to one receiver."""
+    """A message was sent to one receiver.
+
+    Its time t is the start of the transmission. If the message is acknowledged (`csma_ca`), it is the end of the
+    attempt that succeeded; a message of which no attempt succeeds has no such event.
+    """
 
     t: Nanoseconds
     transmission: Count
@@ -90,7 +95,7 @@ class Sent(NamedTuple):
     arrival: Arrival
     """Arrival time at `dst`, ns, or `LOST`; the message can still be lost on arrival."""
     created: Nanoseconds
-    """When `send` was called, ns; earlier than t if the transmitter was busy."""
+    """When `send` was called, ns; earlier than t if the message waited or is acknowledged."""
     size: Count
     """Bytes."""
     body: Body

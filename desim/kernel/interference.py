@@ -22,7 +22,7 @@ Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
 
 
 NEAREST = 1e-3
-"""Distance at and below which a frame has the same power, m."""
+"""Least distance in the path loss, m; at smaller distances the power is the same."""
 LN_10 = math.log(10.0)
 SEPARATION = 30.0 / 125.0
 """Smallest distance of two LoRa frequencies that do not interfere, in bandwidths."""
@@ -147,7 +147,8 @@ class CaptureEffect(Value):
     exponent: Exponent = 3.0
     """Path loss exponent: 2 in free space, 3 to 4 over ground."""
     lock: Flag = False
-    """Whether a receiver stays with the first frame that it hears, and loses all that begin before the end of it."""
+    """Whether a receiver locks on to the first frame that it hears, and loses every frame that begins before that frame
+    ends. It locks at once: the time of a preamble is not modelled."""
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
@@ -160,10 +161,11 @@ class CaptureEffect(Value):
 
 
 class Sinr(Value):
-    """A frame is received if its power is above noise and the sum of all interference by a threshold.
+    """A frame is received if its power is above noise and the sum of all interference by a threshold at all times.
 
-    The power of a frame at distance d is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential
-    variable of mean 1 for each frame and receiver. Interference has no range: all overlapping frames count.
+    The sum is the largest of those of the frames that are on the air at one instant. The power of a frame at distance d
+    is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential variable of mean 1 for each frame
+    and receiver. Interference has no range: all overlapping frames count.
     """
 
     needs_positions: ClassVar[bool] = True
@@ -187,10 +189,15 @@ class Sinr(Value):
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the signal-to-interference-and-noise ratio reaches the threshold."""
         received = self._power(overlap, overlap.frame)
-        interference = np.full(len(received), self.noise)
-        for other in overlap.others:
-            interference += self._power(overlap, other)
-        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * interference
+        powers = [self._power(overlap, other) for other in overlap.others]
+        worst = np.full(len(received), self.noise)
+        for instant in sorted({max(other.begin, overlap.frame.begin) for other in overlap.others}):
+            interference = np.full(len(received), self.noise)
+            for other, power in zip(overlap.others, powers, strict=True):
+                if other.begin <= instant < other.end:
+                    interference += power
+            worst = np.maximum(worst, interference)
+        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * worst
         return enough
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
@@ -203,9 +210,10 @@ class LoRaInterference(Value):
 
     Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
     a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
-    received only if the other ends before the last five symbols of its preamble. Frames of different spreading factors
-    interfere if the other is stronger by the isolation between the two. Receivers hear all spreading factors and
-    frequencies, as gateways do.
+    received only if the other ends before the last five symbols of its preamble. In LoRaSim, the simulator of Bor et
+    al., the earlier of two frames is then received, too; here its end is lost unless it is stronger. Frames of
+    different spreading factors interfere if the other is stronger by the isolation between the two. Receivers hear all
+    spreading factors and frequencies, as gateways do.
     """
 
     needs_positions: ClassVar[bool] = True

@@ -25,12 +25,20 @@ class Processing(Value):
 
 
 def _completed(given: Any, table: dict[str, Any]) -> Any:
-    """Return a given table, with the keys that it lacks filled in from a preset.
+    """Return a given table, with the keys that it and the tables in it lack filled in from a preset.
 
     `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
     """
-    alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
-    return table | given if alike else given
+    if not isinstance(given, dict) or given.get("kind", table["kind"]) != table["kind"]:
+        return given
+    return table | given | _tables_completed(given, table)
+
+
+def _tables_completed(given: dict[str, Any], preset: dict[str, Any]) -> dict[str, Any]:
+    """Return the given values of the keys that are tables in a preset, completed from it."""
+    return {
+        key: _completed(given[key], table) for key, table in preset.items() if key in given and isinstance(table, dict)
+    }
 
 
 class Links(Value):
@@ -89,5 +97,4 @@ class Links(Value):
         preset = given.get("preset") if isinstance(given, dict) else None
         if not isinstance(preset, str) or preset not in PRESETS:
             return given
-        tables = {key: _completed(given[key], table) for key, table in PRESETS[preset].items() if key in given}
-        return PRESETS[preset] | given | tables
+        return PRESETS[preset] | given | _tables_completed(given, PRESETS[preset])

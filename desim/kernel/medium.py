@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Limit, Value
-from desim.kernel.access import ACCESSES, Access, Ideal
+from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, Signal
 
 MAX_BYTES = 255
@@ -43,10 +43,11 @@ class Radio(Value):
     shared: Flag = False
     """Whether all nodes share one channel, which carries one message at a time."""
     half_duplex: Flag = False
-    """Whether a node cannot receive while it transmits; no effect on a shared channel, and nodes that contend never can
-    (`access`)."""
+    """Whether a node cannot receive while it transmits. It has no effect on a shared channel. Nodes that contend
+    (`access`) never receive while they transmit."""
     queue_limit: Limit = inf
-    """Maximum number of waiting messages per node; beyond it the oldest is dropped; inf = unlimited."""
+    """Maximum number of waiting messages per node, without the one that is transmitted or contends; beyond it the
+    oldest is dropped; inf = unlimited."""
     access: Annotated[Access, ACCESSES] = Ideal()
     """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
     interfere."""
@@ -89,6 +90,17 @@ class Radio(Value):
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
         return self(size)
+
+    def interval(self, size: int, nodes: int) -> float:
+        """Return the time, s, for which a message of `size` bytes keeps one of `nodes` nodes from sending the next one.
+
+        It is the airtime, with the silence after it if there is a duty cycle, and with TDMA at least a round of slots.
+        """
+        least = self(size) / (self.duty_cycle or 1.0)
+        if not isinstance(self.access, Tdma):
+            return least
+        period = len(self.access.owners(nodes)) * self.access.slot
+        return max(ceil(least / period), 1) * period
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s."""
@@ -161,8 +173,8 @@ class LoRa(Radio):
         return given
 
     def __call__(self, size: int) -> float:
-        """Return the airtime, s, of all frames of a message with `spreading_factor`."""
-        return self._message(size, self.spreading_factor)
+        """Return the airtime, s, of all frames of a message with the largest spreading factor of the nodes."""
+        return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
 
     def check(self, size: int) -> None:
         """Raise ValueError if the medium is not for a network of `size` nodes."""

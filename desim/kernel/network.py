@@ -90,7 +90,7 @@ class Network:
         self._fault_state = fault_state
         self._records = Records(env, self._size, predicate, repeats=sampler.duplicates_messages)
         self._inboxes = Inboxes(env, self._size)
-        self._trace, self._clocks, self._medium = trace, clocks or [NodeClock(env)] * self._size, links.medium
+        self._trace, self._clocks = trace, clocks or [NodeClock(env)] * self._size
         self._link_layer = LinkLayer(
             env,
             links,
@@ -233,7 +233,7 @@ class Network:
                 self._trace,
                 transmit=self._transmit,
                 latency=lambda: self.estimates.latency,
-                airtime=self._medium,
+                sending_time=self.estimates.sending_time,
             )
         return self._layer
 

@@ -35,7 +35,10 @@ _WIFI: dict[str, Any] = {
 
 
 def _lora(spreading_factor: int) -> dict[str, Any]:
-    """Return LoRa in the European band at 868 MHz, whose nodes transmit at any time, as in LoRaWAN class A."""
+    """Return LoRa in the European band at 868 MHz, whose nodes transmit at any time, as in LoRaWAN class A.
+
+    The spreading factor changes airtimes, and not the range. The 13 bytes of LoRaWAN headers are not counted.
+    """
     return {
         "medium": {
             "kind": "lora",  # 125 kHz, coding rate 4/5, 8 preamble symbols: the defaults of LoRaWAN in Europe
@@ -51,13 +54,13 @@ def _lora(spreading_factor: int) -> dict[str, Any]:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "wifi": _WIFI,
-    # Guesses of the one-way latency via a base station; for lte and 5g, of the scheduling of its resources, too.
+    # Guesses of the one-way latency via a base station, including the scheduling of radio resources.
     "lte": {"latency": {"kind": "gamma", "offset": 0.020, "shape": 2.0, "scale": 0.010}},
     "5g": {"latency": {"kind": "gamma", "offset": 0.005, "shape": 2.0, "scale": 0.003}},
     # A geostationary satellite at 35 786 km: 2 x 119.4 ms at least, and a guess of 30 ms for processing.
     "satellite": {"latency": {"kind": "constant", "value": 0.270}},
     # Under water: the speed of sound; a guess of the bit rate. Contention is not modelled, as models of interference
-    # neglect the propagation delay, which is longer than a frame here.
+    # neglect the propagation delay, which may be longer than a frame here.
     "acoustic": {
         "latency": {"kind": "propagation", "speed": 1500.0},
         "medium": {"kind": "bitrate", "bitrate": 5000.0, "half_duplex": True},

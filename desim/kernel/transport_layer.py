@@ -45,7 +45,7 @@ class TransportLayer:
         trace: receives the events of transports; None if they are not needed.
         transmit: hands a message to the link layer, given its sender, receiver, size and port.
         latency: returns the typical latency of the network, s.
-        airtime: returns the airtime of a message of a size, bytes, in s.
+        sending_time: returns the time, s, for which a message of a size, bytes, keeps its sender from sending the next.
     """
 
     def __init__(
@@ -59,10 +59,10 @@ class TransportLayer:
         *,
         transmit: Callable[[int, int | None, Message, int, str], object],
         latency: Callable[[], float],
-        airtime: Callable[[int], float],
+        sending_time: Callable[[int], float],
     ):
         self._env, self._topology, self._inboxes, self._fault_state = env, topology, inboxes, fault_state
-        self._clocks, self._transmit, self._latency, self._airtime = clocks, transmit, latency, airtime
+        self._clocks, self._transmit, self._latency, self._sending_time = clocks, transmit, latency, sending_time
         self._log = TransportLog(env, trace)
         self._transports: dict[str, Transport] = {}
         """By port."""
@@ -126,8 +126,8 @@ class TransportLayer:
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
         """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
-        answers = receivers * self._airtime(acknowledgement_size(transport.window))
-        return first_timeout(self._latency(), self._airtime(size) + answers, transport.min_timeout)
+        answers = receivers * self._sending_time(acknowledgement_size(transport.window))
+        return first_timeout(self._latency(), self._sending_time(size) + answers, transport.min_timeout)
 
     # Receivers.
 

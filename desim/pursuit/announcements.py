@@ -188,7 +188,8 @@ class Announcements(Value):
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
-    latency + airtime of an announcement), or inf without heartbeats."""
+    latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
+    TDMA keep a pursuer from sending every heartbeat."""
     warm_start: Flag = True
     """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)

@@ -145,8 +145,9 @@ class Beliefs:
         """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
-            estimates = self._network.estimates
-            delay = estimates.latency + estimates.airtime(self._announcement())
+            estimates, announcement = self._network.estimates, self._announcement()
+            delay = estimates.latency + estimates.airtime(announcement)
+            period = max(period, estimates.interval(announcement))
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 

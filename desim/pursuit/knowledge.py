@@ -192,3 +192,10 @@ class Knowledge:
     def airtime(self, body: Any) -> float:
         """Return the airtime of a message with this body, s."""
         return self._network.estimates.airtime(body)
+
+    def interval(self, body: Any) -> float:
+        """Return the time, s, for which a message with this body keeps its sender from sending the next one.
+
+        It is longer than the airtime if there is a duty cycle, or if the sender waits for its slots of a TDMA.
+        """
+        return self._network.estimates.interval(body)

@@ -72,6 +72,9 @@ class ScheduleTraits(Assuming):
     spreads_to: Literal["all", "neighbours"] | None = None
     """The pursuers to which the schedule's own messages, such as a token, repeatedly carry actions, so that these
     pursuers need no announcements of the actions; None: its messages carry no actions."""
+    message_size: Callable[[int, int], int] | None = None
+    """`message_size(pursuers, announcement)` returns the size of its longest message, bytes, given the number of
+    pursuers and the size of an announcement; None: it sends no messages."""
     without_serial_decisions: Callable[[], dict[str, Any]] | None = None
     """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
     decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""

@@ -83,7 +83,7 @@ def messages_get_through(scenario: "Scenario") -> str | None:
         return "a pursuer that crashes may forget what it has acknowledged" if crashes else None
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     medium = network.medium
-    drops = medium.half_duplex or medium.queue_limit < inf or _may_collide(medium)
+    drops = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
     sampler = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
@@ -210,9 +210,14 @@ def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> boo
     )
 
 
-def _may_collide(medium: Medium) -> bool:
-    """Return whether frames may overlap at a receiver; those of a TDMA do not, unless clocks differ."""
-    return isinstance(medium, Radio) and medium.contends and not isinstance(medium.access, Tdma)
+def _loses_frames(medium: Medium) -> bool:
+    """Return whether nodes contend, and frames may overlap or be lost to noise.
+
+    Frames of a TDMA overlap only if clocks differ, which is a fault of the scenario.
+    """
+    if not (isinstance(medium, Radio) and medium.contends):
+        return False
+    return not isinstance(medium.access, Tdma) or medium.reception.has_noise
 
 
 def _reached_by_schedule(scenario: "Scenario") -> str | None:

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
-from desim.kernel.access import Aloha, SlottedAloha
+from desim.kernel.access import Aloha, SlottedAloha, Tdma
 from desim.kernel.clock import nanoseconds
 from desim.kernel.faults import Fault
 from desim.kernel.graphs import Complete
@@ -264,6 +264,16 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
     access, airtime = medium.access, scenario.announcement_airtime
+    size, heartbeat = scenario.announcement_size, scenario.announce.heartbeat
+    is_delayed = medium.duty_cycle is not None or isinstance(access, Tdma)
+    interval = medium.interval(size, scenario.team.count)
+    if _has_heartbeats(scenario) and is_delayed and interval > heartbeat:
+        why = "its duty cycle" if medium.duty_cycle is not None else "the slots of the TDMA"
+        yield (
+            "announce.heartbeat",
+            f"a heartbeat of {heartbeat:g} s is shorter than the time for which {size} bytes keep a pursuer from"
+            f" sending again, {interval:.3g} s, because of {why}: heartbeats are delayed or dropped",
+        )
     if isinstance(access, Aloha | SlottedAloha) and _has_heartbeats(scenario) and scenario.announce.jitter == 0.0:
         yield (
             "announce.jitter",

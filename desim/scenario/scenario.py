@@ -41,7 +41,7 @@ from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
-from desim.kernel.medium import LoRa, Radio
+from desim.kernel.medium import Radio
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
@@ -380,11 +380,8 @@ class Scenario(Value):
 
     @property
     def announcement_airtime(self) -> float:
-        """Longest airtime of an announcement, s; nodes differ if they have spreading factors of their own."""
-        medium, size = self.network.medium, self.announcement_size
-        if isinstance(medium, LoRa) and medium.spreading_factors is not None:
-            return max(medium.airtime(size, node) for node in range(self.team.count))
-        return medium(size)
+        """Longest airtime of an announcement, s."""
+        return self.network.medium(self.announcement_size)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -455,15 +452,20 @@ class Scenario(Value):
             key, _, why = str(error).partition(": ")
             yield tuple(key.split(".")), why
             return
-        airtime, guard = nanoseconds(self.announcement_airtime), nanoseconds(access.guard)
+        sizes = {"an announcement": self.announcement_size} if self.announces else {}
+        if (message_size := self.schedule_traits.message_size) is not None:
+            sizes["a message of the schedule"] = message_size(count, self.announcement_size)
+        if not sizes:
+            return
+        what, size = max(sizes.items(), key=lambda each: each[1])
+        airtime, guard = nanoseconds(medium(size)), nanoseconds(access.guard)
         free = nanoseconds(access.slot) - guard
-        if self.announces and airtime > free:
+        if airtime > free:
             least = -(-(airtime + guard) // 1000) / 1e6
             yield (
                 ("network", "medium", "access", "slot"),
-                f"an announcement of {self.announcement_size} bytes takes {seconds(airtime):g} s on the air, but a slot"
-                f" without its guard time only {seconds(free):g} s: it should be at least {least:.10g} s"
-                f" (got {access.slot:g})",
+                f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
+                f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
             )
 
 

@@ -664,6 +664,15 @@ def test_a_node_starts_by_its_own_clock():
     assert starts(trace) == [(0, 0.0), (1, 3000.0)]
 
 
+def test_a_node_whose_clock_is_behind_has_its_slots_from_the_start():
+    """A clock that is 5 s behind shows -5 s at the start, where a round of 4 ms begins; slot 1 begins at 2 ms."""
+    clock, net, trace = network(Tdma(slot=0.002), 2, clocks=[(0.0, 1.0), (-5.0, 1.0)])
+    for _ in range(2):
+        net.publish(1, None, size=SIZE)
+    clock.run()
+    assert starts(trace) == [(1, 2000.0), (1, 6000.0)]
+
+
 # Queues and crashes.
 
 
@@ -912,6 +921,38 @@ def test_a_node_is_silent_after_a_frame_so_that_it_transmits_at_most_the_duty_cy
         at(clock, 5000, net.publish, 1, None, size=SIZE)
         clock.run()
         assert starts(trace) == sorted([(0, t) for t in expected] + [(1, 5000.0)], key=lambda each: each[1])
+
+
+def test_a_silent_node_keeps_the_newest_frames():
+    """Frames A to Z, one per ms, and 9 ms of silence after each frame: B waits at 1 ms, and is superseded."""
+    clock, net, trace = network(Aloha(), medium={"duty_cycle": 0.1, "queue_limit": 1})
+    for k, name in enumerate("ABCDEFGHIJKLMNOPQRSTUVWXYZ"):
+        at(clock, 1000 * k, net.publish, 0, name, size=SIZE)
+    clock.run()
+    assert [(each.t / MS, each.body) for each in trace.of(Broadcast)] == [(0, "A"), (10, "K"), (20, "U"), (30, "Z")]
+
+
+def test_a_silent_node_keeps_a_frame_that_is_to_be_transmitted_again():
+    """The frame of node 0 collides with that of node 1; node 0 has a new message while it is silent."""
+    clock, net, trace = network(CsmaCa(window=1, doublings=0), medium={"duty_cycle": 0.5, "queue_limit": 1})
+    net.send(0, 1, "first", size=SIZE)
+    net.send(1, 0, "other", size=2 * SIZE)
+    for t in (1500, 1600):
+        at(clock, t, net.publish, 0, t, size=SIZE)
+    clock.run()
+    assert {each.body for each in trace.of(Sent)} == {"first", "other"}
+    assert [each.body for each in trace.of(Broadcast)] == [1600]
+    assert losses(trace) == [(1600.0, 1, "queue")]
+
+
+def test_two_nodes_with_a_duty_cycle_of_1_send_all_their_frames():
+    """Each frame of one ends as that of the other begins, so that both act at the same instants."""
+    clock, net, trace = network(Aloha(), medium={"duty_cycle": 1.0})
+    for _ in range(3):
+        net.publish(0, None, size=SIZE)
+        net.publish(1, None, size=SIZE)
+    clock.run()
+    assert starts(trace) == [(node, t) for t in (0.0, 1000.0, 2000.0) for node in (0, 1)]
 
 
 def test_a_crash_does_not_end_the_silence_of_a_node():

@@ -189,6 +189,15 @@ def test_a_receiver_does_not_lock_on_to_a_frame_that_it_does_not_hear():
 # Signal to interference and noise.
 
 
+def test_interference_is_the_sum_of_the_frames_that_are_on_the_air_together():
+    """Two interferers are each 7.06 dB weaker, and 4.05 dB together: with 5 dB the frame survives one at a time."""
+    apart = [[10.0], [10.0 * 10 ** (7.06 / 30)], [10.0 * 10 ** (7.06 / 30)]]
+    model = Sinr(threshold=5.0, fading="none")
+    for begin, survives in ((1600, True), (1500, True), (1400, False)):
+        times = [(1000, 2000), (500, 1500), (begin, begin + 1000)]
+        assert judged(model, apart, times=times).tolist() == [survives]
+
+
 def poisson_field(model, seed, *, count=800, radius=1000.0, density=1e-4, apart=20.0):
     """Return the share of `count` receivers that get a frame from a distance, among Poisson interferers in a disc."""
     rng = np.random.default_rng(seed)
@@ -251,6 +260,7 @@ def test_noise_alone_loses_a_weak_frame():
         net.publish(0, None, size=SIZE)
         clock.run()
         assert received(trace) == ({(0, 1)} if arrives else set())
+        assert causes(trace) == ({} if arrives else {(0, 1): "loss"})
 
 
 # LoRa.
@@ -490,6 +500,19 @@ def test_an_acknowledgement_interferes_and_makes_its_node_deaf():
     at(clock, 1030, net.publish, 2, None, size=SIZE)
     clock.run()
     assert causes(trace) == {(2, 1): "half_duplex", (2, 3): "collision"}
+
+
+@pytest.mark.parametrize("lock", [None, False, True])
+def test_a_frame_that_ends_as_an_acknowledgement_begins_is_received(lock):
+    """0 sends to 1 and 2 to 3, both from 28 to 1028 us; 1 acknowledges from 1038 us on, which 3 hears."""
+    graph = nx.Graph([(0, 1), (2, 3), (1, 3)])
+    reception = Collision() if lock is None else CaptureEffect(lock=lock)
+    clock, net, _ = network(reception, [0.0, 1.0, 3.0, 2.0], access=CsmaCa(window=1), graph=graph)
+    net.send(0, 1, None, size=SIZE)
+    net.send(2, 3, None, size=SIZE)
+    clock.run()
+    counts = net.message_counts()
+    assert (counts.transmissions, counts.delivered) == (2, 2)
 
 
 # Bad values.

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.access import Aloha, CsmaCa
+from desim.kernel.access import Aloha, CsmaCa, Tdma
 from desim.kernel.interference import LoRaInterference
 from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponential
 from desim.kernel.links import Links
@@ -94,6 +94,26 @@ def test_a_queue_is_unlimited_by_default_and_infinity_survives_json():
     assert Bitrate(bitrate=1.0, queue_limit=3).queue_limit == 3
 
 
+def test_a_duty_cycle_and_the_slots_of_a_tdma_delay_the_next_message():
+    """10 ms on the air: with a duty cycle of 5 % 200 ms, and with three slots of 50 ms rounds of 150 ms."""
+    slots = Tdma(slot=0.05)
+    for access, duty_cycle, expected in (
+        (Aloha(), None, 0.01),
+        (Aloha(), 0.05, 0.2),
+        (slots, None, 0.15),
+        (slots, 0.1, 0.15),
+        (slots, 0.05, 0.3),
+    ):
+        medium = Bitrate(bitrate=8000.0, access=access, duty_cycle=duty_cycle)
+        assert medium.interval(10, 3) == pytest.approx(expected)
+
+
+def test_the_airtime_of_a_message_is_that_of_the_slowest_node():
+    medium = LoRa(access=Aloha(), spreading_factors=(7, 12, 9))
+    assert medium(24) == medium.airtime(24, 1) == LoRa(spreading_factor=12)(24)
+    assert medium.airtime(24, 0) == LoRa()(24)
+
+
 # Presets.
 
 
@@ -164,6 +184,15 @@ def test_a_table_that_a_preset_has_too_is_completed_from_it(given):
     medium = Links(preset="lora_sf12", medium=given).medium
     assert medium == LoRa(spreading_factor=12, queue_limit=3, **rest)
     assert Links(preset="lora_sf12").medium == LoRa(spreading_factor=12, queue_limit=1, **rest)
+
+
+def test_the_tables_in_a_table_are_completed_from_a_preset_too():
+    preset = Links(preset="wifi").medium
+    for table in ({"window": 32}, {"kind": "csma_ca", "window": 32}):
+        medium = Links(preset="wifi", medium={"access": table}).medium
+        assert medium == preset.model_copy(update={"access": preset.access.model_copy(update={"window": 32})})
+    other = Links(preset="wifi", medium={"access": {"kind": "aloha"}}).medium
+    assert other == preset.model_copy(update={"access": Aloha()})
 
 
 def test_a_table_of_another_kind_than_the_preset_s_is_not_mixed_with_it():

@@ -9,15 +9,17 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
+from desim.kernel.access import Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Star
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.message_size import size_of
 from desim.pursuit.events import Decided
 from desim.scenario.scenario import Team
-from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request
+from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request, request_and_reply
 from protocols.schedules import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing
 
@@ -147,12 +149,21 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
 
     def protocol(me):
         slots.add(LocalMutex(rate=5.0).mean_slot(me))
+        assert max(map(size_of, request_and_reply(me))) == LocalMutex().message_size(5, 24) == 16 + 16 + 24
         yield me.sleep(0.0)
 
     slow = Links(latency=Constant(value=0.02), medium=Bitrate(bitrate=9600.0))
     run(Scenario(horizon=0.1, team=Team(count=5), protocol=protocol, network=slow), 0)
     (slot,) = slots
     assert slot == pytest.approx((1.0 / 5.0 + 2.0 * 0.02 + 352 * 8 / 9600) / 5)
+
+
+def test_no_request_is_repeated_while_messages_wait_for_the_slots_of_a_tdma():
+    """A round takes 0.3 s, and two requests with two replies 0.15 s on the air."""
+    medium = Bitrate(bitrate=9600.0, access=Tdma(slot=0.1))
+    result = run(frozen(flips(LocalMutex(rate=0.2)), count=3, horizon=20.0, medium=medium), 1)
+    requests = [(each.src, each.dst, each.body) for each in bodies(result, Request)]
+    assert len(requests) == len(set(requests)) > 3
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from desim.kernel.links import Links
 from protocols.retransmission import RetransmissionTimer, arrival_or_timeout
 
 
-def test_the_first_time_out_is_5_4_of_a_round_trip_and_each_later_one_has_3_2_of_the_airtime():
-    """L = 0.2 s, 0.4 s on the air: 0.5 + 0.5, 0.5 + 0.75, 0.5 + 1.125, ..."""
+def test_the_first_time_out_is_5_4_of_a_round_trip_and_each_later_one_has_3_2_of_the_sending_time():
+    """L = 0.2 s, 0.4 s to send: 0.5 + 0.5, 0.5 + 0.75, 0.5 + 1.125, ..."""
     time_out = RetransmissionTimer(SimpleNamespace(latency=0.2), 0.4, 0.001)
     assert [time_out(), *map(time_out, range(3))] == pytest.approx([1.0, 1.0, 1.25, 1.625])
 

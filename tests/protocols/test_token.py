@@ -15,12 +15,14 @@ import pytest
 from hypothesis import settings
 
 from desim import run
+from desim.kernel.access import Aloha, Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.invariants import OneToken
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate, LoRa
+from desim.kernel.message_size import size_of
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
@@ -30,7 +32,16 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_passing import Token, TokenNode, TokenNotice, TokenReceipt, circulate, longest_absent, not_absent
+from protocols.token_passing import (
+    Token,
+    TokenNode,
+    TokenNotice,
+    TokenReceipt,
+    circulate,
+    full_token,
+    longest_absent,
+    not_absent,
+)
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
@@ -70,11 +81,27 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_with_records_of_all_pursuer
 
     def protocol(me):
         slots.add(TokenRing(holding_time=0.01).mean_slot(me))
+        assert size_of(full_token(me)) == TokenRing().message_size(20, 24) == 688
         yield me.sleep(0.0)
 
     run(frozen(protocol, count=20, latency=0.1, horizon=0.1, medium=Bitrate(bitrate=9600.0)), 0)
     (slot,) = slots
     assert slot == pytest.approx(0.01 + 0.1 + 688 * 8 / 9600)
+
+
+@pytest.mark.parametrize(
+    ("medium", "count"),
+    [
+        (LoRa(access=Aloha(), duty_cycle=0.01, queue_limit=1), 3),
+        (Bitrate(bitrate=19_200.0, access=Tdma(slot=8 * 368 / 19_200), queue_limit=1), 10),
+    ],
+    ids=["duty cycle", "TDMA"],
+)
+def test_no_token_is_sent_twice_or_lost_while_duty_cycle_or_slots_delay_it(medium, count):
+    result = run(frozen(flips(TokenRing()), count=count, horizon=60.0, medium=medium), 1)
+    ages = [(each.body.epoch[0], each.body.hop) for each in bodies(result, Token)]
+    assert ages == [(1, hop) for hop in range(1, len(ages) + 1)]
+    assert len(ages) > 5
 
 
 @pytest.mark.slow

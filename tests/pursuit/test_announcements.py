@@ -13,6 +13,7 @@ import pytest
 from scipy.stats import kstest
 
 from desim import Scenario, run
+from desim.kernel.access import Tdma
 from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import Crash
@@ -389,6 +390,14 @@ def test_the_default_belief_timeout_includes_the_airtime_of_an_announcement():
     slow = Links(latency=Constant(value=0.25), medium=Bitrate(bitrate=4800.0))
     announce = {"trigger": "heartbeat", "heartbeat": 0.2}
     assert last_trusted(announce, network=slow) == pytest.approx(0.6 + 2 * (0.25 + 0.04), abs=0.0011)
+
+
+def test_the_default_belief_timeout_counts_the_rounds_of_a_tdma_if_they_are_longer_than_the_heartbeat():
+    """3 rounds of three slots of 0.1 s, longer than a heartbeat of 0.2 s, + 2 (L + A) with A = 0.04 s."""
+    radio = Bitrate(bitrate=4800.0, access=Tdma(slot=0.1))
+    slow = Links(latency=Constant(value=0.25), medium=radio)
+    announce = {"trigger": "heartbeat", "heartbeat": 0.2}
+    assert last_trusted(announce, network=slow) == pytest.approx(3 * 0.3 + 2 * (0.25 + 0.04), abs=0.0011)
 
 
 @pytest.mark.parametrize(("announce", "memory"), [({"belief_timeout": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])

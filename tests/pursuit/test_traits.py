@@ -91,6 +91,7 @@ MISSPELT = {
         ("spread_to", "all", "spreads_to"),
         ("without_serial_decision", dict, "without_serial_decisions"),
         ("warning", list, "warnings"),
+        ("message_sizes", max, "message_size"),
     ],
     "utility": [("expeced", sum, "expected"), ("assume", ("undivided",), "assumes")],
     "dissemination": [("asumes", ["undivided"], "assumes")],

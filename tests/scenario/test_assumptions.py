@@ -10,6 +10,7 @@ from desim import Scenario
 from desim.kernel.access import CsmaCa, Tdma
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.graphs import Edge, Edges, Link, Ring
+from desim.kernel.interference import Sinr
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.medium import Bitrate
@@ -151,6 +152,7 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=CsmaCa()))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma()))}, False),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma(), reception=Sinr(noise=1e-9)))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, access=Tdma())), "fault": [ClockSkew(offset=0.1)]}, True),
         ({"network": Links(range=50.0), "motion": Motion(static=True)}, False),
         ({"network": Links(range=50.0, reception=QuasiUnitDisk()), "motion": Motion(static=True)}, False),

@@ -5,7 +5,7 @@ from math import inf
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.access import Aloha, SlottedAloha
+from desim.kernel.access import Aloha, SlottedAloha, Tdma
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.graphs import Ring
@@ -103,6 +103,21 @@ def test_the_default_is_not_warned_of():
             },
             "announce.heartbeat",
             "need 1.5 times the capacity of the channel: queues grow without bound, or messages collide or are dropped",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Aloha(), "duty_cycle": 0.005}), "announce": JITTER},
+            "announce.heartbeat",
+            "shorter than the time for which 24 bytes keep a pursuer from sending again, 0.2 s, because of its duty",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Tdma(slot=0.06)}), "team": Team(count=2)},
+            "announce.heartbeat",
+            "sending again, 0.12 s, because of the slots of the TDMA",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Tdma(slot=0.05)}), "team": Team(count=2)},
+            None,
+            "",
         ),
         (
             {"network": Links(medium=FAST | {"reception": CaptureEffect()})},
