@@ -358,6 +358,31 @@ def test_the_text_of_a_module_beside_the_file_counts(tmp_path, monkeypatch, made
     assert found[0] == found[1] != found[2]
 
 
+GROUP = {
+    "group/__init__.py": "",
+    "group/near.py": "FACTOR = 1",
+    "later.py": "",
+    "group/mine.py": "from .near import FACTOR\ndef rule(me):\n    import later\n",
+}
+
+
+@pytest.mark.parametrize("changed", GROUP)
+def test_the_text_of_what_a_module_imports_counts(tmp_path, monkeypatch, changed):
+    """Of its package, of the module beside it in the package, and of one that its function has yet to import."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    (tmp_path / "group").mkdir()
+    found = []
+    for more in ("", "", "\nOTHER = 2"):
+        for name, text in (GROUP | {changed: GROUP[changed] + more}).items():
+            (tmp_path / name).write_text(text)
+        invalidate_caches()
+        found.append(stable_hash(import_module("group.mine").rule))
+        for name in ("group", "group.near", "group.mine"):
+            sys.modules.pop(name)
+    assert found[0] == found[1] != found[2]
+
+
 INSTALLED = {
     "pack/__init__.py": "",
     "pack/rule.py": "def rule(me):\n    from pack.inner import helper\n",
