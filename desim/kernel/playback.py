@@ -98,8 +98,9 @@ class LinkTrace(Value):
             text, read_from = text_of(path, names), path.name
         name = read_from or TABLE
         columns = _columns_in(header_of(str(text), name), names, given, name)
-        read = {"file": None, "table": select(str(text), columns, name), "read_from": read_from}
-        return given | read | {"src": columns.src, "dst": columns.dst}
+        read = {"table": select(str(text), columns, name), "src": columns.src, "dst": columns.dst}
+        rest = {key: value for key, value in given.items() if key not in {"file", "read_from"}}
+        return rest | read | ({"read_from": read_from} if read_from else {})
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
