@@ -193,8 +193,8 @@ class Playback:
     """A trace in one run.
 
     Its rows are those of the table and two more for each link, at time 0 and at the end of the trace. So every message
-    is sent between two rows of its link. The key of a row is the number of its link times T + 1, plus the rank of its
-    time.
+    is sent between two rows of its link. With T distinct times in the table, the key of a row is the number of its link
+    times T + 1, plus the rank of its time. So one binary search finds the rows of all receivers.
 
     Args:
         trace: the trace.
