@@ -98,8 +98,9 @@ class LinkTrace(Value):
             text, read_from = text_of(path, names), path.name
         name = read_from or TABLE
         columns = _columns_in(header_of(str(text), name), names, given, name)
-        read = {"file": None, "table": select(str(text), columns, name), "read_from": read_from}
-        return given | read | {"src": columns.src, "dst": columns.dst}
+        read = {"table": select(str(text), columns, name), "src": columns.src, "dst": columns.dst}
+        rest = {key: value for key, value in given.items() if key not in {"file", "read_from"}}
+        return rest | read | ({"read_from": read_from} if read_from else {})
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
@@ -192,8 +193,8 @@ class Playback:
     """A trace in one run.
 
     Its rows are those of the table and two more for each link, at time 0 and at the end of the trace. So every message
-    is sent between two rows of its link. The key of a row is the number of its link times T + 1, plus the rank of its
-    time.
+    is sent between two rows of its link. With T distinct times in the table, the key of a row is the number of its link
+    times T + 1, plus the rank of its time. So one binary search finds the rows of all receivers.
 
     Args:
         trace: the trace.

@@ -155,7 +155,10 @@ def validate(source: Source) -> Scenario:
 
 def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML, defaults included; keys with the value None are left out, because TOML has no null."""
-    return tomli_w.dumps(scenario.model_dump(exclude_none=True), multiline_strings=True)
+    tables = scenario.model_dump(exclude_none=True)
+    text = tomli_w.dumps(tables)
+    # A reader of TOML changes the line ends \r\n of a text that is written in several lines.
+    return text if "\\r" in text else tomli_w.dumps(tables, multiline_strings=True)
 
 
 def _read_text(file: Path) -> str:

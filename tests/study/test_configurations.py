@@ -280,6 +280,14 @@ def test_values_with_equal_labels_in_tables_are_refused():
         of({"protocol": [Plain(1.0), Plain(2.0)]})
 
 
+def test_the_label_of_a_measured_link_has_the_hash_of_its_table():
+    """The texts differ in a line that a short label would leave out."""
+    labels = [label(LatencyTrace(table=f"t,value\n0,0.1\n1,{value}\n", src=None, dst=None)) for value in (0.2, 0.3)]
+    hashed = r"trace\(dst=none, src=none, table=a text with the hash [0-9a-f]{16}\)"
+    assert all(re.fullmatch(hashed, each) for each in labels)
+    assert labels[0] != labels[1]
+
+
 # What distinguishes configurations.
 
 SAME = Scenario(horizon=2.0, team=Team(count=3))

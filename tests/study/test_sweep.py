@@ -558,6 +558,20 @@ def test_a_store_is_not_continued_with_another_file_of_a_built_in_model(tmp_path
         sweep(read(tmp_path / "f.toml"), **options)
 
 
+EDITED = r"network\.latency\.table was a text with the hash [0-9a-f]{16}, is a text with the hash [0-9a-f]{16};"
+
+
+def test_a_store_is_not_continued_with_an_edited_table_of_measurements(tmp_path):
+    (tmp_path / "f.toml").write_text(
+        'horizon = 0.1\nteam.count = 2\nnetwork.latency = { kind = "trace", file = "rtt.csv" }\n'
+    )
+    options = {"grid": {"network.range": [9.0]}, "reps": 1, "store": tmp_path / "s.sqlite"}
+    for second, refused in (("0.3", nullcontext()), ("0.4", pytest.raises(StoreError, match=EDITED))):
+        (tmp_path / "rtt.csv").write_text(f"t,value\n0,0.001\n1,{second}\n")
+        with refused:
+            sweep(read(tmp_path / "f.toml"), **options)
+
+
 def test_more_user_protocols_may_be_added(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(BASE, {"protocol": [Moody()]}, 2, store=store)

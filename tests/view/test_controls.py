@@ -94,6 +94,12 @@ def test_tables_that_are_not_valid_have_the_controls_of_their_kinds():
     assert by_key({"protocol": {"kind": "none"}})["protocol"].value == "none"
 
 
+def test_a_table_of_measurements_has_no_control():
+    keys = {each.key for each in controls(load(SCENARIOS / "measured.toml"))}
+    assert "network.latency.table" not in keys
+    assert {"network.latency.start", "network.latency.unit", "network.loss.threshold"} <= keys
+
+
 def test_models_made_in_python_have_the_controls_of_their_tables():
     scenario = Scenario(team=Team(count=8, speeds=1.2), network=Links(latency=Gamma(shape=2.0, scale=0.05)))
     assert by_key(scenario)["network.latency.shape"].value == "2"
