@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from math import fsum
 from typing import Annotated, Any, Literal, Self
 
@@ -110,9 +110,18 @@ class Netem(Value):
 
     def _delayed(self, u: Floats) -> Floats:
         """Return the u-quantile of the latency, s, of messages that are not reordered."""
-        numbers = self.numbers()
-        units = 2.0 * u - 1.0 if numbers is None else np.sort(numbers)[(u * SIZE).astype(np.intp)] / SCALE
+        units = 2.0 * u - 1.0
+        if self.distribution != "uniform" or self.table is not None:
+            units = _quantiles(self.distribution, self.table).take((u * SIZE).astype(np.intp), mode="clip")
         return np.maximum(self.delay + self.jitter * units, 0.0)
+
+
+@lru_cache(maxsize=64)
+def _quantiles(distribution: str, table: tuple[int, ...] | None) -> Floats:
+    """Return the (4096,) quantiles of a distribution or a table in units of sigma; a conversion takes 0.3 ms."""
+    quantiles: Floats = np.sort(TABLES[distribution]() if table is None else table) / SCALE
+    quantiles.setflags(write=False)
+    return quantiles
 
 
 class _NetemLinks:

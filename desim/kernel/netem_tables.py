@@ -31,7 +31,7 @@ PER_LINE = 8
 
 
 class Fit(NamedTuple):
-    """A distribution of delays, in the form of tc: `delay` + `jitter` `table`[U] / SCALE."""
+    """A distribution of delays, in the form of tc: delay + jitter table[U] / SCALE."""
 
     delay: float
     """s"""

@@ -213,6 +213,12 @@ def _rate(words: _Words) -> tuple[float, int]:
     return rate, overhead
 
 
+def _table_name(word: str) -> str:
+    if not re.fullmatch(r"[\w.+-]+", word):
+        raise ValueError("should be the name of a table, without folder and suffix")
+    return word
+
+
 def _packets(words: _Words) -> int:
     def convert(word: str) -> int:
         if not re.fullmatch(r"[0-9]+", word) or not 1 <= int(word) <= MAX_LIMIT:
@@ -224,7 +230,7 @@ def _packets(words: _Words) -> int:
 
 OPTIONS: dict[str, Callable[[_Words], Any]] = {
     "delay": _delay,
-    "distribution": lambda words: words.take("a name"),
+    "distribution": lambda words: words.value(_table_name),
     "reorder": _event,
     "gap": _packets,
     "loss": _loss,

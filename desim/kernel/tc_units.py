@@ -3,6 +3,8 @@
 import re
 from decimal import Decimal
 
+from desim.config.model import MAX_TIME
+
 TIMES = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """The units of time, as powers of 10 ns. tc also accepts sec, secs, msec, ..., and takes a number without a unit for
 ns, or, before version 4.16, us."""
@@ -12,7 +14,7 @@ OTHER_RATES = {"kibit": 2**10, "mibit": 2**20, "gibit": 2**30, "tibit": 2**40, "
 OTHER_RATES |= {"mbps": 8 * 10**6, "gbps": 8 * 10**9, "tbps": 8 * 10**12}
 OTHER_RATES |= {f"{prefix}ibps": 8 * 2 ** (10 * k) for k, prefix in enumerate("kmgt", 1)}
 """Further units of bit rates, in bit/s; bps are bytes per second."""
-_NUMBER = r"(\d+\.?\d*(?:e[+-]?\d+)?|\.\d+(?:e[+-]?\d+)?)"
+_NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,3})?)"
 
 
 def time_word(seconds: float) -> str:
@@ -26,12 +28,15 @@ def time_of(word: str) -> float:
     """Return the time, s, that a word says.
 
     Raises:
-        ValueError: if it is not a time with a unit.
+        ValueError: if it is not a time with a unit, or beyond `MAX_TIME`.
     """
     match = re.fullmatch(f"{_NUMBER}(s|ms|us|ns)(?:ecs?)?", word.lower())
     if match is None and not re.fullmatch("0+", word):
         raise ValueError("should be a time with its unit: s, ms, us or ns")
-    return round(Decimal(match[1]).scaleb(TIMES[match[2]])) / 10**9 if match else 0.0
+    nanoseconds = Decimal(match[1]) * 10 ** TIMES[match[2]] if match else Decimal(0)
+    if nanoseconds > Decimal(MAX_TIME) * 10**9:
+        raise ValueError(f"should be at most {MAX_TIME:.0f}s")
+    return round(nanoseconds) / 10**9
 
 
 def share_word(share: float) -> str:

@@ -363,22 +363,22 @@ def test_the_four_states_lose_their_share_and_follow_each_other_as_in_the_chain(
     """With q = 1/6: 1 + q + q/2 + 0.02 = 1.27; lost (q + 0.02) / 1.27; after a loss, only state 3 loses again, so the
     next is lost, too, with probability q (1 - 0.3 - 0.2) / 1.27.
 
-    40 000 links at their first, second and 30th messages, 3 standard errors of a binomial; the control is p32 = 0.3.
+    20 000 links at their first, second and 10th messages, 3 standard errors of a binomial; the control is p32 = 0.3.
     """
     q = 1 / 6
     np.testing.assert_allclose(FOUR.stationary(), np.array([1.0, q / 2, q, 0.02]) / 1.27, rtol=1e-12)
 
     def off(model):
-        lost = history(model, range(30), 4, links=40_000)
+        lost = history(model, range(10), 4, links=20_000)
         share, both = (q + 0.02) / 1.27, q * 0.5 / 1.27
         return [
-            *(errors(lost[k].sum(), 40_000, share) for k in (0, 1, 29)),
-            *(errors((lost[k] & lost[k + 1]).sum(), 40_000, both) for k in (0, 28)),
+            *(errors(lost[k].sum(), 20_000, share) for k in (0, 1, 9)),
+            *(errors((lost[k] & lost[k + 1]).sum(), 20_000, both) for k in (0, 8)),
         ]
 
     assert max(map(abs, off(FOUR))) < 3
     assert max(map(abs, off(FOUR.model_copy(update={"p32": 0.3})))) > 3
-    assert abs(errors(FOUR(context(links=10**5), np.random.default_rng(0)).sum(), 10**5, (q + 0.02) / 1.27)) < 3
+    assert abs(errors(FOUR(context(links=20_000), np.random.default_rng(0)).sum(), 20_000, (q + 0.02) / 1.27)) < 3
 
 
 @pytest.mark.slow

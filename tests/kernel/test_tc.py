@@ -18,8 +18,9 @@ from desim.kernel.medium import Bitrate, LoRa
 from desim.kernel.netem import Netem
 from desim.kernel.netem_tables import SCALE, table_text
 from desim.kernel.tc_reader import read_script
-from desim.kernel.tc_syntax import TcError
+from desim.kernel.tc_syntax import NOT_MODELLED, OPTIONS, TcError
 from desim.kernel.tc_writer import script
+from tests.command import JARGON
 
 SIZE = 4
 
@@ -107,6 +108,7 @@ def networks(draw):
     )
 
 
+@pytest.mark.slow
 @example(Links())
 @given(networks())
 def test_the_commands_of_a_scenario_give_the_same_scenario_when_read_back(links):
@@ -257,6 +259,8 @@ REFUSED = {
     "delay 1ms gap 0": (48, "'0' should be a whole number in 1 .. 4294967295"),
     "delay 0ms reorder 5%": (1, "latency: reorder, and a jitter with a table, need a delay > 0, as in tc"),
     "distribution normal": (47, "distribution needs delay"),
+    "delay 1ms 1ms distribution ../own": (61, "'../own' should be the name of a table, without folder and suffix"),
+    "delay 9e10s": (40, "'9e10s' should be at most 1000000000s"),
     "delay 1ms 1ms distribution nromal": (1, "latency: nromal.dist cannot be read: No such file"),
 }
 
@@ -266,6 +270,41 @@ def test_a_word_that_is_not_allowed_is_refused_with_line_column_and_what_is(opti
     column, why = REFUSED[options]
     with pytest.raises(TcError, match=rf"^links:2:{column}: {re.escape(why)}"):
         read_script(f"# links\ntc qdisc add dev eth0 root netem {options}", "links")
+
+
+VOCABULARY = [
+    *OPTIONS,
+    *NOT_MODELLED,
+    "tc",
+    "qdisc",
+    "add",
+    "dev",
+    "root",
+    "netem",
+    "sudo",
+    "random",
+    "state",
+    "gemodel",
+]
+VOCABULARY += ["1ms", "1e99s", "1e999999s", "0", "25%", "1e-999999", "100%", "-42", "1e9gbit", "99999999999", "x=1"]
+VOCABULARY += ["\\", "\n", "# link 0 -> 1"]
+
+
+def refusal(text):
+    """Return why a text is refused; "" if it is read."""
+    try:
+        Links.model_validate(read_script(text).network)
+    except TcError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.slow
+@given(st.lists(st.one_of(st.sampled_from(VOCABULARY), st.text(max_size=3))))
+def test_any_text_is_read_or_refused(words):
+    """Nothing else: no other exception, and no endless computation."""
+    for text in (" ".join(words), " ".join(["tc qdisc add dev eth0 root netem", *words])):
+        assert not JARGON.search(refusal(text))
 
 
 @pytest.mark.parametrize(
