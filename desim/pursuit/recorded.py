@@ -57,6 +57,8 @@ class RecordedMotion(Value):
     def _in_order(self) -> Self:
         if not self.waypoints:
             raise ValueError("should have waypoints, or a file of waypoints")
+        if self.node:
+            raise ValueError(f"waypoints are of one node: node {self.node} needs a file")
         for k, (before, after) in enumerate(pairwise(self._times)):
             if not before < after:
                 t_before, t = self.waypoints[k][0], self.waypoints[k + 1][0]

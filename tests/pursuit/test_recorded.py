@@ -170,6 +170,10 @@ REFUSED = {
     "bad node": (RECORDED.replace(" }", ", node = -1 }"), r"evader\.strategy\.node: should be greater than or equal"),
     "both": (RECORDED.replace(" }", ", waypoints = [[0, 1, 2]] }"), r"should have waypoints or a file"),
     "neither": (RECORDED.replace(', file = "walk.txt"', ""), r"should have waypoints, or a file of waypoints"),
+    "node without a file": (
+        RECORDED.replace('file = "walk.txt"', "waypoints = [[0, 1, 2]], node = 1"),
+        r"1 needs a file",
+    ),
     "position": (f"evader.position = [1, 2]\n{RECORDED}", r"evader\.strategy: the record determines the initial pos"),
     "several": (f"evader.count = 2\n{RECORDED}", r"evader\.strategy: a record is of one evader"),
     "order": (

@@ -243,6 +243,7 @@ THERE = {
     "faults": "latency, faults",
     "evasive": "latency",
     "flooding": "latency, range limit, stale knowledge",
+    "recorded": "latency, range limit, stale knowledge",
     "imperfect": "latency, loss, range limit, faults, serial decisions, stale knowledge",
     "learning": "latency, loss",
     "many": "latency",

@@ -21,7 +21,11 @@ def by_key(given):
     return keys
 
 
-OF_GRAPH = tuple(f"network.graph.{each}" for each in ("edges.", "nodes", "directed"))
+FROM_FILES = {
+    "wired": tuple(f"network.graph.{each}" for each in ("edges.", "nodes", "directed")),
+    "recorded": ("evader.strategy.", "team.relay.0.motion."),
+}
+"""The beginnings of the keys whose values are in a data file of the scenario."""
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
@@ -29,7 +33,7 @@ def test_a_control_set_to_its_own_value_changes_nothing(file):
     scenario, source = load(file), read(file)
     source.tables.pop("sweep", None)
     for each in controls(scenario):
-        from_file = each.key.startswith(OF_GRAPH) and file.stem == "wired"  # its graph is in a file of its own
+        from_file = each.key.startswith(FROM_FILES.get(file.stem, ()))
         if each.value not in {"", "[]"} and not from_file:  # an empty list may exclude another key
             source.override(f"{each.key}{'.kind' if each.form == 'kind' else ''}={each.value}")
     found = validate(source)
