@@ -72,8 +72,8 @@ def _best(ages: Sequence[Age]) -> str:
     lines = [("N", "theory, ALOHA", *ACCESSES)]
     for size in TEAM_SIZES:
         measured = [[each for each in _of(ages, access, size) if isfinite(each.age.mean)] for access in ACCESSES]
-        best = [min(line, key=lambda each: each.age.mean) for line in measured]
-        found = [f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in best]
+        best = [min(line, key=lambda each: each.age.mean, default=None) for line in measured]
+        found = ["-" if each is None else f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in best]
         lines.append((str(size), f"{best_heartbeat(size):.2f} s", *found))
     return aligned(lines)
 

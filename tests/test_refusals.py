@@ -296,6 +296,7 @@ FAULTS = [
     "team.count = 9\nprotocol = { kind = 'sap', schedule = { kind = 'token_ring' } }\n"
     f"{RADIO}{ACCESS}kind = 'tdma'\nslot = 0.1",
     f"{RADIO}{ACCESS}kind = 'csma_ca'\nsifs = 0.1",
+    "[network]\npreset = 'lora_sf7'\nmedium = { access = 'ideal' }",
     "team.count = 3\n[network.medium]\nkind = 'lora'\naccess = 'aloha'\nspreading_factors = [7, 8]",
     "team.count = 2\n[network.medium]\nkind = 'lora'\n\nfrequencies = [868e6, 869e6]",
     "fault = [{ kind = 'crash', node = 1, start = 2.0 }, { kind = 'crash', node = 20, start = 2.0 }]",

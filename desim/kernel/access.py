@@ -14,7 +14,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Extent, Limit, Period, Time, Value
+from desim.config.model import MAX_TIME, Extent, Limit, Period, Time, Value
+from desim.kernel.clock import nanoseconds
 
 Window = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 
@@ -112,6 +113,11 @@ class CsmaCa(CarrierSensing):
             raise ValueError(
                 f"sensing_delay should be less than slot and difs, {shortest:g} s (got {self.sensing_delay:g})"
             )
+        longest = (self.window << self.doublings) * self.slot
+        if longest > MAX_TIME:
+            raise ValueError(
+                f"window * 2^doublings * slot, the longest back-off, should be at most {MAX_TIME:g} s (got {longest:g})"
+            )
         return self
 
 
@@ -133,7 +139,7 @@ class Tdma(Value):
 
     @model_validator(mode="after")
     def _has_room(self) -> Self:
-        if not self.guard < self.slot:
+        if not nanoseconds(self.guard) < nanoseconds(self.slot):
             raise ValueError(f"guard should be less than slot, {self.slot:g} s (got {self.guard:g})")
         return self
 

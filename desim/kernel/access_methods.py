@@ -1,6 +1,6 @@
 """The state of an access model in one run: it plans when each node senses the channel, and when it transmits.
 
-`method` returns the `AccessMethod` of a model. It plans the next action of each node in `Contenders.due`;
+`access_method` returns the `AccessMethod` of a model. It plans the next action of each node in `Contenders.due`;
 `desim.kernel.contention` performs the actions.
 """
 
@@ -43,7 +43,7 @@ class AccessMethod:
 
     senses: ClassVar[bool] = False
     """Whether nodes sense the channel."""
-    longest: int = NEVER
+    longest_airtime: int = NEVER
     """Longest airtime of a frame, ns."""
 
     def __init__(self, nodes: Contenders, rng: np.random.Generator):
@@ -201,7 +201,7 @@ class _Tdma(AccessMethod):
     def __init__(self, model: Tdma, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]):
         super().__init__(nodes, rng)
         self._slot, self._clocks = seconds(nanoseconds(model.slot)), clocks
-        self.longest = nanoseconds(model.slot) - nanoseconds(model.guard)
+        self.longest_airtime = nanoseconds(model.slot) - nanoseconds(model.guard)
         owners = model.owners(len(clocks))
         self._slots_per_round = len(owners)
         self._slots: list[list[int]] = [[] for _ in clocks]
@@ -228,7 +228,9 @@ class _Tdma(AccessMethod):
         return super().act(due, now)
 
 
-def method(model: Access, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]) -> AccessMethod:
+def access_method(
+    model: Access, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]
+) -> AccessMethod:
     """Return the state of an access model in one run.
 
     Args:

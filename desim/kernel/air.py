@@ -8,11 +8,12 @@ import numpy as np
 from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
-from desim.kernel.interference import CaptureEffect, Frame, Overlap, Signal
+from desim.kernel.interference import Frame, LoRaSignal, Overlap
 from desim.kernel.medium import LoRa, Radio
 from desim.kernel.positions import PositionSource, distances
 from desim.kernel.seeds import pair_uniform
 from desim.kernel.topology import Topology
+from desim.kernel.traits import InterferenceTraits
 
 
 class Air:
@@ -32,7 +33,7 @@ class Air:
     def __init__(self, env: Clock, medium: Radio, topology: Topology, positions: PositionSource | None, seed: int):
         self._env, self._medium, self._topology, self._positions, self._seed = env, medium, topology, positions, seed
         self._interference = medium.reception
-        self._locks = isinstance(medium.reception, CaptureEffect) and medium.reception.lock
+        self._locks = InterferenceTraits.of(medium.reception).lock
         self._all = np.arange(topology.size)
         self._frames: list[Frame] = []
         self._busy = self._busy_since = 0
@@ -99,7 +100,7 @@ class Air:
         found[found] = self._topology.reaches(frame.src, nodes[found], frame.draw)
         return found
 
-    def _signal(self, frame: Frame) -> Signal:
+    def _signal(self, frame: Frame) -> LoRaSignal:
         assert isinstance(self._medium, LoRa)
         return self._medium.signal(frame.src)
 

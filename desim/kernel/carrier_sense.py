@@ -90,7 +90,7 @@ class CarrierSense:
         state, now = self._nodes, self._env.now
         before = state.busy[nodes]
         state.busy[nodes] = before + change
-        changed = nodes[before == (change < 0)]
+        changed = nodes[before == (0 if change > 0 else 1)]  # those that begin or cease to sense a busy channel
         if not len(changed):
             return
         if change > 0:

@@ -12,7 +12,7 @@ from itertools import count
 from typing import Generic, TypeVar
 
 from desim.kernel.access import CsmaCa
-from desim.kernel.access_methods import Contenders, method
+from desim.kernel.access_methods import Contenders, access_method
 from desim.kernel.air import Air
 from desim.kernel.carrier_sense import CarrierSense
 from desim.kernel.clock import NEVER, Clock, Instant, NodeClock, Phase, nanoseconds
@@ -42,21 +42,18 @@ class Contention(Generic[Item]):
         clocks: the clocks of the nodes.
         seed: the seed of the run.
         start: called with a transmission when one of its frames starts.
-        leave: called after `start` with a transmission that is not acknowledged, and its airtime, ns.
-        land: called with a transmission that is not acknowledged when its frame ends, and the causes of its losses on
-            the air, by receiver.
-        attempt: called with an acknowledged transmission at the end of each attempt, and the number of the draws of the
-            attempt; draws the losses, and returns the cause, or None.
-        succeed: called with an acknowledged transmission at the end of the attempt that succeeds.
+        leave: called after `start` with a transmission that needs no acknowledgement, and its airtime, ns.
+        land: called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses
+            on the air, by receiver.
+        attempt: called with a transmission that needs an acknowledgement at the end of each attempt, and the number of
+            the draws of the attempt; draws the losses, and returns the cause, or None.
+        succeed: called with a transmission that needs an acknowledgement at the end of the attempt that succeeds.
         wait: called with each transmission, because it may have to wait.
         lose: called with a transmission that is given up, and the cause.
 
     Raises:
         ValueError: if there are no positions, but the model of interference or a sensing range needs them; or if the
             nodes do not fit the medium or its access model.
-
-    Attributes:
-        air: the frames on the air, and what was lost there.
     """
 
     channels = 1
@@ -82,9 +79,9 @@ class Contention(Generic[Item]):
         self._env, self._medium = env, medium
         self._start, self._leave, self._attempt, self._succeed = start, leave, attempt, succeed
         self._land, self._wait, self._lose = land, wait, lose
-        self.air = Air(env, medium, topology, positions, seed)
+        self._air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
-        self._access = method(access, self._nodes, stream(seed, "access"), clocks)
+        self._access = access_method(access, self._nodes, stream(seed, "access"), clocks)
         self._carrier = CarrierSense(env, access, self._access, self._nodes, topology, positions, self._plan)
         self._acknowledges = isinstance(access, CsmaCa)
         self._draws = count(FIRST_DRAW)
@@ -101,7 +98,7 @@ class Contention(Generic[Item]):
         """Let a transmission contend for the channel, after those of its node that wait."""
         queue = self._queues[item.src]
         self._wait(item)
-        if self._airtime(item) > self._access.longest:
+        if self._airtime(item) > self._access.longest_airtime:
             self._lose(item, "access")
             return
         queue.append(item)
@@ -126,29 +123,30 @@ class Contention(Generic[Item]):
         if item is not None:
             self._sending[src] = None
             taken.append(item)
+        self._repeated.difference_update(each.number for each in taken)
         return taken
 
     def waiting(self) -> Iterator[Item]:
         """Yield the transmissions that wait, and those on the air that are to be acknowledged."""
         for queue in self._queues:
             yield from queue
-        yield from (item for item in self._sending.values() if item is not None and self._is_acknowledged(item))
+        yield from (item for item in self._sending.values() if item is not None and self._needs_ack(item))
 
-    def airtime(self) -> int:
+    def busy_time(self) -> int:
         """Return the total time, ns, for which there have been frames on the air."""
-        return self.air.busy_time()
+        return self._air.busy_time()
 
     def _airtime(self, item: Item) -> int:
         return nanoseconds(self._medium.airtime(item.size, item.src))
 
-    def _is_acknowledged(self, item: Item) -> bool:
+    def _needs_ack(self, item: Item) -> bool:
         return self._acknowledges and item.to_one
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
         """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
-        if node in self._sending or self._nodes.ready[node]:
-            return  # at the end of its silence, another action of this instant may have come first
-        if self._queues[node] and self._env.now >= self._silent_until[node]:
+        # At the end of its silence, another action of this instant may have come first.
+        is_idle = node not in self._sending and not self._nodes.ready[node]
+        if is_idle and self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
             self._access.prepare(node, self._env.now, arrived=arrived)
             self._plan()
@@ -183,29 +181,28 @@ class Contention(Generic[Item]):
         self._nodes.ready[node], self._nodes.due[node] = False, NEVER
         self._sending[node] = item
         self._start(item)
-        is_repeated = self._is_acknowledged(item) and item.number in self._repeated
-        draw = next(self._draws) if is_repeated else item.number
+        draw = next(self._draws) if item.number in self._repeated else item.number
         frame = self._transmit(item.number, node, self._env.now, airtime, draw)
-        if not self._is_acknowledged(item):
+        if not self._needs_ack(item):
             self._leave(item, airtime)
         return frame
 
     def _transmit(self, number: int, node: int, begin: int, airtime: int, draw: int) -> Frame:
         """Put a frame on the air that begins now, or in a known time."""
         frame = Frame(number, draw, node, begin, begin + airtime, self._carrier.listeners(node))
-        self.air.add(frame)
+        self._air.add(frame)
         Instant(self._env, frame.end, Phase.DELIVERY).callbacks.append(lambda _: self._end(frame))
         return frame
 
     def _end(self, frame: Frame) -> None:
         """Take a frame from the air, and decide at which receivers it is lost."""
         if frame.number == ACKNOWLEDGEMENT:
-            self.air.remove(frame, [])
+            self._air.remove(frame, [])
             self._carrier.sense(frame, -1)
             return
         item, cause = self._sending.pop(frame.src), None
-        causes = self.air.remove(frame, item.receivers if item is not None else [])
-        if item is not None and not self._is_acknowledged(item):
+        causes = self._air.remove(frame, item.receivers if item is not None else [])
+        if item is not None and not self._needs_ack(item):
             self._land(item, causes)
         elif item is not None:
             cause = causes.get(item.receivers[0]) or self._attempt(item, frame.draw)

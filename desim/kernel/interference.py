@@ -16,6 +16,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.choice import OneOf
 from desim.config.model import RESOLUTION, Flag, Positive, Value
 from desim.kernel.portable_math import exp, log
+from desim.kernel.traits import InterferenceTraits
 
 Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
 Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
@@ -48,7 +49,7 @@ ISOLATION = {
 factors of the frame, 7 to 12, columns those of the other. The diagonals are not used."""
 
 
-class Signal(NamedTuple):
+class LoRaSignal(NamedTuple):
     """The parameters of a LoRa frame."""
 
     spreading_factor: int
@@ -99,12 +100,15 @@ class Overlap(NamedTuple):
     """The distances of the receivers from the sender of the frame, m."""
     uniforms: Callable[[Frame], Floats]
     """Uniform draws in (0, 1), the same in each call with the same frame and receiver."""
-    signal: Callable[[Frame], Signal]
+    signal: Callable[[Frame], LoRaSignal]
     """Returns the parameters of a LoRa frame; only for a medium of this kind."""
 
 
 class Interference(Protocol):
-    """A model of interference: `model(overlap)` returns (k,) whether each receiver gets the frame."""
+    """A model of interference: `model(overlap)` returns (k,) whether each receiver gets the frame.
+
+    A model may have an attribute `lock`; see `desim.kernel.traits.InterferenceTraits`.
+    """
 
     needs_positions: ClassVar[bool]
     """Whether the model uses distances."""
@@ -152,10 +156,10 @@ class CaptureEffect(Value):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
-        power = _decibels(overlap.distances(overlap.frame), self.exponent)
+        power = _relative_power(overlap.distances(overlap.frame), self.exponent)
         found = np.ones(len(power), dtype=bool)
         for other in overlap.others:
-            weaker = _decibels(overlap.distances(other), self.exponent) + self.threshold <= power
+            weaker = _relative_power(overlap.distances(other), self.exponent) + self.threshold <= power
             found &= weaker | ~overlap.audible(other)
         return found
 
@@ -201,7 +205,7 @@ class Sinr(Value):
         return enough
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
-        power: Floats = self.power * exp(-self.exponent * log(_apart(overlap.distances(frame))))
+        power: Floats = self.power * exp(-self.exponent * log(_at_least_nearest(overlap.distances(frame))))
         return power * -log(overlap.uniforms(frame)) if self.fading == "rayleigh" else power
 
 
@@ -232,13 +236,13 @@ class LoRaInterference(Value):
         own = overlap.signal(overlap.frame)
         symbol = 2**own.spreading_factor / own.bandwidth / RESOLUTION
         critical = overlap.frame.begin + round((own.preamble - 5) * symbol)
-        power = _decibels(overlap.distances(overlap.frame), self.exponent)
+        power = _relative_power(overlap.distances(overlap.frame), self.exponent)
         found = np.ones(len(power), dtype=bool)
         for other in overlap.others:
             signal = overlap.signal(other)
             if abs(signal.frequency - own.frequency) > SEPARATION * own.bandwidth or other.end <= critical:
                 continue
-            advantage = power - _decibels(overlap.distances(other), self.exponent)
+            advantage = power - _relative_power(overlap.distances(other), self.exponent)
             if signal.spreading_factor == own.spreading_factor:
                 found &= (advantage >= self.threshold) | ~overlap.audible(other)
             elif self.isolation != "orthogonal":
@@ -247,17 +251,23 @@ class LoRaInterference(Value):
         return found
 
 
-def _decibels(distances: Floats, exponent: float) -> Floats:
+def _relative_power(distances: Floats, exponent: float) -> Floats:
     """Return the power, dB, at some distances, m, relative to the power at 1 m."""
-    return log(_apart(distances)) * (-10.0 * exponent / LN_10)
+    return log(_at_least_nearest(distances)) * (-10.0 * exponent / LN_10)
 
 
-def _apart(distances: Floats) -> Floats:
+def _at_least_nearest(distances: Floats) -> Floats:
     """Return distances of at least `NEAREST`."""
     apart: Floats = np.maximum(distances, NEAREST)
     return apart
 
 
 INTERFERENCES = OneOf(
-    Collision, CaptureEffect, Sinr, LoRaInterference, needs=("needs_positions", "has_noise"), takes=("overlap",)
+    Collision,
+    CaptureEffect,
+    Sinr,
+    LoRaInterference,
+    needs=("needs_positions", "has_noise"),
+    takes=("overlap",),
+    traits=InterferenceTraits,
 )

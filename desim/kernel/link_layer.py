@@ -139,7 +139,7 @@ class LinkLayer:
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
-            busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
+            busy = self._transmitter.busy_time() / (self._transmitter.channels * now) if now else 0.0
         return self._log.counts(in_flight, busy)
 
     # The steps of a transmission.

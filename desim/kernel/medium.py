@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Limit, Value
 from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
-from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, Signal
+from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
@@ -54,8 +54,8 @@ class Radio(Value):
     reception: Annotated[Interference, INTERFERENCES] = Collision()
     """Which of the frames that overlap at a receiver it gets; no effect with `access.kind` "ideal"."""
 
-    duty_cycle: Annotated[float, Field(gt=0, le=1, strict=True)] | None = None
-    """Largest share of the time that a node transmits, in (0, 1]: after a frame of airtime T it is silent for
+    duty_cycle: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
+    """Largest share of the time that a node transmits, in [1e-6, 1]: after a frame of airtime T it is silent for
     T (1 / duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit."""
 
     @field_validator("access")
@@ -81,7 +81,10 @@ class Radio(Value):
     @classmethod
     def _limits_nodes_that_contend(cls, duty_cycle: float | None, info: ValidationInfo) -> float | None:
         if duty_cycle is not None and isinstance(info.data.get("access"), Ideal):
-            raise ValueError("a duty cycle needs nodes that contend: access.kind should not be 'ideal'")
+            raise ValueError(
+                "a duty cycle, given or from a preset such as lora_sf7, needs nodes that contend: access.kind should"
+                " not be 'ideal'"
+            )
         return duty_cycle
 
     def check(self, size: int) -> None:
@@ -186,11 +189,11 @@ class LoRa(Radio):
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
         return self._message(size, self.signal(node).spreading_factor)
 
-    def signal(self, node: int) -> Signal:
+    def signal(self, node: int) -> LoRaSignal:
         """Return the parameters of the frames of a node."""
         factor = self.spreading_factor if self.spreading_factors is None else self.spreading_factors[node]
         frequency = 0.0 if self.frequencies is None else self.frequencies[node]
-        return Signal(factor, self.bandwidth, frequency, self.preamble)
+        return LoRaSignal(factor, self.bandwidth, frequency, self.preamble)
 
     def _message(self, size: int, factor: int) -> float:
         full, rest = divmod(size, MAX_BYTES)

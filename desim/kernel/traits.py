@@ -1,4 +1,4 @@
-"""The optional methods of latency, loss and reception models; a user's model may have any of them."""
+"""The optional attributes of models of links; a user's model may have any of them."""
 
 from collections.abc import Callable, Iterable
 from typing import Annotated, Any
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from desim.config.arrays import Floats
+from desim.config.model import Flag
 from desim.config.traits import Traits, attributes
 from desim.kernel.link_context import LinkContext
 
@@ -40,6 +41,13 @@ def model_of_run(model: Any, size: int) -> Any:
     """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
     start_run = LinkTraits.of(model).start_run
     return start_run(size) if start_run is not None else model
+
+
+class InterferenceTraits(Traits):
+    """The optional attribute of a model of interference, in addition to `__call__`."""
+
+    lock: Flag = False
+    """Whether a receiver locks on to the first frame that it hears, see `desim.kernel.interference.CaptureEffect`."""
 
 
 class ReceptionTraits(Traits):

@@ -112,7 +112,7 @@ class Transmitter(Generic[Item]):
         """Yield the waiting transmissions."""
         return (item for waiting in self._waiting for item in waiting)
 
-    def airtime(self) -> int:
+    def busy_time(self) -> int:
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from math import inf
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
-from desim.kernel.access import Aloha, SlottedAloha, Tdma
+from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.clock import nanoseconds
 from desim.kernel.faults import Fault
 from desim.kernel.graphs import Complete
@@ -34,6 +35,8 @@ Latencies in seconds are usually far below it: in the files of `scenarios`, outs
 horizon. Latencies given in milliseconds by mistake are above it: even the 5 ms of a fast radio become 5 s, a sixth of
 the default horizon.
 """
+CSMA_UNUSED = MappingProxyType({"nonpersistent": ("p", "slot"), "p_persistent": ("backoff", "attempts")})
+"""The keys of CSMA that have no effect, by persistence."""
 
 
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -280,6 +283,11 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "without jitter, heartbeats of two pursuers that overlap once on this channel overlap each time: give it"
             " some jitter",
         )
+    if isinstance(access, Csma):
+        default, unused = dict(Csma()), CSMA_UNUSED[access.persistence]
+        others = [key for key in unused if dict(access)[key] != default[key]]
+        why = f"it has no effect with persistence {access.persistence!r}"
+        yield from ((f"network.medium.access.{key}", why) for key in others)
     if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
         yield (
             "network.medium.access.slot",

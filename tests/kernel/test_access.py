@@ -986,6 +986,8 @@ def test_no_node_exceeds_its_duty_cycle_whatever_the_access(load, access, duty_c
         (lambda: CsmaCa(sensing_delay=9e-6), "sensing_delay should be less than"),
         (lambda: CsmaCa(window=0), "window"),
         (lambda: Tdma(slot=0.001, guard=0.001), "guard should be less than slot"),
+        (lambda: CsmaCa(window=10**6, doublings=16, slot=1.0), "longest back-off, should be at most 1e\\+09 s"),
+        (lambda: Tdma(slot=0.01, guard=0.01 - 1e-12), "guard should be less than slot"),
         (lambda: Tdma(slots=()), "slots"),
         (lambda: SlottedAloha(slot=0.0), "slot"),
         (lambda: SlottedAloha(slot=0.001, p=0.0), "p"),
@@ -993,9 +995,13 @@ def test_no_node_exceeds_its_duty_cycle_whatever_the_access(load, access, duty_c
         (lambda: Csma(attempts=0), "attempts"),
         (lambda: Bitrate(bitrate=1e6, access=Aloha(), shared=True), "shared"),
         (lambda: Bitrate(bitrate=1e6, access={"kind": "token"}), "token"),
-        (lambda: Bitrate(bitrate=1e6, duty_cycle=0.5), "a duty cycle needs nodes that contend"),
+        (
+            lambda: Bitrate(bitrate=1e6, duty_cycle=0.5),
+            "a duty cycle, given or from a preset such as lora_sf7, needs nodes",
+        ),
         (lambda: Bitrate(bitrate=1e6, access=Aloha(), duty_cycle=0.0), "duty_cycle"),
         (lambda: Bitrate(bitrate=1e6, access=Aloha(), duty_cycle=1.1), "duty_cycle"),
+        (lambda: Bitrate(bitrate=1e6, access=Aloha(), duty_cycle=1e-320), "duty_cycle"),
     ],
 )
 def test_models_that_make_no_sense_are_refused(make, match):

@@ -1,6 +1,7 @@
 """Interference against its theory, and by hand on two or three nodes."""
 
 from math import exp, inf, pi, sin, sqrt
+from typing import ClassVar
 
 import networkx as nx
 import numpy as np
@@ -16,8 +17,8 @@ from desim.kernel.interference import (
     Collision,
     Frame,
     LoRaInterference,
+    LoRaSignal,
     Overlap,
-    Signal,
     Sinr,
 )
 from desim.kernel.links import Links
@@ -186,6 +187,23 @@ def test_a_receiver_does_not_lock_on_to_a_frame_that_it_does_not_hear():
         assert received(trace) == gets
 
 
+class FirstWins(Collision):
+    """A model of a user: all frames are received by the nodes that lock on to them."""
+
+    lock: ClassVar[bool] = True
+
+    def __call__(self, overlap):
+        return np.ones(len(overlap.receivers), dtype=bool)
+
+
+def test_receivers_can_lock_under_a_model_of_a_user():
+    clock, net, trace = network(FirstWins(), [1.0, 50.0, 0.0], graph=nx.Graph([(0, 2), (1, 2)]))
+    at(clock, 500, net.publish, 0, None, size=SIZE)
+    at(clock, 0, net.publish, 1, None, size=SIZE)
+    clock.run()
+    assert received(trace) == {(1, 2)}
+
+
 # Signal to interference and noise.
 
 
@@ -341,7 +359,7 @@ SYMBOL = 1_024_000
 def lora(own, other, apart, times=None, **model):
     """Return whether a receiver gets a frame, with the signals of two frames, their distances and times (symbols)."""
     times = times or [(0, 50), (10, 60)]
-    signals = [Signal(*{"sf": 7, "bw": 125e3, "f": 0.0, "preamble": 8, **each}.values()) for each in (own, other)]
+    signals = [LoRaSignal(*{"sf": 7, "bw": 125e3, "f": 0.0, "preamble": 8, **each}.values()) for each in (own, other)]
     in_ns = [(begin * SYMBOL, end * SYMBOL) for begin, end in times]
     (found,) = judged(LoRaInterference(**model), [[each] for each in apart], times=in_ns, signals=signals).tolist()
     return found

@@ -393,7 +393,7 @@ def test_the_queued_messages_of_a_node_are_withdrawn_and_the_others_remain():
         assert [item.name for item in radio.flush(1)] == ["B", "D"]
         run_until(clock, 10.0)
         assert list(radio.waiting()) == []
-        assert radio.airtime() == 4 * SECOND
+        assert radio.busy_time() == 4 * SECOND
 
     assert leaving(medium(shared=True), given) == [(0, "A"), (2, "C")]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
+from desim.kernel.access import Tdma
 from desim.kernel.events import Sent
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Ring, Star
@@ -423,3 +424,11 @@ def test_its_assumptions():
     assert why(protocol=Server(), fault=(Crash(node=1, start=1.0),)) == ["pursuers break down"]
     parted = (Partition(start=1.0, end=2.0, groups=((0,),)),)
     assert why(protocol=Server(), fault=parted) == ["a partition splits the team"]
+
+
+def test_the_host_waits_for_the_reports_of_the_first_round_of_a_tdma():
+    """Slots of 1 s: the report of pursuer 1 leaves at 1 s; 3 periods of the protocol take 0.3 s."""
+    medium = Bitrate(bitrate=1e5, access=Tdma(slot=1.0), queue_limit=1)
+    result = run(static(Server(), count=3, network=Links(medium=medium)), 0)
+    numbers = [each.body.number for each in result.trace.of(Sent) if isinstance(each.body, Order)]
+    assert min(numbers) >= SECOND

@@ -8,11 +8,14 @@ from pydantic import ValidationError
 
 from desim import Scenario
 from desim.config.model import fields_of
+from desim.kernel.access import Aloha
+from desim.kernel.interference import INTERFERENCES
 from desim.kernel.latency import LATENCIES
 from desim.kernel.links import Links
 from desim.kernel.loss import LOSSES
+from desim.kernel.medium import Bitrate
 from desim.kernel.reception import RECEPTION_MODELS
-from desim.kernel.traits import LinkTraits, ReceptionTraits
+from desim.kernel.traits import InterferenceTraits, LinkTraits, ReceptionTraits
 from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.traits import DisseminationTraits, ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
@@ -30,6 +33,7 @@ FAMILIES = {
     "latency": (LATENCIES, LinkTraits),
     "loss": (LOSSES, LinkTraits),
     "reception": (RECEPTION_MODELS, ReceptionTraits),
+    "interference": (INTERFERENCES, InterferenceTraits),
 }
 
 
@@ -51,6 +55,7 @@ class Own:
     """A class of a user that inherits nothing; it may be anything."""
 
     scope = "heard"
+    needs_positions = has_noise = False
 
     def __init__(self):
         self.announced = False
@@ -74,6 +79,7 @@ MAKE = {
     "latency": lambda own: Links(latency=own),
     "loss": lambda own: Links(loss=own),
     "reception": lambda own: Links(reception=own),
+    "interference": lambda own: Bitrate(bitrate=1e6, access=Aloha(), reception=own),
 }
 MISSPELT = {
     "protocol": [

@@ -5,7 +5,7 @@ from math import inf
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.access import Aloha, SlottedAloha, Tdma
+from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.graphs import Ring
@@ -118,6 +118,16 @@ def test_the_default_is_not_warned_of():
             {"network": Links(medium=FAST | {"access": Tdma(slot=0.05)}), "team": Team(count=2)},
             None,
             "",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Csma(p=0.1)})},
+            "network.medium.access.p",
+            "no effect with persistence 'nonpersistent'",
+        ),
+        (
+            {"network": Links(medium=FAST | {"access": Csma(persistence="p_persistent", attempts=3)})},
+            "network.medium.access.attempts",
+            "no effect with persistence 'p_persistent'",
         ),
         (
             {"network": Links(medium=FAST | {"reception": CaptureEffect()})},

@@ -311,6 +311,10 @@ def test_the_best_heartbeat_has_the_least_age_in_theory(monkeypatch):
     assert contention_runs.best_heartbeat(20) == pytest.approx(2 * 19 * contention_runs.AIRTIME)
 
 
+def test_a_channel_on_which_no_age_is_finite_has_no_best_heartbeat():
+    assert contention._best([]).splitlines()[1].split() == ["5", "0.10", "s", "-", "-", "-", "-"]
+
+
 @pytest.mark.slow
 def test_no_message_of_the_contention_study_is_longer_than_the_slots_are_made_for():
     for name, longest in contention_runs.LONGEST.items():
