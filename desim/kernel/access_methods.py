@@ -205,21 +205,21 @@ class _Tdma(AccessMethod):
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
         self._used = [-1] * len(clocks)
-        """The last slot that each node has used, from the start of the run."""
+        """The start of the last slot that each node has used, ns."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
         rounds = max(int(clock.at(now) / self._slot) // self._round - 1, 0)
         for k in (turn * self._round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]):
             start = clock.when(k * self._slot)
-            if start >= now and k > self._used[node]:
+            if start >= now and start > self._used[node]:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")
 
     def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
         for node in due.tolist():
-            self._used[node] = round(self._clocks[node].at(now) / self._slot)
+            self._used[node] = now
         return super().act(due, now)
 
 
