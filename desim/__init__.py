@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from desim.kernel.access import CsmaCa as CsmaCa
     from desim.kernel.access import SlottedAloha as SlottedAloha
     from desim.kernel.access import Tdma as Tdma
+    from desim.kernel.clock_sync import TwoWay as TwoWay
     from desim.kernel.faults import ClockSkew as ClockSkew
     from desim.kernel.faults import Crash as Crash
     from desim.kernel.faults import Jamming as Jamming
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from desim.pursuit.sensing import Sensing as Sensing
     from desim.scenario.examples import examples as examples
     from desim.scenario.scenario import Capture as Capture
+    from desim.scenario.scenario import Clocks as Clocks
     from desim.scenario.scenario import Evader as Evader
     from desim.scenario.scenario import Motion as Motion
     from desim.scenario.scenario import Recording as Recording
@@ -103,6 +105,7 @@ _NAMES = {
     "desim.analysis.metrics": ("summary",),
     "desim.config.data_files": ("open_data",),
     "desim.kernel.access": ("Aloha", "Csma", "CsmaCa", "SlottedAloha", "Tdma"),
+    "desim.kernel.clock_sync": ("TwoWay",),
     "desim.kernel.faults": ("ClockSkew", "Crash", "Jamming", "Partition", "RandomCrashes", "RandomFaults"),
     "desim.kernel.graphs": ("Complete", "Edge", "Edges", "Grid", "Link", "Ring", "Star"),
     "desim.kernel.interference": ("CaptureEffect", "Collision", "LoRaInterference", "Sinr"),
@@ -140,7 +143,7 @@ _NAMES = {
     "desim.pursuit.recorded": ("RecordedMotion", "RelayNode"),
     "desim.pursuit.sensing": ("Sensing",),
     "desim.scenario.examples": ("examples",),
-    "desim.scenario.scenario": ("Capture", "Evader", "Motion", "Recording", "Scenario", "Team"),
+    "desim.scenario.scenario": ("Capture", "Clocks", "Evader", "Motion", "Recording", "Scenario", "Team"),
     "desim.scenario.toml": ("load",),
     "desim.simulation.run": ("Result", "run"),
     "desim.study.explain": ("explain",),

@@ -190,6 +190,7 @@ def anything(seed):
             "duplicate": dice.one([0.0, 0.3]),
             "transport": transport(dice),
         },
+        "clocks": {"sync": dice.one(["none", {"kind": "two_way", "exchanges": 2}])},
         "fault": faults(dice, size, dice.one([1.0, np.inf])),
         "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
 from desim.kernel.clock import SECOND
-from desim.kernel.events import LOST, Broadcast, Delivered, Lost, Sent
+from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
 from desim.pursuit.announcements import announced_action, records_in, relayed_records
@@ -187,16 +187,33 @@ class _Clocks:
 
     def __init__(self, result: Result, size: int):
         self._errors = clock_errors(result.scenario.fault, size, result.seed)
-        self._right = not any(offset or drift for offset, drift in self._errors)
+        self._corrections: dict[int, list[tuple[int, float]]] = {}
+        """By node: the time, ns, and the value, s, of each correction, the newest first."""
+        for each in result.trace.of(ClockCorrected):
+            self._corrections.setdefault(each.node, [(0, 0.0)]).insert(0, (each.t, each.correction))
+        self._right = not self._corrections and not any(offset or drift for offset, drift in self._errors)
 
     def true_records(self, event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
         """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
         relays = relayed_records(event.body) is not None
-        return tuple(map(self._corrected, records_in(event))) if relays and not self._right else records_in(event)
+        if not relays or self._right:
+            return records_in(event)
+        return tuple(
+            record._replace(stamp=self._true(record.src, record.stamp, event.t)) for record in records_in(event)
+        )
 
-    def _corrected(self, record: Record) -> Record:
-        offset, drift = self._errors[record.src]
-        return record._replace(stamp=round((record.stamp - offset * SECOND) / (1.0 + drift)))
+    def _true(self, node: int, stamp: int, latest: int) -> int:
+        """Return the true time, ns, at which the clock of a node showed a stamp, ns; the last one up to `latest`.
+
+        A clock that has stepped back showed some stamps twice, and one that has stepped forward did not show some.
+        """
+        offset, drift = self._errors[node]
+        found = 0
+        for begin, correction in self._corrections.get(node, [(0, 0.0)]):
+            found = round((stamp - (offset + correction) * SECOND) / (1.0 + drift))
+            if begin <= found <= latest:
+                break
+        return found
 
 
 def _columns(records: list[Record]) -> _Announcements:

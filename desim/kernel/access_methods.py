@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Sequence
-from math import floor, inf
+from math import floor
 from typing import ClassVar
 
 import numpy as np
@@ -207,8 +207,8 @@ class _Tdma(AccessMethod):
         self._slots: list[list[int]] = [[] for _ in clocks]
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
-        self._used = [-inf] * len(clocks)
-        """The number of the last slot that each node has used; slot 0 begins when its clock shows 0."""
+        self._used = [-1] * len(clocks)
+        """The start of the last slot that each node has used, ns."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
@@ -217,14 +217,14 @@ class _Tdma(AccessMethod):
             turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
         ):
             start = clock.when(k * self._slot)
-            if start >= now and k > self._used[node]:
+            if start >= now and start > self._used[node]:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")
 
     def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
         for node in due.tolist():
-            self._used[node] = round(self._clocks[node].at(now) / self._slot)
+            self._used[node] = now
         return super().act(due, now)
 
 

@@ -168,11 +168,17 @@ class Timer:
 
 
 class NodeClock:
-    """The local clock of a node: at the true time t, s, it shows offset + rate * t, s."""
+    """The local clock of a node: at the true time t, s, it shows offset + correction + rate * t, s.
+
+    Attributes:
+        correction: what synchronisation has added to it, s.
+    """
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
         self._is_exact = offset == 0.0 and rate == 1.0
+        self._uncorrected = offset
+        self.correction = 0.0
 
     @property
     def now(self) -> float:
@@ -185,16 +191,27 @@ class NodeClock:
         return self._env.now if self._is_exact else round(self.now * SECOND)
 
     @property
+    def uncorrected(self) -> int:
+        """The local time without the correction, ns."""
+        return round((self._uncorrected + self._rate * (self._env._now / SECOND)) * SECOND)
+
+    @property
     def true(self) -> int:
         """The true time, ns."""
         return self._env.now
 
+    def correct(self, correction: int) -> None:
+        """Replace the correction, ns; the local time steps by the difference from the last one."""
+        self.correction = seconds(correction)
+        self._offset = self._uncorrected + self.correction
+        self._is_exact = self._offset == 0.0 and self._rate == 1.0
+
     def at(self, true: int) -> float:
-        """Return the local time (s) at a true time (ns)."""
+        """Return the local time (s) at a true time (ns), with the present correction."""
         return self._offset + self._rate * seconds(true)
 
     def when(self, time: float) -> int:
-        """Return the true time (ns) at a local time (s)."""
+        """Return the true time (ns) at a local time (s), with the present correction."""
         return round((time - self._offset) / self._rate * SECOND)
 
     def span(self, duration: float) -> int:

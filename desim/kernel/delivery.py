@@ -4,8 +4,8 @@ Records and messages whose arrival is certain at transmission are stored at once
 is not certain if a fault, a range check on arrival or half duplex can still prevent it; `desim.kernel.arrivals` then
 decides it when it is due.
 
-Planned faults leave the arrivals at a node that is up certain until the next of them begins or ends, except while a
-disc is jammed, because nodes may move into the disc.
+With planned faults, an arrival at a node that is up is certain if it is due before the next fault begins or ends. The
+exception is a jamming disc: nodes may move into it.
 """
 
 from collections.abc import Callable, Collection, Mapping

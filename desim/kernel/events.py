@@ -240,6 +240,15 @@ class TransportCounts(NamedTuple):
     """Sum of the times from sending to delivery over all delivered messages, ns."""
 
 
+class ClockCorrected(NamedTuple):
+    """A node corrected its clock by synchronisation."""
+
+    t: Nanoseconds
+    node: NodeId
+    correction: float
+    """What has been added to its clock since the start, s."""
+
+
 DELIVERIES = (Delivered, Retransmitted, GivenUp, Expired)
 """The types of events of transports about single messages, which are recorded if messages are."""
 TRANSPORT = (*DELIVERIES, DeadlineMissed, LivelinessLost, TransportCounts)

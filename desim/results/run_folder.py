@@ -17,6 +17,7 @@ from desim.kernel.events import (
     MESSAGES,
     TRANSPORT,
     Broadcast,
+    ClockCorrected,
     Event,
     Lost,
     MessageCounts,
@@ -36,7 +37,7 @@ from desim.simulation.run import Result, run
 
 EVENTS = (
     *(Started, Decided, BrokeDown, Sampled, Captured, Ended),
-    *(*MESSAGES, MessageCounts, *TRANSPORT, FaultStarted, FaultEnded),
+    *(*MESSAGES, MessageCounts, *TRANSPORT, ClockCorrected, FaultStarted, FaultEnded),
 )
 """The types of events in a trace."""
 

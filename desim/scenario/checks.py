@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.clock import nanoseconds
-from desim.kernel.faults import Fault
+from desim.kernel.clock_sync import Unsynchronised
+from desim.kernel.faults import ClockSkew, Fault
 from desim.kernel.graphs import Complete
 from desim.kernel.interference import Collision
 from desim.kernel.latency import mean_latency
@@ -193,6 +194,8 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if announce.trigger == "never" and _sends_announcements(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     yield from _transport_warnings(scenario)
+    if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
+        yield "clocks.sync", "it costs messages, and all clocks are right (`fault.kind` clock_skew makes them wrong)"
     for k, fault in enumerate(scenario.fault):
         if isinstance(fault, Fault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"

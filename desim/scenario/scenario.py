@@ -38,6 +38,7 @@ from desim.config.model import (
 from desim.config.traits import name_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
@@ -276,6 +277,13 @@ class Motion(Value):
     """Whether all players stand still and the time left stays at the horizon, so that the game never changes."""
 
 
+class Clocks(Value):
+    """The clocks of the pursuers; the fault `clock_skew` makes them wrong."""
+
+    sync: Annotated[ClockSync, CLOCK_SYNCS] = Unsynchronised()
+    """How the pursuers correct their clocks."""
+
+
 class Recording(Value):
     """The recordings of a run in addition to decisions and captures."""
 
@@ -321,6 +329,7 @@ class Scenario(Value):
     announce: Announcements = Field(default_factory=Announcements)
     """Content and times of the pursuers' announcements."""
     network: Links = Links()
+    clocks: Clocks = Clocks()
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
     """Faults of pursuers, clocks and the network."""
     record: Recording = Recording()
@@ -425,6 +434,8 @@ class Scenario(Value):
         protocol = self.protocol_traits
         if protocol.host is not None and protocol.host >= count:
             yield ("protocol", "host"), no_pursuer.format(protocol.host)
+        if isinstance(self.clocks.sync, TwoWay) and self.clocks.sync.reference >= count:
+            yield ("clocks", "sync", "reference"), no_pursuer.format(self.clocks.sync.reference)
         for part, traits, value in (
             ("schedule", ScheduleTraits, protocol.schedule),
             ("utility", UtilityTraits, protocol.utility),

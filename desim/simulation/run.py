@@ -8,6 +8,7 @@ from desim.config.arrays import Floats, Integers
 from desim.config.html import html_properties
 from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
+from desim.kernel.clock_sync import synchronise
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
@@ -171,6 +172,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         predicate=announces_chase,
         clocks=clocks,
     )
+    if scenario.protocol_traits.embodied:
+        synchronise(env, network, clocks, scenario.clocks.sync, seed, trace)
     sensor = _sensor(scenario, state, network, clocks)
     views = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)

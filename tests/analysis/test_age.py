@@ -23,7 +23,7 @@ from desim.analysis.age import (
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.events import LOST, Broadcast, ClockCorrected, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
 from desim.kernel.graphs import Ring
 from desim.kernel.latency import Constant, Uniform
@@ -173,6 +173,23 @@ def test_the_time_of_a_forwarded_record_is_corrected_for_the_clock_error_of_its_
     relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(8.0), ACTIVE))
     assert pair(by_hand((True,) * 3, 5.0, relay, fault=(skew,)), reader=2)[0] == 2.0
     assert pair(by_hand((True,) * 3, 5.0, relay), reader=2)[0] == -4.0  # the control
+
+
+@pytest.mark.parametrize(
+    ("stamp", "corrections", "created"),
+    [
+        (7.0, [(1.0, -1.0)], 2.0),  # 5 + 1.5 x 2 - 1
+        (5.3, [(1.0, -1.0)], 0.2),  # 5 + 1.5 x 0.2, before the correction: after it the clock shows 5.5 and more
+        (8.0, [(1.0, 1.0), (1.5, 0.0)], 2.0),
+        (6.5, [(1.0, -1.0)], 5.0 / 3),  # shown at 1 s and at 1.67 s: the later time counts
+    ],
+)
+def test_the_time_of_a_forwarded_record_is_corrected_for_the_synchronisation_of_its_source(stamp, corrections, created):
+    """The clock shows 5 + 1.5 t + correction; the record is forwarded at 2.5 s and received at 3 s, until 5 s."""
+    skew = ClockSkew(node=0, offset=5.0, drift=0.5)
+    relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(stamp), ACTIVE))
+    synced = [ClockCorrected(ns(t), 0, value) for t, value in corrections]
+    assert pair(by_hand((True,) * 3, 5.0, relay, *synced, fault=(skew,)), reader=2)[0] == pytest.approx(4.0 - created)
 
 
 def test_a_decision_depends_only_on_earlier_events_of_its_instant():

@@ -6,6 +6,7 @@ import pytest
 
 from desim import Scenario, run
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.clock_sync import TwoWay
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.graphs import Ring
@@ -17,7 +18,7 @@ from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.checks import latency_warnings, warnings
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.scenario import Capture, Clocks, Evader, Motion, Recording, Team
 from desim.study.sweep import SweepPlan
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
@@ -149,6 +150,7 @@ def test_the_default_is_not_warned_of():
             "network.medium.access.slot",
             "an announcement of 24 bytes takes 0.001 s on the air, longer than a slot of 0.000999 s",
         ),
+        ({"clocks": Clocks(sync=TwoWay())}, "clocks.sync", "it costs messages, and all clocks are right"),
         (
             {"announce": Announcements(trigger="never", dissemination=ReliableOneHop())},
             "announce.dissemination",
@@ -240,6 +242,7 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"network": RELIABLE, "announce": Announcements(dissemination=Flooding())},
         {"network": RELIABLE, "protocol": SpatialAdaptivePlay(schedule=TokenRing())},
         {"network": RELIABLE, "protocol": Server()},
+        {"clocks": Clocks(sync=TwoWay()), "fault": [ClockSkew(offset=0.1)]},
         {"network": RELIABLE, "protocol": users_own},
         {"network": RELIABLE, "sensing": Sensing(radius=9.0)},
         {"network": Links(transport=Reliable(window=9, history="keep_all")), "protocol": Server()},

@@ -27,6 +27,8 @@ from scenarios import (
     rivals,
     rivals_runs,
     table1,
+    transport,
+    transport_runs,
     two_clocks,
 )
 from scenarios import range as ranges
@@ -35,7 +37,20 @@ from tests.command import strict_json
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed
 
-STUDIES = (benchmarks, contention, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
+STUDIES = (
+    benchmarks,
+    contention,
+    delay,
+    evaders,
+    figures,
+    find_table1,
+    many,
+    ranges,
+    rivals,
+    table1,
+    transport,
+    two_clocks,
+)
 
 
 @pytest.mark.parametrize("module", STUDIES, ids=lambda module: module.__name__)
@@ -294,6 +309,23 @@ def test_the_contention_study_compares_channels_in_the_same_runs_and_measures_ag
     assert best < min(often, seldom)
     assert [each["interval"] for each in document["lora"]] == pytest.approx([6.2, 148.3], abs=0.05)
     assert "over before the second" in table
+    assert "mean age of information (s)" in picture
+
+
+@pytest.mark.slow
+def test_the_transport_study_spends_the_same_bytes_on_each_way_to_repeat(monkeypatch, study, shortened):
+    """In a game at rest, where many announcements are averaged; with few pursuits the bytes are about the same."""
+    shortened(3.0)
+    patch_study(monkeypatch, (transport, transport_runs), "SWEEPS", {"loss": (0.0, 0.5), "distance": (20.0,)})
+    document, table, picture = study(transport.main, "--runs", "2")
+    cells = {(each["swept"], each["value"], each["way"]): each for each in document["cells"]}
+    assert len(cells) == 3 * 5
+    rates = [cells["loss", 0.5, way]["age_rate"] for way in ("reliable", "heartbeats", "coded")]
+    assert rates == pytest.approx([rates[0]] * 3, rel=0.1)
+    assert cells["loss", 0.0, "once"]["difference"]["mean"] == 0.0
+    assert cells["loss", 0.5, "heartbeats"]["age"]["mean"] < cells["loss", 0.5, "reliable"]["age"]["mean"]
+    assert cells["distance", 20.0, "coded"]["age"] is None
+    assert "bytes/s, coded" in table
     assert "mean age of information (s)" in picture
 
 

@@ -253,7 +253,7 @@ THERE = {
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",
-    "reliable": "latency, loss, transport, stale knowledge, limited sight",
+    "reliable": "latency, loss, transport, faults, stale knowledge, limited sight",
     "search": "latency, limited sight",
     "server": "latency",
     "soak": "latency, loss, faults, serial decisions",

@@ -1,0 +1,177 @@
+"""Clock synchronisation: each node exchanges time stamps with a reference node, and corrects its clock.
+
+In a two-way exchange (Mills 1991, "Internet Time Synchronization: The Network Time Protocol") the node sends a request
+at t1 by its own clock. The reference receives it at t2 and answers at t3 by its clock, and the answer arrives at t4.
+
+    offset of the reference = ((t2 - t1) + (t3 - t4)) / 2
+
+The error is half the difference of the two latencies. It is half the asymmetry of constant latencies, and of m averaged
+exchanges with independent latencies of deviation s it has the deviation s / sqrt(2 m).
+
+The messages travel over the links of the network, may be lost, and are never retransmitted, because a repetition would
+carry an old stamp. The radio reads t1 and t3 as a transmission begins (hardware time stamps, as in IEEE 1588), so that
+waiting for a busy channel or a slot is no error; request and answer have the same size, and so the same airtime.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import count
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from desim.config.choice import OneOf
+from desim.config.model import Period, Value
+from desim.kernel.clock import Clock, NodeClock, Phase, Timer
+from desim.kernel.events import ClockCorrected, Trace
+from desim.kernel.inbox import Message
+from desim.kernel.message_size import HEADER, NUMBER
+from desim.kernel.network import Network
+from desim.kernel.records import Record
+from desim.kernel.seeds import stream
+from desim.kernel.transport import BestEffort
+
+PORT = "clock synchronisation"
+"""The port at which requests and answers arrive."""
+BEST_EFFORT = BestEffort()
+"""The transport of all messages."""
+
+
+class Unsynchronised(Value):
+    """Clocks are never corrected, and no message is sent."""
+
+    kind: Literal["none"] = "none"
+
+
+class TwoWay(Value):
+    """Each node asks a reference node for the time, and corrects its clock by the mean of several answers.
+
+    The reference must be in range; a node that gets no answer keeps its clock. A correction is a step of the clock, and
+    does not remove its drift, which accumulates until the next.
+    """
+
+    kind: Literal["two_way"] = "two_way"
+    reference: Annotated[int, Field(ge=0, strict=True)] = 0
+    """The node whose clock the others adopt."""
+    interval: Period = 0.1
+    """Time between two requests of a node, s."""
+    exchanges: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 8
+    """Number m of answers that are averaged for a correction."""
+
+
+ClockSync = Unsynchronised | TwoWay
+CLOCK_SYNCS = OneOf(Unsynchronised, TwoWay)
+
+
+class TimeRequest(NamedTuple):
+    """Asks for the time."""
+
+    number: int
+
+
+class TimeAnswer(NamedTuple):
+    """Answers a request."""
+
+    number: int
+    """That of the request."""
+    received: int
+    """t2, ns, by the clock of the reference; the radio adds t3."""
+
+
+SIZE = HEADER + 3 * NUMBER
+"""Bytes of a request or an answer, t3 included; the request is padded."""
+REMEMBERED = 64
+"""Number of requests of a node that may await answers."""
+
+
+class Synchroniser:
+    """The synchronisation of all clocks of a network in one run.
+
+    Args:
+        env: the clock of the simulation.
+        network: the network that carries the messages.
+        clocks: the clocks of the nodes.
+        model: the parameters.
+        seed: the seed of the random phases of the requests.
+        trace: receives the corrections; None if they are not needed.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        network: Network,
+        clocks: Sequence[NodeClock],
+        model: TwoWay,
+        seed: int,
+        trace: Trace | None = None,
+    ):
+        self._env, self._network, self._clocks, self._model, self._trace = env, network, clocks, model, trace
+        self._offsets: list[list[int]] = [[] for _ in clocks]
+        """The offsets of the reference, ns, that each node has measured since its last correction."""
+        self._numbers = count()
+        self._asked: list[dict[int, int]] = [{} for _ in clocks]
+        """By node: t1, ns, by its uncorrected clock, of each request that may still be answered, by number."""
+        self._answered: dict[int, int] = {}
+        """By number of a request: t3, ns, by the clock of the reference, as it travels with the answer."""
+        network.overhear(self._stamp)
+        self._timers: list[Timer] = []
+        for node, clock in enumerate(clocks):
+            self._listen(node)
+            self._timers.append(Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)))
+            if node != model.reference:
+                phase = stream(seed, "clock synchronisation", node).uniform(0.0, model.interval)
+                self._timers[node].set(clock.span(phase))
+
+    def _ask(self, node: int) -> None:
+        """Send a request, and plan the next."""
+        self._send(node, self._model.reference, TimeRequest(next(self._numbers)))
+        self._timers[node].set(self._env.now + self._clocks[node].span(self._model.interval))
+
+    def _send(self, src: int, dst: int, body: TimeRequest | TimeAnswer) -> None:
+        self._network.send(src, dst, body, port=PORT, size=SIZE, transport=BEST_EFFORT)
+
+    def _stamp(self, content: Record | Message, _: int) -> None:
+        """Read the clock of the sender of a request or an answer, whose transmission begins."""
+        body = content.body
+        if isinstance(body, TimeRequest):
+            asked = self._asked[content.src]
+            asked[body.number] = self._clocks[content.src].uncorrected
+            if len(asked) > REMEMBERED:
+                del asked[next(iter(asked))]
+        elif isinstance(body, TimeAnswer):
+            self._answered[body.number] = self._clocks[content.src].stamp
+            if len(self._answered) > REMEMBERED * len(self._clocks):
+                del self._answered[next(iter(self._answered))]
+
+    def _listen(self, node: int) -> None:
+        """Take the next messages of a node as they arrive."""
+        event = self._network.inbox(node, PORT).arrival(Phase.DELIVERY + 1 + node)
+        event.callbacks.append(lambda _: self._receive(node))
+
+    def _receive(self, node: int) -> None:
+        """Answer requests, and use answers."""
+        for src, _, body in self._network.inbox(node, PORT).drain():
+            if isinstance(body, TimeRequest):
+                self._send(node, src, TimeAnswer(body.number, self._clocks[node].stamp))
+            elif body.number in self._asked[node] and body.number in self._answered:
+                self._use(node, self._asked[node].pop(body.number), body.received, self._answered.pop(body.number))
+        self._listen(node)
+
+    def _use(self, node: int, sent: int, received: int, answered: int) -> None:
+        """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""
+        clock, offsets = self._clocks[node], self._offsets[node]
+        offsets.append((received - sent + answered - clock.uncorrected) // 2)
+        if len(offsets) < self._model.exchanges:
+            return
+        clock.correct(round(sum(offsets) / len(offsets)))
+        offsets.clear()
+        if self._trace is not None:
+            self._trace.append(ClockCorrected(self._env.now, node, clock.correction))
+
+
+def synchronise(
+    env: Clock, network: Network, clocks: Sequence[NodeClock], model: ClockSync, seed: int, trace: Trace | None = None
+) -> None:
+    """Start the synchronisation of the clocks of a network; see `Synchroniser`."""
+    if isinstance(model, TwoWay):
+        Synchroniser(env, network, clocks, model, seed, trace)

@@ -1,0 +1,234 @@
+"""The scenarios and measurements of `python -m scenarios.transport`."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from desim import Result, Scenario
+from desim.analysis.age import age_mean
+from desim.analysis.metrics import active_time, captured, end_time, messages, switches
+from desim.analysis.statistics import Estimate, estimate
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.message_size import HEADER
+from desim.kernel.transport_frames import piece_size
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import Evader, Motion, Recording, Team
+from protocols.dissemination import CodedOneHop, ReliableOneHop
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+from scenarios.study import Options
+
+N = 10
+SIZE = HEADER + 8
+"""Bytes of an announcement of an action."""
+COPY = piece_size(SIZE, 1)
+"""Bytes of one of the copies of an announcement that is coded by repetition."""
+JITTER = 0.5
+"""Jitter of the heartbeats."""
+PERIOD = 0.5
+"""Time between two announcements in a game at rest, s; that of heartbeats follows from equal bytes."""
+REST, N_REST = 10.0, 5
+"""Duration, s, and number of pursuers of a game at rest."""
+ONCE, RELIABLE, BACKOFF, HEARTBEATS, CODED = "once", "reliable", "reliable, back-off", "heartbeats", "coded"
+WAYS = (ONCE, RELIABLE, BACKOFF, HEARTBEATS, CODED)
+"""How a change of action is announced: once; retransmitted after 5/4 of a round trip each, or with a back-off of 2;
+repeated by heartbeats; or repeated so many times, `SPACING` apart. The last two have the bytes of `RELIABLE`."""
+SPACING = 0.05
+"""Time between two copies of a change of action, s."""
+EQUAL = (HEARTBEATS, CODED)
+"""The ways whose parameters follow from the bytes of `RELIABLE`."""
+REFERENCE = HEARTBEATS
+"""The way with which the others are compared."""
+
+
+class Setting(NamedTuple):
+    """The imperfections of all links, and the length of a pursuit."""
+
+    loss: float = 0.3
+    """Share of the messages that are lost."""
+    burst: float = 0.0
+    """Mean duration of a bad period, s, in which all messages are lost; 0: losses are independent."""
+    latency: float = 0.05
+    """s"""
+    distance: float = 0.0
+    """Distance of the evader from the middle of the team at the start, m, so that a pursuit takes longer and actions
+    change less often; 0: it starts in the middle, as in the paper."""
+
+    @property
+    def timeout(self) -> float:
+        """5/4 of a round trip, s."""
+        return 2.5 * self.latency
+
+    def links(self) -> Links:
+        """Return the links of the network."""
+        bursts = GilbertElliott(share=self.loss, burst=max(self.burst, 1e-3), advance="time")
+        return Links(
+            latency=Constant(value=self.latency), loss=bursts if self.burst and self.loss else Bernoulli(p=self.loss)
+        )
+
+
+SWEEPS: Mapping[str, Sequence[float]] = MappingProxyType(
+    {
+        "loss": (0.0, 0.1, 0.3, 0.5, 0.7),
+        "burst": (0.0, 0.1, 0.3, 1.0, 3.0),
+        "latency": (0.01, 0.05, 0.2, 0.5),
+        "distance": (0.0, 10.0, 20.0, 40.0),
+    }
+)
+"""The values of each property of a setting; the others have their defaults."""
+WITH_AGES = ("loss", "burst", "latency")
+"""The properties over which the age of information is measured."""
+
+
+class Budget(NamedTuple):
+    """What `RELIABLE` takes in a setting."""
+
+    bytes: float
+    """Bytes per second of all pursuers together."""
+    changes: float = 0.0
+    """Announcements of a change of action per second."""
+
+
+class Run(NamedTuple):
+    """What is measured in one run."""
+
+    value: float
+    """The sum of active times, or the mean age of information, s."""
+    duration: float
+    """s"""
+    captured: bool
+    changes: int
+    """Number of changes of action."""
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The results of one way to announce in one setting."""
+
+    swept: str
+    """The property that varies."""
+    value: float
+    way: str
+    active_time: Estimate
+    difference: Estimate
+    """Paired difference of the active time from that of `REFERENCE`, s."""
+    captured: float
+    """Share of the pursuits that end with a capture."""
+    rate: float
+    """Bytes per second of a pursuit."""
+    age: Estimate | None
+    """Mean age of information in a game at rest, s; None: not measured."""
+    age_rate: float | None
+    """Bytes per second of a game at rest."""
+
+
+def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
+    """Return the scenario of Lee & Bakolas in a setting.
+
+    Args:
+        setting: the links and the distance.
+        way: how changes of actions are announced.
+        budget: what `RELIABLE` takes, for the ways that take as much.
+    """
+    if way == HEARTBEATS:
+        assert budget is not None
+        period = N * SIZE / (budget.bytes - SIZE * budget.changes)
+        return _scenario(setting, Announcements(heartbeat=period, jitter=JITTER))
+    copies = round(budget.bytes / (budget.changes * COPY)) if budget is not None else 1
+    return _scenario(
+        setting, Announcements(trigger="change", dissemination=dissemination(setting, way, copies, SPACING))
+    )
+
+
+def at_rest(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
+    """Return a game at rest, in which each pursuer announces its action periodically; see `pursuit`."""
+    period, spread = PERIOD, "one_hop"
+    if way == HEARTBEATS:
+        assert budget is not None
+        period = N_REST * SIZE / budget.bytes
+    else:
+        copies = round(budget.bytes * PERIOD / (N_REST * COPY)) if budget is not None else 1
+        spread = dissemination(setting, way, copies, PERIOD / max(copies, 1))
+    announce = Announcements(trigger="heartbeat", heartbeat=period, jitter=JITTER, dissemination=spread)
+    record = Recording(trajectory=0.0, messages=True)
+    return _scenario(setting, announce, N_REST, motion=Motion(static=True), horizon=REST, record=record)
+
+
+def dissemination(setting: Setting, way: str, copies: int, spacing: float) -> Any:
+    """Return the dissemination of a way to announce; of `CODED` with so many copies, `spacing` s apart."""
+    if way == CODED:
+        return CodedOneHop(pieces=min(max(copies, 1), 255), spacing=spacing)
+    backoff = 2.0 if way == BACKOFF else 1.0
+    return ReliableOneHop(timeout=setting.timeout, backoff=backoff) if way in {RELIABLE, BACKOFF} else "one_hop"
+
+
+def _scenario(setting: Setting, announce: Announcements, size: int = N, **more: Any) -> Scenario:
+    return Scenario(
+        name="transport",
+        team=Team(count=size),
+        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=5.0)),
+        announce=announce,
+        network=setting.links(),
+        evader=Evader(position=(10.0 + setting.distance, 10.0) if setting.distance else None),
+        **({"record": Recording(trajectory=0.0), "horizon": 60.0} | more),
+    )
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run each way to announce in each setting."""
+    settings = {(name, value): Setting(**{name: value}) for name, values in SWEEPS.items() for value in values}
+    pursued = _with_equal_bytes(options, settings, pursuit, "pursuits", _pursued)
+    resting = {key: setting for key, setting in settings.items() if key[0] in WITH_AGES}
+    rested = _with_equal_bytes(options, resting, at_rest, "ages", _rested)
+    return [
+        _cell(
+            name, value, way, pursued[name, value, way], pursued[name, value, REFERENCE], rested.get((name, value, way))
+        )
+        for name, value in settings
+        for way in WAYS
+    ]
+
+
+def _cell(
+    name: str, value: float, way: str, runs: Sequence[Run], reference: Sequence[Run], ages: Sequence[Run] | None
+) -> Cell:
+    """Return the results of one way in one setting, given its runs, those of `REFERENCE` and those at rest."""
+    times, others = (np.array([run.value for run in each]) for each in (runs, reference))
+    caught = sum(run.captured for run in runs) / len(runs)
+    age, rate = (estimate([run.value for run in ages]), budget_of(ages).bytes) if ages else (None, None)
+    return Cell(name, value, way, estimate(times), estimate(times - others), caught, budget_of(runs).bytes, age, rate)
+
+
+def _with_equal_bytes(
+    options: Options,
+    settings: Mapping[tuple[str, float], Setting],
+    make: Callable[..., Scenario],
+    label: str,
+    metric: Callable[[Result], Run],
+) -> dict[tuple[str, float, str], list[Run]]:
+    """Run each way in each setting; first those with bytes of their own, then those with the bytes of `RELIABLE`."""
+    own = [(*key, way) for key in settings for way in WAYS if way not in EQUAL]
+    runs = dict(zip(own, options.measure([make(settings[key[:2]], key[2]) for key in own], label, metric), strict=True))
+    equal = [(*key, way) for key in settings for way in EQUAL]
+    scenarios = [make(settings[key[:2]], key[2], budget_of(runs[*key[:2], RELIABLE])) for key in equal]
+    return runs | dict(zip(equal, options.measure(scenarios, f"{label}, equal bytes", metric), strict=True))
+
+
+def budget_of(runs: Sequence[Run]) -> Budget:
+    """Return what some runs took per second."""
+    duration = sum(run.duration for run in runs)
+    return Budget(sum(run.bytes for run in runs) / duration, sum(run.changes for run in runs) / duration)
+
+
+def _pursued(result: Result) -> Run:
+    return Run(active_time(result), end_time(result), captured(result), switches(result), messages(result).bytes_sent)
+
+
+def _rested(result: Result) -> Run:
+    return Run(age_mean(result), end_time(result), False, 0, messages(result).bytes_sent)
