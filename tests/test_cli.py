@@ -124,7 +124,7 @@ def test_an_override_in_two_words_is_refused_before_they_count_as_arguments(file
         ("radius = 0.1", "radius: unknown key, did you mean sensing.radius or capture.radius?; "),
         ("lost_after = 0.1", "lost_after: unknown key, did you mean sensing.track_timeout?; "),
         ("speed = 0.1", "speed: unknown key, did you mean 'seed' or evader.speed?; "),
-        ("start = 0.1", "start: unknown key, did you mean fault.0.start?; "),
+        ("memory = true", "memory: unknown key, did you mean fault.0.memory?; "),
         ("network.seed = 1", "network.seed: unknown key, did you mean seed at the top?; "),
         (
             "network.latency = { kind = 'constant', low = 1.0 }",

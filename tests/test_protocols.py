@@ -12,7 +12,6 @@ import pytest
 
 import protocols
 from desim import Scenario, load, run
-from desim.config.model import annotated
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
@@ -264,7 +263,11 @@ def test_each_protocol_and_dissemination_of_the_repository_has_an_entry_in_the_t
     for file in Path(protocols.__file__).parent.glob("[a-z]*.py"):
         module = import_module(f"protocols.{file.stem}")
         for name, model in vars(module).items():
-            if isinstance(model, type) and model.__module__ == module.__name__ and "kind" in annotated(model):
+            if (
+                isinstance(model, type)
+                and model.__module__ == module.__name__
+                and "kind" in getattr(model, "model_fields", {})
+            ):
                 group = "desim.disseminations" if hasattr(model, "broadcast") else "desim.protocols"
                 if [*signature(model.__call__).parameters] == ["self", "me"]:
                     found[group].add(f"{module.__name__}:{name}")

@@ -101,6 +101,8 @@ PLACES = {
     "network.reception": "network.reception = {}",
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",
+    "network.transport": "network.transport = {}",
+    "clocks.sync": "clocks.sync = {}",
     "network.link.0.latency": "network.link = [{{ src = 0, dst = 1, latency = {} }}]",
     "network.graph.edges.0.loss": 'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, loss = {} }}] }}',
     "evader.strategy": "evader.strategy = {}",
@@ -173,7 +175,7 @@ def test_every_command_with_keys_has_the_option():
             yield from every(each) if isinstance(each, click.Group) else [each]
 
     found = [{option for param in each.params for option in param.opts} for each in every(main)]
-    assert len([each for each in found if "--set" in each]) == 8
+    assert len([each for each in found if "--set" in each]) == 9
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 

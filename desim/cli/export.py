@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 KINDS = (
     *("Started", "Decided", "BrokeDown", "Sampled", "Captured", "Ended"),
-    *("Queued", "Broadcast", "Sent", "Lost", "MessageCounts", "FaultStarted", "FaultEnded"),
+    *("Queued", "Broadcast", "Sent", "Lost", "MessageCounts", "Delivered", "Retransmitted", "GivenUp", "Expired"),
+    *("DeadlineMissed", "LivelinessLost", "TransportCounts", "ClockCorrected", "FaultStarted", "FaultEnded"),
 )
 """The types of events, as in `desim.results.run_folder`, which is slow to import."""
 

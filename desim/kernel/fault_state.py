@@ -120,7 +120,7 @@ class FaultState:
         """
         if not self._jams or self._positions is None:
             return None
-        x, y = self._positions.at(np.asarray(nodes), times).T
+        x, y = self._positions.at(np.asarray(nodes, dtype=np.intp), times).T
         within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
         inside: list[bool] = (within[0] if len(within) == 1 else np.any(within, axis=0)).tolist()
         return inside

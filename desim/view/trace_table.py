@@ -14,7 +14,20 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from desim.config.trust import csv_cell
 from desim.kernel.clock import seconds
-from desim.kernel.events import LOST, Broadcast, Event, Lost, Queued, Sent
+from desim.kernel.events import (
+    LOST,
+    Broadcast,
+    DeadlineMissed,
+    Delivered,
+    Event,
+    Expired,
+    GivenUp,
+    LivelinessLost,
+    Lost,
+    Queued,
+    Retransmitted,
+    Sent,
+)
 from desim.kernel.trace_file import body_json
 from desim.pursuit.events import Sampled, Started
 from desim.results.run_folder import EVENTS
@@ -67,6 +80,20 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "transmissions": Column("int64", "Transmissions, whatever the number of receivers"),
         "bytes_sent": Column("int64", "Bytes of all transmissions"),
         "utilisation": Column("float64", "Share of time for which the channel was busy, in [0, 1]"),
+        "port": Column("string", "Port of the message, of a transport"),
+        "to_all": Column("int64", "Whether the message was sent to all neighbours, 1, or to this receiver, 0"),
+        "attempt": Column("int64", "Number of the attempt, or of the piece, from 1 on"),
+        "submitted": Column("int64", "Messages given to a transport up to the end, one for each receiver"),
+        "expired": Column("int64", "Messages dropped by their receivers because of the lifespan"),
+        "given_up": Column("string", "Messages given up by their senders by cause, JSON"),
+        "attempts": Column("int64", "Transmissions of messages, or of pieces, to each of their receivers"),
+        "retransmissions": Column("int64", "Transmissions of messages that were not the first"),
+        "acknowledgements": Column("int64", "Acknowledgements"),
+        "deadlines_missed": Column("int64", "Deadlines missed"),
+        "lives_lost": Column("int64", "Times that a node lost the liveliness of another"),
+        "delay": Column("float64", "Sum of the times from sending to delivery over all delivered messages, s"),
+        "node": Column("int64", "Node that corrected its clock"),
+        "correction": Column("float64", "What has been added to its clock since the start, s"),
         "fault": Column("string", "Fault that started or ended, JSON as in `trace.jsonl`"),
     }
 )
@@ -166,13 +193,15 @@ def _receivers(event: Event) -> list[Row]:
             return [{"dst": dst, "arrival": None if t == LOST else seconds(t)} for dst, t in event.fates()]
         case Queued():
             return [{"dst": dst} for dst in event.dst]
-        case Lost():
+        case Lost() | Delivered() | Retransmitted() | GivenUp() | Expired() | DeadlineMissed() | LivelinessLost():
             return [{"dst": event.dst}]
     return []
 
 
 def _value(name: str, value: Any) -> Any:
     """Return the value of a field as that of its column."""
-    if name == "created":
+    if name in {"created", "delay"}:
         return seconds(value)
-    return body_json(value) if name in {"body", "lost_by", "fault"} else value
+    if name == "to_all":
+        return int(value)
+    return body_json(value) if name in {"body", "lost_by", "given_up", "fault"} else value

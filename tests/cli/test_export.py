@@ -134,7 +134,7 @@ def test_after_an_error_the_older_file_is_as_it_was(recorded, tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["trace.jsonl", "x.csv"]
 
 
-@pytest.mark.parametrize(("suffix", "package", "extra"), [("parquet", "pyarrow", "frame"), ("mcap", "mcap", "mcap")])
+@pytest.mark.parametrize(("suffix", "package", "extra"), [("parquet", "pyarrow", "parquet"), ("mcap", "mcap", "mcap")])
 def test_a_package_that_is_missing_is_named_with_its_extra(recorded, tmp_path, monkeypatch, suffix, package, extra):
     for name in [each for each in sys.modules if each.partition(".")[0] == package]:
         monkeypatch.setitem(sys.modules, name, None)

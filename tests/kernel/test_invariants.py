@@ -284,8 +284,8 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
 class SilentLoss(Arrivals):
     """It loses an arriving message and does not record it."""
 
-    def _land(self, transmission, nodes, *rest, **options):
-        super()._land(transmission, nodes[1:], *rest, **options)
+    def _land(self, flight, nodes, **options):
+        super()._land(flight, nodes[1:], **options)
 
 
 class SendsWhenDown(LinkLayer):
@@ -301,8 +301,8 @@ class SendsWhenDown(LinkLayer):
 class Unbreakable(Arrivals):
     """Nothing keeps a message from arriving."""
 
-    def _causes(self, batch):
-        return None
+    def _causes(self, nodes, times, flights):
+        return {}
 
 
 class Leaky(MessageLog):

@@ -299,6 +299,7 @@ OTHERS = {
     "sensing": {"sensing": {"radius": 5.0}},
     "capture": {"capture": {"radius": 0.2}},
     "motion": {"motion": {"step": 0.02}},
+    "clocks": {"clocks": {"sync": {"kind": "two_way"}}},
     "protocol": {"protocol": BestResponse()},
     "protocol's parameter": {"protocol": SpatialAdaptivePlay(tau=ConstantTau(value=0.3))},
     "announce": {"announce": {"heartbeat": 0.3}},

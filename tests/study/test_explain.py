@@ -24,6 +24,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Motion, Recording, Team
@@ -63,6 +64,8 @@ BAD = GOOD.model_copy(
         "network": Links(
             latency=Constant(value=0.4),
             loss=Bernoulli(p=0.5),
+            duplicate=Bernoulli(p=0.2),
+            transport=Reliable(timeout=0.2),
             range=12.0,
             medium=Bitrate(bitrate=20_000.0, access=Aloha()),
         ),
@@ -160,10 +163,7 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
         assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
         assert not cost.interacts
-    absent = (
-        "latency, contention, loss, transport, range limit, faults, serial decisions, stale knowledge, limited sight"
-    )
-    assert f"\nabsent: {absent}" in found.table()
+    assert f"\nabsent: {', '.join(IMPERFECTIONS)}" in found.table()
 
 
 @pytest.mark.slow
@@ -261,7 +261,8 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
-        "absent: contention, transport, range limit, faults, serial decisions, stale knowledge, limited sight\n"
+        "absent: contention, duplicates, transport, range limit, faults, serial decisions, stale knowledge, limited"
+        " sight\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
@@ -735,7 +736,8 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing", "excludes_0"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    assert document["absent"] == ["contention", "loss", "transport", "range limit", "stale knowledge", "limited sight"]
+    absent = ["contention", "loss", "duplicates", "transport", "range limit", "stale knowledge", "limited sight"]
+    assert document["absent"] == absent
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
 

@@ -10,7 +10,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import LOST, Lost, MessageCounts, Queued, Sent
+from desim.kernel.events import (
+    LOST,
+    Broadcast,
+    ClockCorrected,
+    DeadlineMissed,
+    Delivered,
+    Expired,
+    GivenUp,
+    LivelinessLost,
+    Lost,
+    MessageCounts,
+    Queued,
+    Retransmitted,
+    Sent,
+    TransportCounts,
+)
 from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.trace_file import events_of, line_of
 from desim.pursuit.events import FORMAT, Captured, Decided, Ended, Sampled, Started
@@ -19,7 +34,7 @@ from desim.view import trace_table
 from desim.view.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
 from tests.kernel.test_trace_file import EVENTS as MESSAGE_EVENTS
 from tests.kernel.test_trace_file import NODES, TIMES
-from tests.view.by_hand import history
+from tests.view.by_hand import MS, history
 
 pytestmark = pytest.mark.own_trace
 
@@ -31,6 +46,7 @@ teams = st.integers(0, 3).flatmap(
         TIMES,
         points,
         *(st.tuples(*[each] * size) for each in (st.tuples(numbers, numbers), numbers, NODES)),
+        format=st.just(FORMAT),
     )
 )
 EVERYTHING = (
@@ -63,7 +79,9 @@ def line_from(table):
     """Return the line of the trace file of an event, given its rows."""
     first = dict(table[0])
     del first["line"]
-    for name in ("body", "lost_by", "fault"):
+    if "to_all" in first:
+        first["to_all"] = bool(first["to_all"])
+    for name in ("body", "lost_by", "given_up", "fault"):
         if name in first:
             first[name] = json.loads(first[name])
     kind = first["event"]
@@ -97,7 +115,7 @@ def plain(events):
     """Return events as they are read from a trace file, with an arrival for each receiver of a broadcast."""
     found = events_of(map(line_of, events), EVENTS)
     return [
-        event._replace(arrival=tuple(t for _, t in event.fates())) if hasattr(event, "seq") else event
+        event._replace(arrival=tuple(t for _, t in event.fates())) if isinstance(event, Broadcast) else event
         for event in found
     ]
 
@@ -106,7 +124,7 @@ def fits(event):
     """Return whether a broadcast has an arrival for each receiver, or one for all; and players have places."""
     if isinstance(event, Started | Sampled):
         return bool(event.pursuers or event.evaders)
-    return not hasattr(event, "seq") or len(event.arrival) in {1, len(event.dst)}
+    return not isinstance(event, Broadcast) or len(event.arrival) in {1, len(event.dst)}
 
 
 @pytest.mark.slow
@@ -121,7 +139,18 @@ def test_a_table_holds_all_of_a_trace(tmp_path_factory, events):
 
 
 def test_the_rows_of_a_run_that_has_all_kinds_of_events(tmp_path):
-    events = history().trace.events
+    way = (600 * MS, 0, 1, "port")
+    transported = [
+        Delivered(*way, False, 1, 500 * MS, 2, {"active": 1}),
+        Retransmitted(*way, True, 1, 2),
+        GivenUp(*way, False, 1, "repeats"),
+        Expired(*way, False, 1),
+        DeadlineMissed(*way),
+        LivelinessLost(*way),
+        TransportCounts(600 * MS, 4, 1, 1, {"repeats": 1}, 5, 1, 1, 1, 1, 100 * MS),
+        ClockCorrected(600 * MS, 1, 0.25),
+    ]
+    events = history(*transported).trace.events
     assert {type(event).__name__ for event in events} == set(KINDS)
     write_csv(events, tmp_path / "x.csv")
     again = read_csv(tmp_path / "x.csv")
