@@ -100,6 +100,8 @@ PLACES = {
     "network.reception": "network.reception = {}",
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",
+    "network.transport": "network.transport = {}",
+    "clocks.sync": "clocks.sync = {}",
     "network.link.0.latency": "network.link = [{{ src = 0, dst = 1, latency = {} }}]",
     "network.graph.edges.0.loss": 'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, loss = {} }}] }}',
     "evader.strategy": "evader.strategy = {}",

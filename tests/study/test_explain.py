@@ -24,6 +24,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.transport import Coded
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Motion, Recording, Team
@@ -65,6 +66,7 @@ BAD = GOOD.model_copy(
             loss=Bernoulli(p=0.5),
             range=12.0,
             medium=Bitrate(bitrate=20_000.0, access=Aloha()),
+            transport=Coded(pieces=2),
         ),
         "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
