@@ -122,6 +122,7 @@ class ReliableOneHop(Reliable):
     """
 
     hops: ClassVar[int] = 1
+    kind: Literal["reliable"] = "reliable"
     window: Window = 1
     """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait."""
     depth: Depth = 1
@@ -148,6 +149,7 @@ class CodedOneHop(Coded):
     """
 
     hops: ClassVar[int] = 1
+    kind: Literal["coded"] = "coded"
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the pieces of the announcement to the neighbours."""

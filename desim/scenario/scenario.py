@@ -283,6 +283,13 @@ class Clocks(Value):
     sync: Annotated[ClockSync, CLOCK_SYNCS] = Unsynchronised()
     """How the pursuers correct their clocks."""
 
+    @field_validator("sync")
+    @classmethod
+    def _is_a_clock_sync(cls, given: Any) -> Any:
+        if not isinstance(given, ClockSync):
+            raise ValueError(f"should be derived from TwoWay (got {given!r})")
+        return given
+
 
 class Recording(Value):
     """The recordings of a run in addition to decisions and captures."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import simpy
 
-from desim.kernel.clock import GC_THRESHOLDS, SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+from desim.kernel.clock import GC_THRESHOLDS, SECOND, Clock, Instant, NodeClock, Phase, Timer, nanoseconds, seconds
 
 SOURCE = Path(__file__).parents[2] / "desim"
 
@@ -161,3 +161,43 @@ PRIVATE = re.compile(
 def test_no_other_module_uses_private_parts_of_simpy():
     users = [path.name for path in SOURCE.rglob("*.py") if PRIVATE.search(path.read_text(encoding="utf-8"))]
     assert users == ["clock.py"]
+
+
+def test_a_timer_acts_at_the_earliest_of_its_times_and_only_once():
+    """Set to 5, 9, 3: it acts at 3; set again to 4 by what it does, and to 9 in vain once it is stopped."""
+    env, acted = Clock(), []
+
+    def act():
+        acted.append(env.now)
+        if env.now == 3:
+            timer.set(4)
+        else:
+            timer.set(9)
+            timer.stop()
+
+    timer = Timer(env, Phase.DECISION, act)
+    for when in (5, 9, 3):
+        timer.set(when)
+    env.run(20)
+    assert acted == [3, 4]
+    timer.set(7)  # has passed
+    env.run(21)
+    assert acted == [3, 4, 20]
+
+
+def test_a_correction_is_a_step_of_the_clock_and_replaces_the_last():
+    """2 + 1.5 t at 1 s: 3.5 s, then 3 s with -0.5 s, 3.75 s with 0.25 s, and exact again where all is undone."""
+    env = Clock()
+    clock, right = NodeClock(env, offset=2.0, rate=1.5), NodeClock(env)
+    env.run(SECOND)
+    shown = [clock.now]
+    for correction in (-SECOND // 2, SECOND // 4):
+        clock.correct(correction)
+        shown.append(clock.now)
+        assert clock.uncorrected == 3_500_000_000
+        assert clock.when(clock.now) == SECOND
+    assert shown == [3.5, 3.0, 3.75]
+    right.correct(5)
+    assert right.stamp == SECOND + 5
+    right.correct(0)
+    assert right.stamp == SECOND

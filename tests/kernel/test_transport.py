@@ -29,14 +29,19 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, FaultEnded, Partition
 from desim.kernel.graphs import Link
-from desim.kernel.invariants import Conservation, DeliveredOnce
+from desim.kernel.inbox import Message
+from desim.kernel.invariants import Conservation, DeliveredOnce, OneToken
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
+from desim.kernel.records import Record
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.kernel.transport_frames import Acknowledgement, Piece, Segment, Skip
+from desim.pursuit.announcements import Assignment, Eavesdropper, Forwarded
+from desim.scenario.scenario import Clocks
+from protocols.token_passing import Token
 
 L, TIMEOUT = 0.1, 0.5
 """s"""
@@ -357,9 +362,29 @@ def test_a_transport_that_makes_no_sense_is_refused(kind, keys, text):
         kind(**keys)
 
 
+@pytest.mark.parametrize(("model", "key", "given"), [(Links, "transport", min), (Clocks, "sync", max)])
+def test_a_function_is_no_transport_and_synchronises_no_clocks(model, key, given):
+    with pytest.raises(ValidationError, match="should be derived from"):
+        model(**{key: given})
+
+
+def test_what_a_frame_carries_is_seen_by_those_that_look_at_messages():
+    """A token in a segment is a token; an announcement in a piece is overheard."""
+    watch = OneToken(Token)
+    for hop, session in ((3, 0), (2, 1)):
+        token = Token((1, 0, 0.0), hop, (), (), ())
+        event = Sent(0, 0, 0, 1, 5, 0, 24, Segment("token", False, session, 1, 1, 1, token))
+        with nullcontext() if hop == 3 else pytest.raises(AssertionError, match="an epoch has one token"):
+            watch(event)
+    evader = Eavesdropper([0])
+    evader(Message(0, 0, Piece("port", True, 0, 1, 1, Forwarded((Record(0, 1, 0, Assignment(1)),)))), 10)
+    assert evader.hands_over(9)
+
+
 # Random networks.
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 10**6),
     st.booleans(),
@@ -523,7 +548,7 @@ def test_coded_messages_arrive_with_the_tail_of_a_binomial_law(pieces, needed):
     assert abs(share - tail(needed + 1)) > 3 * error
 
 
-def gaps(transport, count=400):
+def gaps(transport, count=250):
     """Return the longest gap, s, and the most deliveries at one instant, of 2 messages/s with 30 % loss."""
     lab = Lab(transport, lost=Bernoulli(p=0.3), latency=Constant(value=0.01))
     for k in range(count):
