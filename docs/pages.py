@@ -113,7 +113,7 @@ def events() -> str:
     parts = [
         "# Events of a trace",
         "`result.trace` is iterated in the order of time, and `result.trace.of(Decided)` has the events of one type."
-        " `t` is a time in integer nanoseconds: divide it by `desim.kernel.clock.SECOND` for seconds. The events of"
+        " `t` is a time in integer nanoseconds: divide it by `desim.kernel.units.SECOND` for seconds. The events of"
         " messages are recorded with `record.messages = true`, `Sampled` with `record.trajectory` > 0.",
     ]
     for event in EVENTS:

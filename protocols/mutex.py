@@ -23,9 +23,9 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.model import Duration, Rate, Value
-from desim.kernel.clock import nanoseconds
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
+from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
 

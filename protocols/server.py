@@ -37,7 +37,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.model import Period, Value
-from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 from desim.pursuit.beliefs import Orders

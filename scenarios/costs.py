@@ -25,7 +25,7 @@ from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
 from desim.kernel.access import CsmaCa
-from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Complete
 from desim.kernel.interference import CaptureEffect
@@ -36,6 +36,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
+from desim.kernel.units import SECOND, seconds
 from desim.pursuit.announcements import Announcements
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.sap import SpatialAdaptivePlay

@@ -20,7 +20,7 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import ended, started, trace_index
-from desim.kernel.clock import SECOND, seconds
+from desim.kernel.units import SECOND, seconds
 from desim.scenario.scenario import Recording
 from scenarios.study import Options, study
 from scenarios.table1 import DELTAS, centralised, configuration, decentralised

@@ -5,8 +5,8 @@ from itertools import pairwise
 from typing import ClassVar, Literal
 
 from desim.config.model import Period, Time, Value
-from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.seeds import stream
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
 from protocols.centralised import matching
 from protocols.schedules import ticks

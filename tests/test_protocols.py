@@ -12,11 +12,11 @@ import pytest
 
 import protocols
 from desim import Scenario, load, run
-from desim.kernel.clock import SECOND
 from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.trace_file import line_of
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started

@@ -8,9 +8,9 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash
 from desim.kernel.trace_file import events_of, line_of
+from desim.kernel.units import SECOND, seconds
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started

@@ -11,7 +11,6 @@ from hypothesis import settings
 
 from desim import Scenario, summary
 from desim.analysis.invariants import PotentialWatcher, watched
-from desim.kernel.clock import SECOND
 from desim.kernel.graphs import GRAPHS
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import LATENCIES
@@ -19,6 +18,7 @@ from desim.kernel.loss import LOSSES
 from desim.kernel.medium import MEDIA
 from desim.kernel.reception import RECEPTION_MODELS
 from desim.kernel.transport import TRANSPORTS
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended

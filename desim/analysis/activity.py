@@ -16,7 +16,7 @@ import numpy as np
 
 from desim.analysis.trace_index import captures, ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.clock import SECOND, nanoseconds
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
 

@@ -33,9 +33,9 @@ from desim.analysis.activity import decisions
 from desim.analysis.timeline import Timeline, timeline
 from desim.analysis.trace_index import ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.links import Links
 from desim.kernel.propagation import TYPICAL_SIZE, LinkSampler
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 

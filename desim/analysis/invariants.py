@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
-from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.events import Event, Watcher
 from desim.kernel.invariants import Conservation, DeliveredOnce
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started

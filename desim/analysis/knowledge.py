@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
-from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import announced_action, records_in, relayed_records
 from desim.simulation.run import Result
 

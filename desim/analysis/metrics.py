@@ -55,8 +55,8 @@ from desim.analysis.transport import (
 )
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
-from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
+from desim.kernel.units import seconds
 from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result

@@ -32,7 +32,7 @@ from desim.analysis.palette import (
 from desim.analysis.trace_index import captures, sampled
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.trust import escaped, without_symlink
-from desim.kernel.clock import seconds
+from desim.kernel.units import seconds
 from desim.simulation.run import Result
 
 __all__ = [

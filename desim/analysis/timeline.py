@@ -16,8 +16,8 @@ import numpy as np
 from desim.analysis.activity import changes, evader_pursuits
 from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.state import lengths
 from desim.simulation.run import Result

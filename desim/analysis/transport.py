@@ -6,8 +6,8 @@ A broadcast counts as one message per receiver. The functions need a run with a 
 from math import nan
 
 from desim.analysis.trace_index import transport
-from desim.kernel.clock import seconds
 from desim.kernel.events import TransportCounts
+from desim.kernel.units import seconds
 from desim.simulation.run import Result
 
 

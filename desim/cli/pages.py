@@ -63,7 +63,7 @@ def _usual_page(sources: tuple[Path, ...]) -> Path:
 def _size(result: "Result") -> str:
     """Return the number of pursuers, the duration and the number of messages of a run as text."""
     from desim.analysis.trace_index import messages, started
-    from desim.kernel.clock import seconds
+    from desim.kernel.units import seconds
 
     counts = messages(result)
     return f"{len(started(result).active)} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages"

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, Extent, Limit, Period, Time, Value
-from desim.kernel.clock import nanoseconds
+from desim.kernel.units import nanoseconds
 
 Window = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 

@@ -13,7 +13,8 @@ import numpy as np
 from desim.config.arrays import Bools, Integers
 from desim.config.model import MAX_TIME
 from desim.kernel.access import Access, Csma, CsmaCa, SlottedAloha, Tdma
-from desim.kernel.clock import NEVER, SECOND, NodeClock, nanoseconds, seconds
+from desim.kernel.clock import NEVER, NodeClock
+from desim.kernel.units import SECOND, nanoseconds, seconds
 
 
 class Contenders:

@@ -7,11 +7,12 @@ import numpy as np
 from desim.config.arrays import Integers
 from desim.kernel.access import Access, CarrierSensing
 from desim.kernel.access_methods import AccessMethod, Contenders
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.interference import Frame
 from desim.kernel.positions import PositionSource, distances
 from desim.kernel.seeds import ROOM
 from desim.kernel.topology import Topology
+from desim.kernel.units import nanoseconds
 
 
 class CarrierSense:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import simpy
 from simpy.events import Condition, EventPriority
 
+from desim.kernel.units import SECOND, nanoseconds, seconds
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
 
 GC_THRESHOLDS = 100_000, 50, 100
 """The thresholds of the garbage collector during a run; see `gc.set_threshold`."""
-SECOND = 1_000_000_000
-"""Nanoseconds in a second."""
 NEVER = (1 << 63) - 1
 """A time that no run reaches, ns; the largest 64-bit integer."""
 
@@ -54,16 +54,6 @@ class Phase(IntEnum):
     """Positions are recorded."""
     ACCESS = 9 << 32
     """Nodes that contend for a channel sense it, and start to transmit."""
-
-
-def nanoseconds(seconds: float) -> int:
-    """Return a duration in seconds as the nearest whole number of nanoseconds."""
-    return round(seconds * SECOND)
-
-
-def seconds(nanoseconds: int) -> float:
-    """Return a duration in nanoseconds as seconds."""
-    return nanoseconds / SECOND
 
 
 class Clock(simpy.Environment):

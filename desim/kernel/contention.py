@@ -15,7 +15,7 @@ from desim.kernel.access import CsmaCa
 from desim.kernel.access_methods import Contenders, access_method
 from desim.kernel.air import Air
 from desim.kernel.carrier_sense import CarrierSense
-from desim.kernel.clock import NEVER, Clock, Instant, NodeClock, Phase, nanoseconds
+from desim.kernel.clock import NEVER, Clock, Instant, NodeClock, Phase
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
 from desim.kernel.medium import Radio
@@ -23,6 +23,7 @@ from desim.kernel.positions import PositionSource
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmittable
+from desim.kernel.units import nanoseconds
 
 Item = TypeVar("Item", bound=Transmittable)
 ACKNOWLEDGEMENT = -1

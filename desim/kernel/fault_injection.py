@@ -6,10 +6,11 @@ from functools import partial
 import simpy
 
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
 from desim.kernel.network import Network
+from desim.kernel.units import nanoseconds
 
 Hook = Callable[[Crash], object]
 

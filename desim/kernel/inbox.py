@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import simpy
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.records import Arrival
+from desim.kernel.units import SECOND
 
 
 class Message(NamedTuple):

@@ -12,12 +12,12 @@ from math import inf
 from typing import TYPE_CHECKING, Any, Literal
 
 from desim.kernel.access import CsmaCa
-from desim.kernel.clock import nanoseconds
 from desim.kernel.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 from desim.kernel.interference import Collision
 from desim.kernel.medium import Radio
 from desim.kernel.transport_frames import carried
+from desim.kernel.units import nanoseconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.model import MAX_COORDINATE, MAX_TIME
-from desim.kernel.clock import nanoseconds
+from desim.kernel.units import nanoseconds
 
 
 class Waypoint(NamedTuple):

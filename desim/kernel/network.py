@@ -12,7 +12,7 @@ busy transmitter, to decide losses on arrival, and to wake processes. A read in 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.clock import SECOND, Clock, NodeClock
+from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.estimates import Estimates
 from desim.kernel.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.fault_state import FaultState
@@ -27,6 +27,7 @@ from desim.kernel.records import Predicate, Record, Table
 from desim.kernel.topology import Topology
 from desim.kernel.transport import Transport
 from desim.kernel.transport_layer import TransportLayer
+from desim.kernel.units import SECOND
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.graphs import as_model
 from desim.kernel.implicit_complete import is_implicit
 from desim.kernel.latency import Constant
@@ -24,6 +23,7 @@ from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import ROOM, stream
 from desim.kernel.traits import LinkTraits, link_trait, model_of_run
+from desim.kernel.units import SECOND, nanoseconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable

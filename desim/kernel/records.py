@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import repeat
 from typing import Any, NamedTuple
 
-from desim.kernel.clock import SECOND
+from desim.kernel.units import SECOND
 
 
 class Record(NamedTuple):

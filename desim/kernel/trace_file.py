@@ -18,8 +18,8 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from desim.config.json_numbers import field_names, has_plain
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import LOST, Arrival, Body, Broadcast, Count, Event, Nanoseconds, NodeId
+from desim.kernel.units import SECOND, nanoseconds
 
 Limits = Mapping[str, Any]
 """Additional pydantic constraints by mark (see `desim.kernel.events`), for instance {"node": Field(lt=5)}."""

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.medium import Medium
+from desim.kernel.units import nanoseconds
 
 
 class Transmittable(Protocol):

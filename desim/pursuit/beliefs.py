@@ -11,9 +11,10 @@ import numpy as np
 
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import SECOND, NodeClock
+from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
 from desim.pursuit.views import View
 

@@ -9,7 +9,7 @@ from bisect import bisect_left, bisect_right
 from operator import itemgetter
 from typing import NamedTuple
 
-from desim.kernel.clock import seconds
+from desim.kernel.units import seconds
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.guidance import Guidance, guided_velocity
 

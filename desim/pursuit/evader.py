@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_COORDINATE
-from desim.kernel.clock import SECOND, nanoseconds, seconds
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evasion import PureEvasion, Strategy, away

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Integers, Points
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
+from desim.kernel.units import SECOND
 
 
 class Kinematics:

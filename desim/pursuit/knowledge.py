@@ -4,9 +4,10 @@ from collections.abc import Collection, Sequence
 from math import inf
 from typing import Any
 
-from desim.kernel.clock import NodeClock, nanoseconds
+from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
+from desim.kernel.units import nanoseconds
 from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.views import View

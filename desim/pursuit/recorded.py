@@ -12,9 +12,9 @@ from pydantic import ModelWrapValidatorHandler, ValidationInfo, model_validator
 from desim.config.choice import OneOf
 from desim.config.model import Coordinate, Time, Value
 from desim.config.trust import resolve_path
-from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.graphs import Node
 from desim.kernel.mobility_file import read_waypoints
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.observation import EvaderObservation
 
 SPEED_ROUNDING = 1e-9

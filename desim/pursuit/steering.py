@@ -3,7 +3,7 @@
 import numpy as np
 
 from desim.config.arrays import Points
-from desim.kernel.clock import seconds
+from desim.kernel.units import seconds
 from desim.pursuit.evader import MAX_SCALAR_SIZE, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.sensing import TeamSensor

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.clock import seconds
+from desim.kernel.units import seconds
 from desim.pursuit.dead_reckoning import moved_towards
 from desim.pursuit.state import lengths
 from desim.pursuit.world_state import WorldState

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
+from desim.kernel.units import SECOND
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.recorded import RecordedMotion

@@ -9,7 +9,6 @@ from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
-from desim.kernel.clock import nanoseconds
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.faults import ClockSkew, Fault
 from desim.kernel.graphs import Complete
@@ -21,6 +20,7 @@ from desim.kernel.playback import LinkTrace
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
+from desim.kernel.units import nanoseconds
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import DisseminationTraits
 from desim.scenario.assumptions import violations

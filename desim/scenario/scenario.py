@@ -37,7 +37,6 @@ from desim.config.model import (
 )
 from desim.config.traits import name_of
 from desim.kernel.access import Tdma
-from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
@@ -45,6 +44,7 @@ from desim.kernel.links import Links
 from desim.kernel.medium import Radio
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evader import EvaderController

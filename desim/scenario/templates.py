@@ -171,7 +171,7 @@ desim sweep FILE --metric NAME:NAME --allow-import           its mean in each co
 """
 
 from desim.analysis.metrics import Metric
-from desim.kernel.clock import SECOND
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Decided
 from desim.simulation.run import Result
 

@@ -5,7 +5,8 @@ from typing import Literal
 
 import simpy
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.units import nanoseconds
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.world_state import WorldState
 

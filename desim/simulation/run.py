@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from desim.config.arrays import Floats, Integers
 from desim.config.html import html_properties
 from desim.config.trust import escaped
-from desim.kernel.clock import Clock, NodeClock, Phase, seconds
+from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.clock_sync import synchronise
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
@@ -15,6 +15,7 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
+from desim.kernel.units import seconds
 from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended, Sampled

@@ -133,7 +133,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
         error: the exception as it was raised.
         processes: the processes of each pursuer.
     """
-    from desim.kernel.clock import seconds  # slow to import, and needed only here
+    from desim.kernel.units import seconds  # slow to import, and needed only here
 
     due = env.scheduled()
     alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
@@ -157,7 +157,8 @@ def _line(process: "RestartableProcess") -> str:
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:
     """Return ", at ... s", the time of the first scheduled event that a process waits for; "" if none is scheduled."""
-    from desim.kernel.clock import parts_of, seconds
+    from desim.kernel.clock import parts_of
+    from desim.kernel.units import seconds
 
     times = [due[id(each)] for each in parts_of(process.target) if id(each) in due]
     return f", at {seconds(min(times)):.9g} s" if times else ""

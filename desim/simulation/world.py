@@ -6,9 +6,10 @@ from itertools import count
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
+from desim.kernel.units import nanoseconds
 from desim.pursuit.announcements import Eavesdropper
 from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evader import EvaderBody

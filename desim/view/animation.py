@@ -36,7 +36,7 @@ from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import without_symlink
-from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.units import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.study.progress import progress
 from desim.view.deliveries import deliveries

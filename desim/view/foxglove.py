@@ -20,11 +20,11 @@ from typing import Any
 
 from desim.analysis.knowledge import Pieces
 from desim.analysis.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
-from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.events import LOST as NEVER
 from desim.kernel.events import Broadcast, Event, Lost, Sent
 from desim.kernel.faults import FaultEnded, FaultStarted
 from desim.kernel.trace_file import body_json
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Point, Sampled, Started
 from desim.view.foxglove_schemas import SCHEMAS
 

@@ -21,9 +21,9 @@ from desim.analysis.activity import action, changes, changes_with_previous, chas
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import without_symlink
-from desim.kernel.clock import SECOND
 from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.faults import Crash
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
 from desim.view.deliveries import chasing, deliveries, handover_events, outages

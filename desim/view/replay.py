@@ -34,7 +34,6 @@ from desim.analysis.trace_index import (
 from desim.config.arrays import Floats
 from desim.config.model import Value
 from desim.config.trust import escaped, without_symlink
-from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
 from desim.kernel.implicit_complete import is_complete
@@ -44,6 +43,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
+from desim.kernel.units import SECOND, seconds
 from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result

@@ -18,8 +18,8 @@ from desim.analysis.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOS
 from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
-from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result

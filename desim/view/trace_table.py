@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from desim.config.trust import csv_cell
-from desim.kernel.clock import seconds
 from desim.kernel.events import (
     LOST,
     Broadcast,
@@ -29,6 +28,7 @@ from desim.kernel.events import (
     Sent,
 )
 from desim.kernel.trace_file import body_json
+from desim.kernel.units import seconds
 from desim.pursuit.events import Sampled, Started
 from desim.results.run_folder import EVENTS
 

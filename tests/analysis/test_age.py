@@ -22,7 +22,7 @@ from desim.analysis.age import (
 )
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, ClockCorrected, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
 from desim.kernel.graphs import Ring
@@ -31,6 +31,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.kernel.records import Record
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, Assignment, Forwarded
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.scenario.scenario import Motion, Recording, Scenario, Team

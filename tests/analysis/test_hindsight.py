@@ -18,7 +18,6 @@ from desim.analysis.hindsight import (
 from desim.analysis.metrics import active_time, capture_time, summary
 from desim.analysis.timeline import timeline
 from desim.config.model import Value
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
 from desim.kernel.graphs import Link, Ring
@@ -26,6 +25,7 @@ from desim.kernel.latency import Constant, Lognormal, Propagation
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled, Started
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Scenario, Team
 from desim.simulation.run import Result, run

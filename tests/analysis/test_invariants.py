@@ -8,11 +8,11 @@ import pytest
 
 from desim import Scenario, run
 from desim.analysis.invariants import ActiveTimeWatcher, MotionWatcher, PotentialWatcher, watched
-from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started

@@ -29,9 +29,9 @@ from desim.analysis.metrics import (
     words,
 )
 from desim.analysis.trace_index import ended, remembered, trace_index
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.faults import FaultStarted, Jamming
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import BrokeDown, Decided, Ended, Started
 from desim.scenario.scenario import Recording, Scenario, Team

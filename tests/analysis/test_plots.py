@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from desim.analysis.plots import save, size_of, styled, trajectory
-from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result

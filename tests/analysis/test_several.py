@@ -12,12 +12,12 @@ from desim.analysis.hindsight import hindsight, network_regret, settling_window,
 from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap, summary
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import trace_index
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started

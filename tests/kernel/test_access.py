@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from scipy.optimize import brentq
 
 from desim.kernel.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
-from desim.kernel.clock import SECOND, Clock, Instant, NodeClock, Phase
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.events import Broadcast, Lost, Sent, Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
@@ -26,6 +26,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, LoRa
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
+from desim.kernel.units import SECOND
 
 MS, US = 1_000_000, 1000
 """Nanoseconds in a millisecond and a microsecond."""

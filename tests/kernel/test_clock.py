@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import simpy
 
-from desim.kernel.clock import GC_THRESHOLDS, SECOND, Clock, Instant, NodeClock, Phase, Timer, nanoseconds, seconds
+from desim.kernel.clock import GC_THRESHOLDS, Clock, Instant, NodeClock, Phase, Timer
+from desim.kernel.units import SECOND, nanoseconds, seconds
 
 SOURCE = Path(__file__).parents[2] / "desim"
 

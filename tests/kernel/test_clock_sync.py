@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from desim import Scenario, run, summary
 from desim.kernel.access import Tdma
-from desim.kernel.clock import SECOND, Clock, NodeClock
+from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.clock_sync import TwoWay, synchronise
 from desim.kernel.events import ClockCorrected, Sent, Trace
 from desim.kernel.faults import ClockSkew
@@ -19,6 +19,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.scenario.scenario import Clocks, Motion, Recording, Team
 

@@ -39,7 +39,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.delivery import Delivery
 from desim.kernel.events import Lost, Trace
 from desim.kernel.fault_injection import inject
@@ -52,6 +52,7 @@ from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.reception import Disk, QuasiUnitDisk
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
@@ -32,6 +32,7 @@ from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
+from desim.kernel.units import SECOND
 from desim.scenario.scenario import Team
 
 PERIOD = SECOND // 10

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
@@ -24,6 +24,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.message_log import MessageLog
 from desim.kernel.network import Network
+from desim.kernel.units import SECOND
 from tests.kernel.layers import network_over
 
 pytestmark = pytest.mark.own_trace

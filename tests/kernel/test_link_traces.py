@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from desim import LatencyTrace, LossTrace, SignalTrace
 from desim.kernel.access import CsmaCa
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Sent, Trace
 from desim.kernel.graphs import Link
 from desim.kernel.latency import Constant, mean_latency
@@ -21,6 +21,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.playback import TraceEndError
 from desim.kernel.propagation import LinkSampler
+from desim.kernel.units import SECOND
 
 STEPS = "t,value\n10,0.1\n11,0.3\n13,0.2\n"
 """Measured at 0, 1 and 3 s; it ends at 4.5 s."""

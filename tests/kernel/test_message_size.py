@@ -7,11 +7,12 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.message_size import as_sent, size_of
 from desim.kernel.network import Network
+from desim.kernel.units import SECOND
 
 
 def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import nanoseconds
 from desim.kernel.mobility_file import Waypoint, _legs, _Move, read_waypoints
+from desim.kernel.units import nanoseconds
 
 START = "$node_(3) set X_ 1.0\n$node_(3) set Y_ 2.0\n$node_(3) set Z_ 7.0\n"
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.access import Csma
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, deliver
@@ -24,6 +24,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
+from desim.kernel.units import SECOND
 
 CONTENDED = Bitrate(bitrate=8.0 * size_of(0), access=Csma())
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Sent, Trace
 from desim.kernel.graphs import Edge, Edges, Link
 from desim.kernel.latency import (
@@ -28,6 +28,7 @@ from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import BLOCK, LinkSampler
 from desim.kernel.seeds import stream
+from desim.kernel.units import SECOND
 
 DRAWN = [
     Uniform(),

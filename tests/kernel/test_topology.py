@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel import topology as topology_module
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
+from desim.kernel.units import SECOND
 
 
 def test_without_a_range_the_graph_decides():

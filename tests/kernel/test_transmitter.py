@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Broadcast, Lost, Queued, Sent, Trace
 from desim.kernel.fault_state import FaultState
 from desim.kernel.latency import Constant
@@ -17,6 +17,7 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.transmitter import Transmitter
+from desim.kernel.units import SECOND
 
 SEEDS = range(6)
 BYTE = Bitrate(bitrate=8.0)

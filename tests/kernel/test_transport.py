@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.clock import SECOND, Clock, Instant, NodeClock, Phase
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.events import (
     DeadlineMissed,
     Delivered,
@@ -39,6 +39,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.kernel.transport_frames import Acknowledgement, Piece, Segment, Skip
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
 from protocols.token_passing import Token

@@ -14,7 +14,6 @@ from scipy.stats import kstest
 
 from desim import Scenario, run, summary
 from desim.analysis.age import age_mean
-from desim.kernel.clock import seconds
 from desim.kernel.events import GivenUp, MessageCounts, Sent
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.graphs import Edges
@@ -22,6 +21,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.transport import Coded, Reliable
+from desim.kernel.units import seconds
 from desim.pursuit.announcements import Announcements
 from desim.scenario.scenario import Motion, Recording, Team
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, OneHop, ReliableOneHop

@@ -4,11 +4,11 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.clock import SECOND
 from desim.kernel.events import Sent
 from desim.kernel.faults import ClockSkew
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Decided
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations

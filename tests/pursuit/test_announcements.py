@@ -14,13 +14,13 @@ from scipy.stats import kstest
 
 from desim import Scenario, run
 from desim.kernel.access import Tdma
-from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate
 from desim.kernel.records import Record
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.announcements import (
     Announcements,
     Forwarded,

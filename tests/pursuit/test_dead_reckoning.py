@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.clock import SECOND, nanoseconds, seconds
+from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, TrackSegment, moved_towards
 from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
 from desim.kernel.links import Links
+from desim.kernel.units import SECOND
 from desim.pursuit import evader, steering
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still

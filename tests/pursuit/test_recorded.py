@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from desim import Evader, Motion, RecordedMotion, Recording, RelayNode, Scenario, Team, load, run, summary
 from desim.analysis.invariants import watched
-from desim.kernel.clock import SECOND
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured, Decided, Sampled
 from desim.scenario.checks import warnings
 from desim.study.config_hash import identify

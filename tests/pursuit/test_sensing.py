@@ -8,13 +8,14 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.clock import SECOND, NodeClock
+from desim.kernel.clock import NodeClock
 from desim.kernel.events import Sent
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started

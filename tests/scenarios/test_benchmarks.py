@@ -13,9 +13,10 @@ from click.testing import CliRunner
 from desim import run
 from desim.analysis.metrics import end_time
 from desim.kernel.access import CsmaCa
-from desim.kernel.clock import SECOND, Clock
+from desim.kernel.clock import Clock
 from desim.kernel.latency import Constant
 from desim.kernel.seeds import stream
+from desim.kernel.units import SECOND
 from scenarios import benchmarks, benchmarks_runs, costs, measuring, sweep_costs
 from scenarios.peers import elsewhere, ways
 from scenarios.peers.bare_loop import bare_loop

@@ -13,7 +13,7 @@ from desim.analysis.activity import active_time, relays
 from desim.analysis.plots import COLUMN
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import started, trace_index
-from desim.kernel.clock import SECOND
+from desim.kernel.units import SECOND
 from desim.pursuit.game import wonderful_life_utility
 from scenarios import figures, table1
 

@@ -5,8 +5,8 @@ from collections import Counter
 import pytest
 
 from desim import summary
-from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Decided
 from desim.view.deliveries import (

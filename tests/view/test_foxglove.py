@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 
 from desim.analysis.knowledge import knowledge
-from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured, Sampled
 from desim.view.foxglove import SHOWN, TOPICS, write
 from desim.view.foxglove_schemas import SCHEMAS

@@ -8,12 +8,12 @@ import pytest
 
 from desim import Scenario, run
 from desim.analysis.trace_index import ended, messages
-from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.units import SECOND
 from desim.pursuit.events import Decided
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Recording, Speeds, Team

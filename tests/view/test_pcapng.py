@@ -9,9 +9,9 @@ import scapy.layers.inet  # registers IP for the link type
 from scapy.utils import PcapNgReader
 
 from desim import summary
-from desim.kernel.clock import SECOND
 from desim.kernel.events import Broadcast, MessageCounts, Sent
 from desim.kernel.trace_file import body_json
+from desim.kernel.units import SECOND
 from desim.view.pcapng import HEADERS, MAX_PAYLOAD, PORT, write
 from tests.view.by_hand import history
 

@@ -21,7 +21,6 @@ from desim.analysis.age import belief_error
 from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
 from desim.kernel.access import Tdma
-from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
 from desim.kernel.graphs import Edge, Edges, Link, Ring
@@ -32,6 +31,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.reception import LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
+from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import (
     LOST,
     Broadcast,
@@ -28,6 +27,7 @@ from desim.kernel.events import (
 )
 from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.trace_file import events_of, line_of
+from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import FORMAT, Captured, Decided, Ended, Sampled, Started
 from desim.results.run_folder import EVENTS
 from desim.view import trace_table
