@@ -30,7 +30,7 @@ from desim.kernel.transmitter import Transmitter
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
-"""Number of kept arrivals above which the due ones are decided without waiting for a read."""
+"""Number of arrivals after which all that are due are decided, also those at nodes that do not read."""
 MANY = 1000
 """Length from which a list is searched for items that are no longer needed."""
 
@@ -80,13 +80,16 @@ class KeptArrivals:
         self.first = [inf] * size
         self._of_node: list[list[Any]] = [[] for _ in range(size)]
         """By node, a flat list in the order of transmission: time, flight, time, flight ..."""
-        self._count, self._max_count = 0, MAX_KEPT
+        self._count = self._added = 0
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, flight: _Flight, nodes: list[int], times: list[int]) -> bool:
-        """Keep the arrivals (times in ns) at some nodes; return whether so many are kept that they should land."""
+        """Keep the arrivals (times in ns) at some nodes.
+
+        Return whether all that are due should be decided, as many have been added since this was last the case.
+        """
         first, of_node = self.first, self._of_node
         for node, when in zip(nodes, times, strict=True):
             kept = of_node[node]
@@ -95,7 +98,11 @@ class KeptArrivals:
             if when < first[node]:
                 first[node] = when
         self._count += len(nodes)
-        return self._count > self._max_count
+        self._added += len(nodes)
+        if self._added <= MAX_KEPT:
+            return False
+        self._added = 0
+        return True
 
     def take(self, nodes: Iterable[int], until: int) -> tuple[list[int], list[int], list[_Flight]]:
         """Remove the arrivals at some nodes up to and including a time, ns; return receivers, times and flights."""
@@ -116,7 +123,6 @@ class KeptArrivals:
                     later.append(flight)
             self._of_node[node], self.first[node] = later, min(later[::2], default=inf)
         self._count -= len(flights)
-        self._max_count = max(self._max_count, self._count + MAX_KEPT)
         return receivers, times, flights
 
 

@@ -70,7 +70,7 @@ class TransportLayer:
         self._senders: list[dict[Flow, Sender]] = [{} for _ in self._endpoints]
         self._receivers: list[dict[Flow, ReliableReceiver | CodedReceiver]] = [{} for _ in self._endpoints]
         self._expectations: list[dict[tuple[str, int, str], Expectation]] = [{} for _ in self._endpoints]
-        """By node: what it expects of whom at which port, a message ("deadline") or any frame ("lease")."""
+        """By node: its expectations, by kind (a message, "deadline", or any frame, "lease"), sender and port."""
         self._boxes = inboxes.at(PORT)
         self._numbers = count(FIRST_DELIVERY)
         for node in range(topology.size):
@@ -183,7 +183,7 @@ class TransportLayer:
             self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
 
     def _expect(self, node: int, what: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
-        """Let a node expect something of another within a time, s, by its own clock."""
+        """Let a node expect a message, or any frame, of another within a time, s, by its own clock."""
         known = self._expectations[node].get((what, src, port))
         if known is None and within <= MAX_TIME:
             tell = self._log.miss_deadline if what == "deadline" else self._log.lose_liveliness

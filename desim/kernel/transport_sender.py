@@ -41,7 +41,7 @@ class Endpoint:
 
 @dataclass(slots=True)
 class Owed:
-    """What a sender knows about a message and one of its receivers.
+    """The state of a message for one receiver that has not acknowledged it.
 
     A message is outstanding, or held: the receiver has it, and waits for earlier ones before it delivers it.
     """

@@ -451,6 +451,22 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     assert sorted(record.body for _, record in network.latest_records(4).values()) == [29_996, 29_997, 29_998, 29_999]
 
 
+def test_arrivals_at_a_node_that_never_reads_are_decided_now_and_then(monkeypatch):
+    """Half duplex decides arrivals at reads; node 0 reads after each of 1,000 broadcasts, node 4 never."""
+    monkeypatch.setattr("desim.kernel.arrivals.MAX_KEPT", 100)
+    clock, medium = Clock(), Bitrate(bitrate=1e6, half_duplex=True)
+    network = Network(clock, nx.complete_graph(5), Links(latency=Uniform(0.01), medium=medium))
+
+    def transmit():
+        for k in range(1_000):
+            network.publish(k % 4, k)
+            network.latest_records(0)
+            yield Instant(clock, clock.now + SECOND // 1000, Phase.DECISION)
+
+    run_process(clock, transmit())
+    assert len(network._arrivals.kept) < 300
+
+
 def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_were_sent():
     """The first message of node 0 flies on to node 2 after it has reached node 1; it is still before the second."""
 
