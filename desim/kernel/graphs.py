@@ -1,6 +1,7 @@
 """Static communication graphs: frozen models that create a networkx graph of a given number of nodes."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
@@ -9,7 +10,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
 from desim.config.trust import resolve_path
-from desim.kernel.implicit_complete import complete_graph
+from desim.kernel.implicit_complete import complete_graph, is_implicit
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 
@@ -231,6 +232,14 @@ def node_names(graph: "nx.Graph[Any]") -> str:
     """Return the names of the first nodes of a graph as one line of text, with long names truncated."""
     names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
+
+
+def links_with_attributes(graph: "nx.Graph[int]") -> Iterator[tuple[int, int, dict[str, Any]]]:
+    """Yield sender, receiver and attributes of each link whose edge has attributes; both ways of an undirected edge."""
+    for src, neighbours in () if is_implicit(graph) else graph.adjacency():
+        for dst, attributes in neighbours.items():
+            if attributes:
+                yield src, dst, attributes
 
 
 def as_model(name: str, value: Any) -> Any:

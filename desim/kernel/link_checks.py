@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.implicit_complete import is_implicit
+from desim.kernel.graphs import links_with_attributes
 from desim.kernel.links import Links
 from desim.kernel.traits import link_trait
 
@@ -39,11 +39,10 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:
     """Yield the links with a latency or a loss of their own, each with the key of the model and the model."""
-    edges: Any = () if is_implicit(graph) else graph.edges(data=name)
-    for src, dst, model in edges:
+    for src, dst, attributes in links_with_attributes(graph):
+        model = attributes.get(name)
         if model is not None and not isinstance(model, int | float):
-            for way in _directions(graph, src, dst):
-                yield way, (("graph",), model)
+            yield (src, dst), (("graph",), model)
     for k, link in enumerate(links.link):
         if (model := dict(link)[name]) is not None:
             for way in link.ways():
@@ -51,9 +50,6 @@ def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tup
 
 
 def _ways(graph: "nx.Graph[int]") -> Iterator[Way]:
-    for src, dst in graph.edges:
-        yield from _directions(graph, src, dst)
-
-
-def _directions(graph: "nx.Graph[int]", src: int, dst: int) -> list[Way]:
-    return [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]
+    for src, neighbours in graph.adjacency():
+        for dst in neighbours:
+            yield src, dst

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from desim.config.model import MAX_TIME
-from desim.kernel.graphs import as_model
-from desim.kernel.implicit_complete import is_implicit
+from desim.kernel.graphs import as_model, links_with_attributes
 from desim.kernel.latency import Constant
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
@@ -291,12 +290,10 @@ def own_models(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
         ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
     """
     found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
-    for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):
-        for name in found if attributes else ():
-            value = attributes.get(name)
-            if value is not None:
-                for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                    found[name].setdefault(way[0], {})[way[1]] = as_model(name, value)
+    for src, dst, attributes in links_with_attributes(graph):
+        for name, overrides in found.items():
+            if (value := attributes.get(name)) is not None:
+                overrides.setdefault(src, {})[dst] = as_model(name, value)
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
