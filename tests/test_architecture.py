@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -66,16 +67,21 @@ def name_of(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
+def tree_of(path):
+    return ast.parse(path.read_text())
+
+
 def methods_of(path):
     """Yield the functions in the classes of a file."""
-    for node in ast.parse(path.read_text()).body:
+    for node in tree_of(path).body:
         if isinstance(node, ast.ClassDef):
             yield from (each for each in node.body if isinstance(each, ast.FunctionDef))
 
 
 def imports(path, within=None):
     """Yield every module a file imports, at the top or inside a function; or those that some of its nodes import."""
-    for node in [inner for each in within or [ast.parse(path.read_text())] for inner in ast.walk(each)]:
+    for node in [inner for each in within or [tree_of(path)] for inner in ast.walk(each)]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -396,6 +396,7 @@ def test_protocols_lists_each_protocol_with_each_of_its_parameters():
     assert text.count("rate = 5.0: Revisions per second of each pursuer") == 1
 
 
+@pytest.mark.slow
 def test_help_loads_nothing_that_takes_time_to_import():
     program = (
         "import sys\nfrom desim.cli import main\n"

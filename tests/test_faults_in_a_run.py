@@ -234,7 +234,7 @@ def first_chase_after(result, time):
     return later[0] if later else None
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_when_the_active_pursuer_breaks_down_another_takes_over_after_the_belief_timeout(payload):
     """Its last heartbeat came up to 1.02 s; it is forgotten 3 T + 2 L = 0.34 s later; another revises within 1 s."""
@@ -457,7 +457,7 @@ def announced(result, pursuer=1):
     return {b.t / 1e9: b.body.active for b in result.trace.of(Broadcast) if b.src == pursuer}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [True, False])
 @pytest.mark.parametrize("announce", [Announcements(heartbeat=2.0), Announcements(trigger="change")])
 def test_a_pursuer_stopped_by_a_breakdown_announces_that_it_chases_again(announce, memory):

@@ -179,7 +179,7 @@ def test_every_command_with_keys_has_the_option():
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", ['network.latency.kind = ["evil:late"]', f"network.latency = [{CODE}]"])
 def test_a_loaded_grid_does_not_bypass_the_check(mark, written, grid):
     file = written(f"[sweep.grid]\n{grid}")

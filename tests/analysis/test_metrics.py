@@ -277,6 +277,7 @@ def test_energy_and_handovers_equal_those_of_a_plain_loop_over_the_trace(result)
         assert ping_pongs(result, within) == sum(each < within for each in back)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(histories())
 def test_idle_single_and_excess_active_time_cover_the_run(result):

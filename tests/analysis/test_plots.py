@@ -57,6 +57,7 @@ def test_trajectories_are_golden():
     golden("trajectory.txt", {what: described(trajectory(each)) for what, each in told.items()})
 
 
+@pytest.mark.slow
 def test_the_legend_is_outside_of_the_axes_and_inside_of_the_picture():
     figure = trajectory(chase())
     (axes,), (box,) = figure.axes, figure.legends

@@ -610,6 +610,7 @@ def test_each_node_transmits_one_frame_at_the_beginning_of_its_slot(slots, expec
     assert net.message_counts().lost == 0
 
 
+@pytest.mark.slow
 def test_the_wait_for_a_slot_is_half_a_round_on_average_and_at_most_a_round():
     """N = 20 slots of 5 ms: the wait is uniform on 0 .. 100 ms, with a mean of 50 ms.
 

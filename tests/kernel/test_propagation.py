@@ -483,7 +483,7 @@ def losses_and_plain_losses(model, seed, moving):
     return found, list(plain_losses(model, history, places[1], uniform))
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.kind}")
 def test_losses_are_those_of_a_plain_model_that_draws_link_by_link(model, moving):

@@ -265,7 +265,7 @@ def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_g
     assert len(sizes) >= 4
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, schedule):

@@ -212,6 +212,7 @@ def test_a_timer_without_jitter_is_strictly_periodic():
         assert np.diff(times) == pytest.approx(0.1, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_timers_begin_at_random_phases():
     """200 phases are uniform in [0, period) (p > 0.001); the control, a third less, is distinguished."""
     first = np.array([times[0] for times in ticks(Periodic(period=0.5, jitter=0.5), 200, 0.75)])

@@ -350,7 +350,7 @@ def test_random_static_games_end_in_the_relay_profile():
 # Several evaders.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_at_rest_several_evaders_are_assigned_as_by_the_centralised_benchmark(payload):
     """Any host, a fifth of all lost; at least one is not the greedy assignment."""

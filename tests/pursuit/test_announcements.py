@@ -361,7 +361,7 @@ def last_trusted(announce, latency=0.25, **changes):
     return seen["until"]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("announce", "until"),
     [

@@ -95,6 +95,7 @@ def test_the_course_of_one_is_exactly_that_of_the_team(gap, aim, flight, speed):
 # The circle of Apollonius.
 
 
+@pytest.mark.slow
 @given(plane, plane, st.floats(0.05, 0.95), st.floats(0.0, 6.28))
 def test_constant_bearing_meets_the_evader_on_the_circle_of_apollonius(pursuer, evader, ratio, angle):
     """Whatever the heading of the evader: the pursuer at speed 1 has come as far as the evader has, over k.

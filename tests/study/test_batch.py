@@ -42,6 +42,7 @@ def test_run_k_of_seed_s_has_seed_s_plus_k():
     assert list(seeds_from(0, 0)) == []
 
 
+@pytest.mark.slow
 def test_each_task_is_run_with_its_own_scenario_and_seed_in_the_order_given():
     tasks = [(SMALL, 5), (LONGER, 2), (SMALL, 2), (SMALL, 5)]
     assert run_many(tasks, jobs=1) == [summary(run(*task)) for task in tasks]

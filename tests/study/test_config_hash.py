@@ -238,7 +238,7 @@ MADE_OF = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("make", MADE_OF.values(), ids=MADE_OF)
 def test_nested_differences_change_the_hash(make):
     assert stable_hash(make(1.0)) == stable_hash(make(1.0)) != stable_hash(make(2.0))

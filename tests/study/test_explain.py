@@ -147,6 +147,7 @@ def test_some_of_these_cost_something():
         assert cost.together.mean.mean > 0.0, (rule, name)
 
 
+@pytest.mark.slow
 def test_a_server_does_not_use_announcements():
     """So stale announcements cost nothing, in every run, and yet they are there."""
     found = explain(GOOD.model_copy(update={"protocol": RULES["server"], **SPOILT["stale knowledge"]}), 2)
@@ -401,6 +402,7 @@ def test_parts_that_cannot_be_told_from_0_are_named_with_the_smallest_effect_tha
     assert {name: part["excludes_0"] for name, part in parts.items()} == {"latency": False, "loss": True}
 
 
+@pytest.mark.slow
 def test_an_effect_of_half_a_width_is_found_in_half_of_all_studies():
     """The share is 0.5, s.e. 0.011; the half width for 30 values of variance 1 is 2.045 / sqrt(30)."""
     values = np.random.default_rng(1).normal(2.045 / np.sqrt(30), 1.0, (STUDIES, 30)).tolist()
@@ -557,6 +559,7 @@ def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
     assert " +- -" in found.table()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("where", ["as it is", "ideal"])
 def test_if_every_seed_fails_the_first_failure_is_reported(where):
     """Also if only those fail in which something is removed."""

@@ -300,6 +300,7 @@ def test_a_phase_diagram_needs_two_numbers():
 GRID = {"protocol": ["sap", "cbba"], "x": [1.0, 2.0, 4.0], "y": [10.0, 20.0]}
 
 
+@pytest.mark.slow
 def test_a_key_names_the_lines_and_the_others_make_panels_of_the_same_scale():
     figure = means(result(GRID), "active_time", x="x", by="protocol")
     left, right = figure.axes
@@ -347,6 +348,7 @@ def test_a_line_has_the_same_colour_with_and_without_a_reference():
     ]
 
 
+@pytest.mark.slow
 def test_differences_may_be_from_one_configuration():
     found = result(GRID)
     reference = {"protocol": "sap", "x": "2", "y": 10.0}
@@ -432,6 +434,7 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
         both.plot(label={"sap": "SAP"})
 
 
+@pytest.mark.slow
 def test_the_label_of_a_value_is_not_that_of_other_values_of_its_kind():
     found = result({"protocol": ["sap", "sap(tau=1)"], "x": [1.0, 2.0]})
     (axes,) = means(found, "active_time", x="x", labels={"sap": "SAP"}).axes

@@ -45,6 +45,7 @@ def test_each_message_to_each_receiver_is_one_delivery_in_order_of_transmission(
     ]
 
 
+@pytest.mark.slow
 def test_deliveries_match_the_counts_of_sent_delivered_and_lost_messages(ran):
     """What waits as the run ends is in flight: it has no body and no cause."""
     numbers, found, end = summary(ran), deliveries(ran), ran.trace.events[-1].t

@@ -72,6 +72,7 @@ def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_p
         assert (folder / f"spacetime{path.suffix}").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_the_trajectory_is_drawn_by_default_and_as_in_python(made, folder, tmp_path):
     done = CliRunner().invoke(plot, [str(folder), "--size", "8.5cm", "-o", str(tmp_path / "own.svg")])
     assert done.exit_code == 0, done.output
