@@ -20,7 +20,8 @@ from pydantic import Field
 from desim.config.model import Period, Value
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.pursuit.agent import Agent, Process
-from protocols.token_passing import UNHEARD, Token, circulate, hop_time, not_absent
+from protocols.token_messages import UNHEARD, Token, not_absent
+from protocols.token_passing import circulate, hop_time
 
 
 class _WithToken(Value):

@@ -17,85 +17,23 @@ Robust to loss: yes. The token is retransmitted until its receipt arrives. A nei
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
 
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
-
-Epoch = tuple[int, int, float]
-"""Serial number, pursuer that started the epoch, and its local time then, s: unique even after a loss of memory."""
-Age = tuple[Epoch, int]
-"""Epoch and hop of a token, or of a message about it. The greater age is the newer one."""
-UNHEARD: Epoch = (0, -1, 0.0)
-"""The epoch that a node knows before it has heard of any token; older than all others."""
-
-
-class Token(NamedTuple):
-    """The right to revise, with the known records of all pursuers."""
-
-    epoch: Epoch
-    hop: int
-    """Number of revisions so far."""
-    visits: tuple[int, ...]
-    """(N,) hop of the last visit to each pursuer, or of the last failed delivery or probe; 0 if none."""
-    absent: tuple[int, ...]
-    """The pursuers that did not answer."""
-    records: tuple[Any, ...]
-    """The newest record of each pursuer known to the sender."""
-
-
-class TokenReceipt(NamedTuple):
-    """Answers a token, a probe or an outdated message; a receipt whose epoch is newer than the message rejects it."""
-
-    epoch: Epoch
-    hop: int
-
-
-class TokenNotice(NamedTuple):
-    """Announces that a token of this age is in use; a new epoch announces a new token."""
-
-    epoch: Epoch
-    hop: int
-    asks: bool = False
-    """Whether the notice is a probe, to be answered by a receipt."""
-
-
-TokenMessage = Token | TokenReceipt | TokenNotice
-
-
-def age_of(message: TokenMessage) -> Age:
-    """Return the age of a token, or of the token that a message is about."""
-    return message.epoch, message.hop
-
-
-def not_absent(token: Token, pursuers: list[int]) -> list[int]:
-    """Return those of the pursuers that are not known to be absent."""
-    return [j for j in pursuers if j not in token.absent] if token.absent else pursuers
-
-
-def visited(token: Token, pursuer: int) -> tuple[int, ...]:
-    """Return the visits of the token after a visit to a pursuer at the present hop."""
-    return (*token.visits[:pursuer], token.hop, *token.visits[pursuer + 1 :])
-
-
-def neglects(token: Token) -> bool:
-    """Return whether a pursuer that is not absent was last visited over N hops ago; it may think the token lost."""
-    return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
-
-
-def longest_absent(token: Token, pursuers: list[int]) -> int | None:
-    """Return the pursuer, among the given ones, to probe next; None if no probe is due.
-
-    It is the absent pursuer whose last visit, failed delivery or probe was the longest ago, at least N hops.
-    """
-    long_ago = token.hop - len(token.visits)
-    due = [j for j in pursuers if j in token.absent and token.visits[j] <= long_ago]
-    return min(due, key=token.visits.__getitem__, default=None)
-
-
-PORT = "token"
-"""The port at which tokens, receipts and notices arrive."""
+from protocols.token_messages import (
+    PORT,
+    UNHEARD,
+    Age,
+    Token,
+    TokenMessage,
+    TokenNotice,
+    TokenReceipt,
+    age_of,
+    longest_absent,
+    neglects,
+    visited,
+)
 
 Choice = Callable[[Agent, Token], int | None]
 """Given the holder and the token, returns the next holder; None: the token is kept."""
@@ -141,6 +79,31 @@ def loss_timeout(me: Agent, holding_time: float, time_outs: Iterable[float]) -> 
     return hops * (longest_hop + holding_time) + sum(time_outs)
 
 
+class Probes:
+    """The probes that one pursuer sends to the absent ones among its neighbours.
+
+    Args:
+        me: the pursuer.
+        time_out: the time-outs of its messages.
+    """
+
+    def __init__(self, me: Agent, time_out: RetransmissionTimer):
+        self._me, self._time_out = me, time_out
+        self._next = 0.0  # the next probe is not sent before this local time, s
+
+    def send_due(self, token: Token) -> Token:
+        """Probe the absent neighbour that is due, if any, and record the probe in the token; return the token.
+
+        A neighbour is due at most once in N hops (`longest_absent`). This pursuer sends at most one probe per time-out.
+        """
+        dst = longest_absent(token, self._me.neighbours())
+        if dst is None or self._me.now < self._next:
+            return token
+        self._next = self._me.now + self._time_out()
+        self._me.send(dst, TokenNotice(*age_of(token), asks=True), PORT)
+        return token._replace(visits=visited(token, dst))
+
+
 class TokenNode:
     """The part of one pursuer in the circulation of the token.
 
@@ -169,7 +132,7 @@ class TokenNode:
         self._time_out = RetransmissionTimer(
             me, sending_time + 5.0 * me.interval(TokenNotice(UNHEARD, 0)), holding_time
         )
-        self._next_probe = 0.0  # the next probe is not sent before this local time, s
+        self._probes = Probes(me, self._time_out)
         self._loss_timeout = loss_timeout(me, holding_time, map(self._time_out, range(attempts)))
         self._deadline = me.now + self._loss_timeout  # local time, s, at which the token is considered lost
 
@@ -328,22 +291,10 @@ class TokenNode:
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
-        token = self._probed(token._replace(visits=visited(token, me.id)))
+        token = self._probes.send_due(token._replace(visits=visited(token, me.id)))
         known = me.latest_records().values()
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
             me.send(None, TokenNotice(*age_of(token)), PORT)
         return token
-
-    def _probed(self, token: Token) -> Token:
-        """Probe the absent neighbour that is due, if any, and record the probe in the token; return the token.
-
-        A neighbour is due at most once in N hops (`longest_absent`). This pursuer sends at most one probe per time-out.
-        """
-        dst = longest_absent(token, self._me.neighbours())
-        if dst is None or self._me.now < self._next_probe:
-            return token
-        self._next_probe = self._me.now + self._time_out()
-        self._me.send(dst, TokenNotice(*age_of(token), asks=True), PORT)
-        return token._replace(visits=visited(token, dst))

@@ -27,7 +27,7 @@ from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import PROTOCOLS
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
-from protocols.token_passing import Token
+from protocols.token_messages import Token
 
 PLANS = int(os.environ.get("SOAK", "24" if settings.default.derandomize else "1000"))
 BLOCK = 12

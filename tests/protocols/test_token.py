@@ -32,16 +32,8 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_passing import (
-    Token,
-    TokenNode,
-    TokenNotice,
-    TokenReceipt,
-    circulate,
-    full_token,
-    longest_absent,
-    not_absent,
-)
+from protocols.token_messages import Token, TokenNotice, TokenReceipt, longest_absent, not_absent
+from protocols.token_passing import TokenNode, circulate, full_token
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
