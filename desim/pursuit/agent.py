@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record
@@ -22,19 +22,19 @@ from desim.kernel.transport import Transport
 from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
 from desim.pursuit.beliefs import Beliefs
 from desim.pursuit.knowledge import Knowledge
+from desim.pursuit.timing import Timing
 from desim.pursuit.views import GlobalState, View
 
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
-RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
-"""Hint in error messages about an infinite, nan or negative waiting time."""
 
 
-class Agent(Knowledge):
-    """The interface of a protocol to one pursuer: its knowledge (`Knowledge`), its actions and its messages.
+class Agent(Knowledge, Timing):
+    """The interface of a protocol to one pursuer.
 
-    A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method waits
-    when it is called.
+    Its methods return what the pursuer knows (`Knowledge`) and the events that the protocol waits for (`Timing`), set
+    the action of the pursuer, and send and receive messages. A protocol waits by yielding an event that `at`, `sleep`,
+    `arrival` or `after_decisions` returns. No method waits when it is called.
 
     Attributes:
         restarts: number of restarts without memory after a crash.
@@ -64,10 +64,10 @@ class Agent(Knowledge):
         clock: NodeClock,
     ):
         beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement)
-        super().__init__(pursuer, view, network, clock, beliefs)
+        Knowledge.__init__(self, pursuer, view, network, clock, beliefs)
+        Timing.__init__(self, pursuer, env, clock, network)
         self.global_state = global_state
-        self.restarts = 0
-        self._env, self._seed, self._announcements = env, seed, announcements
+        self._seed, self._announcements = seed, announcements
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
         # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
@@ -202,55 +202,6 @@ class Agent(Knowledge):
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""
         return self._network.inbox(self.id, port).drain()
-
-    # Events to wait for.
-
-    # Simultaneous events are ordered by phase, and events of one phase by pursuer id.
-
-    def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
-
-        Raises:
-            ValueError: if the time is infinite or nan.
-        """
-        try:
-            return Instant(self._env, max(self._clock.when(time), self._env.now), int(phase) + self.id)
-        except (OverflowError, ValueError) as error:
-            raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
-
-    def sleep(self, duration: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event that happens after a duration (s) on the local clock.
-
-        Raises:
-            ValueError: if the duration is negative, infinite or nan.
-        """
-        try:
-            return Instant(self._env, self._env.now + self._clock.span(duration), int(phase) + self.id)
-        except (OverflowError, ValueError) as error:
-            text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
-            raise ValueError(text) from error
-
-    def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
-        """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
-
-        Raises:
-            ValueError: if the duration is negative, infinite or nan.
-        """
-        restarts_before = self.restarts
-
-        def happen(_: simpy.Event) -> None:
-            if self.restarts == restarts_before:
-                act()
-
-        self.sleep(duration, phase).callbacks.append(happen)
-
-    def after_decisions(self) -> simpy.Event:
-        """Return an event that happens at the present instant, after all decisions of this instant."""
-        return self.sleep(0.0, Phase.HEARTBEAT)
-
-    def arrival(self, port: str = "", phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event that happens as soon as the inbox of a port is not empty; `mail` returns its messages."""
-        return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
 
 def repeat(me: Agent, act: Callable[[], object], period: float, name: str, jitter: float = 0.0) -> Process:
