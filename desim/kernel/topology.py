@@ -8,12 +8,13 @@ from math import inf
 import networkx as nx
 import numpy as np
 
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Bools, Integers
 from desim.kernel.graphs import node_names
 from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
-from desim.kernel.positions import Nodes, PositionFunction, as_position_source, distances
-from desim.kernel.reception import Disk, ReceptionModel, bound
-from desim.kernel.seeds import ROOM, pair_uniform
+from desim.kernel.positions import Nodes, PositionFunction, PositionSource, as_position_source, distances
+from desim.kernel.range_check import RangeCheck
+from desim.kernel.reception import ReceptionModel
+from desim.kernel.seeds import ROOM
 from desim.kernel.spatial_hash import CellList
 
 SMALL_NETWORK = 400
@@ -54,24 +55,19 @@ class Topology:
         now: Callable[[], float] | None = None,
     ):
         self.size = size = len(graph)
-        self._all = nodes = np.arange(size)
         _check(graph)
         if range < inf and positions is None:
             raise ValueError(f"a range of {range} m needs positions")
         self._complete = is_complete(graph)
         self._directed = graph.is_directed() and not self._complete
         self._lists: list[list[int]] | _AllOthers = (
-            _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
+            _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in sorted(graph)]
         )
         self._range = range
-        self._received = _RangeCheck(reception, range, per_link, seed, size)
+        self._received = RangeCheck(reception, range, per_link, seed, size)
         self._positions = as_position_source(positions) if positions is not None and range < inf else None
-        self._cells: CellList | None = None
-        self._candidate_lists: list[Nodes] = []
-        if self._positions is not None and not self._complete:
-            self._candidate_lists = [_with_linked(node, self._lists[node]) for node in nodes.tolist()]
-        elif self._positions is not None and size > SMALL_NETWORK and self._received.bound < inf:
-            self._cells = CellList(self._positions, self._received.bound, now)
+        if self._positions is not None:
+            self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
@@ -194,7 +190,7 @@ class Topology:
         if self._complete and self._positions is None:
             return complete_digraph(self.size)
         now: nx.DiGraph[int] = nx.DiGraph()
-        now.add_nodes_from(self._all.tolist())
+        now.add_nodes_from(range(self.size))
         now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
         return now
 
@@ -207,12 +203,6 @@ class Topology:
                 speakers[other].append(node)
         return speakers
 
-    def _candidates(self, node: int) -> Nodes:
-        """Return the nodes that may receive from `node` now, and itself, ascending."""
-        if self._cells is not None:
-            return self._cells.around(node)
-        return self._all if self._complete else self._candidate_lists[node]
-
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         assert self._positions is not None
@@ -222,58 +212,6 @@ class Topology:
         received = self._received(node, candidates, apart, message)
         received[own] = False
         return candidates[received]
-
-
-class _RangeCheck:
-    """Decides which nodes a message reaches, given their distances from its sender.
-
-    Args:
-        reception: the probability of reception as a function of distance; a disk if None.
-        range: the communication range of every node, m.
-        per_link: whether random reception is drawn once per pair of nodes; if not, it is drawn for every message.
-        seed: the seed of the random draws.
-        size: number of nodes.
-
-    The arguments of its methods, with k receivers:
-        src: the sender, one for all or (k,).
-        dst: (k,) the receivers.
-        apart: (k,) their distances, m.
-        message: the number of the message, one for all or (k,); None: with fading per message, a message is received
-            where the probability is at least 1/2.
-    """
-
-    def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
-        self._reception, self._range, self._per_link = reception or Disk(), range, per_link
-        self._seed, self._size = seed, size
-        self._is_certain = isinstance(self._reception, Disk)
-        self._drawn: dict[int, Floats] = {}
-        """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
-
-    @property
-    def bound(self) -> float:
-        """The distance, m, beyond which nothing is received; inf if there is none."""
-        return bound(self._reception, self._range)
-
-    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
-        """Return (k,) booleans: which of the nodes `dst` receive a message."""
-        if self._is_certain:
-            return apart <= self._range
-        probability = self._reception(apart, self._range)
-        received: Bools = self._draws(src, dst, message) <= probability
-        return received
-
-    def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
-        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""
-        if not self._per_link:
-            if message is None:
-                return np.full(len(dst), 0.5)
-            return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)
-        if not isinstance(src, int):
-            return pair_uniform(self._seed, "fading", src, dst)
-        if src not in self._drawn and (len(self._drawn) + 1) * self._size <= ROOM:
-            self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
-        kept = self._drawn.get(src)
-        return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
 
 
 class _AllOthers(dict[int, list[int]]):
@@ -305,6 +243,30 @@ def _check(graph: "nx.Graph[int]") -> None:
         raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {node_names(graph)}")
     if loops := [node for node in graph if graph.has_edge(node, node)]:
         raise ValueError(f"no node should be linked to itself, got {loops}")
+
+
+def _candidates(
+    lists: "list[list[int]] | _AllOthers",
+    size: int,
+    positions: PositionSource,
+    bound: float,
+    now: Callable[[], float] | None,
+) -> Callable[[int], Nodes]:
+    """Return a function that returns the nodes that may receive from a node now, and itself, ascending.
+
+    Args:
+        lists: by node, the nodes that the graph links it to.
+        size: number of nodes.
+        positions: the current positions of the nodes.
+        bound: the distance, m, beyond which nothing is received; inf if there is none.
+        now: as in `Topology`.
+    """
+    if isinstance(lists, list):
+        return [_with_linked(node, linked) for node, linked in enumerate(lists)].__getitem__
+    if size > SMALL_NETWORK and bound < inf:
+        return CellList(positions, bound, now).around
+    everyone = np.arange(size)
+    return lambda _: everyone
 
 
 def _with_linked(node: int, linked: list[int]) -> Nodes:

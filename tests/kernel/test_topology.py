@@ -246,7 +246,7 @@ def test_neighbour_lists_are_cached_for_few_nodes_and_up_to_a_limit_for_many():
 def test_pair_uniforms_are_the_same_with_and_without_caching():
     at = scattered(40)
     kept = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
-    with patch.object(topology_module, "ROOM", 100):
+    with patch("desim.kernel.range_check.ROOM", 100):
         scarce = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
         assert [scarce.hearers(node) for node in range(40)] == [kept.hearers(node) for node in range(40)]
         assert len(scarce._received._drawn) == 2
