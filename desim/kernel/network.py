@@ -16,14 +16,15 @@ from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.estimates import Estimates
 from desim.kernel.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inbox, Inboxes, Message
+from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
-from desim.kernel.message_size import as_sent, negative_size, size_of
+from desim.kernel.message_size import as_sent
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
-from desim.kernel.records import Predicate, Record, Table
+from desim.kernel.receiving_nodes import ReceivingNodes
+from desim.kernel.records import Predicate, Record
 from desim.kernel.topology import Topology
 from desim.kernel.transport import Transport
 from desim.kernel.transport_layer import TransportLayer
@@ -36,10 +37,11 @@ if TYPE_CHECKING:
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
-class Network:
+class Network(ReceivingNodes):
     """Nodes 0 .. n - 1 that communicate over the edges of a graph.
 
-    All methods raise ValueError for a node that does not exist.
+    The methods that read what a node has received are those of `ReceivingNodes`. All methods raise ValueError for a
+    node that does not exist.
 
     Args:
         env: the clock of the simulation.
@@ -74,9 +76,8 @@ class Network:
         predicate: Predicate | None = None,
         clocks: Sequence[NodeClock] = (),
     ):
-        self._env = env
         links = links or Links()
-        self.topology = Topology(
+        self.topology = topology = Topology(
             graph,
             links.range,
             positions,
@@ -85,39 +86,32 @@ class Network:
             seed=seed,
             now=lambda: env.now / SECOND,
         )
-        self._size = self.topology.size
         sampler = LinkSampler(links, graph, seed, positions)
-        self.estimates = Estimates(self.topology, links.medium, sampler)
-        self._fault_state = fault_state
-        self._records = Records(env, self._size, predicate, repeats=sampler.duplicates_messages)
-        self._inboxes = Inboxes(env, self._size)
-        self._trace, self._clocks = trace, clocks or [NodeClock(env)] * self._size
+        self.estimates = Estimates(topology, links.medium, sampler)
+        records = Records(env, topology.size, predicate, repeats=sampler.duplicates_messages)
+        inboxes, clocks = Inboxes(env, topology.size), clocks or [NodeClock(env)] * topology.size
         self._link_layer = LinkLayer(
             env,
             links,
-            self.topology,
+            topology,
             sampler,
-            self._records,
-            self._inboxes,
+            records,
+            inboxes,
             fault_state,
             trace if trace is not None and trace.wants_messages else None,
             None if positions is None else as_position_source(positions),
-            self._clocks,
+            clocks,
             seed,
         )
-        self._transmit, self._arrivals = self._link_layer.transmit, self._link_layer.delivery.arrivals
-        self._first_kept = self._arrivals.kept.first
+        super().__init__(env, records, inboxes, self._link_layer.delivery.arrivals, topology.size)
+        self._fault_state, self._transmit = fault_state, self._link_layer.transmit
         self._transport, self._is_plain = links.transport, links.transport.is_plain
-        self._layer: TransportLayer | None = None  # created by the first message that needs it
-        self._seq = [0] * self._size
+        self._transport_layer = TransportLayer(
+            env, topology, self.estimates, inboxes, fault_state, clocks, trace, self._transmit
+        )
+        self._seq = [0] * topology.size
 
-    # Operations of nodes.
-
-    def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
-        """Give each node without a record of `src` an initial record, without a message; `stamp` is as in `publish`."""
-        if not 0 <= src < self._size:
-            raise self._unknown(src)
-        self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
+    # Sending.
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of `src` to its neighbours as a record; unlike `send`, it wakes no process.
@@ -172,10 +166,6 @@ class Network:
         if self._is_plain if transport is None else transport.is_plain:
             self._transmit(src, dst, message, size, port)
             return
-        if size is None:
-            size = size_of(body)
-        elif size < 0:
-            raise negative_size(size)
         self._transport_layer.send(src, dst, message, port, size, transport or self._transport)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
@@ -185,62 +175,9 @@ class Network:
         self._seq[src] = seq = self._seq[src] + 1
         return _new(Record, (src, seq, self._env.now if stamp is None else stamp, as_sent(body)))
 
-    def insert(self, node: int, record: Record) -> None:
-        """Insert a record received by other means than `publish` into the table of a node.
-
-        The record is ignored if the node is its source, or has this or a newer record of the same source.
-        """
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if record.src != node:
-            self._records.relay(node, record)
-
-    def latest_records(self, node: int) -> Table:
-        """Return the newest received record of each other node, by source; cost O(new records + sources)."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if self._first_kept[node] <= self._env.now:
-            self._arrivals.settle_for_reader(node)
-        return self._records.latest_records(node)
-
-    def matching(self, node: int) -> Table:
-        """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if self._first_kept[node] <= self._env.now:
-            self._arrivals.settle_for_reader(node)
-        return self._records.matching(node)
-
-    def inbox(self, node: int, port: str = "") -> Inbox:
-        """Return the inbox of a node at a port."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        return self._inboxes.at(port)[node]
-
     def overhear(self, listener: Listener) -> None:
         """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
-
-    @property
-    def _transport_layer(self) -> TransportLayer:
-        """The transport layer, which is created when it is first needed."""
-        if self._layer is None:
-            self._layer = TransportLayer(
-                self._env,
-                self.topology,
-                self._inboxes,
-                self._fault_state,
-                self._clocks,
-                self._trace,
-                transmit=self._transmit,
-                latency=lambda: self.estimates.latency,
-                sending_time=self.estimates.sending_time,
-            )
-        return self._layer
-
-    def _unknown(self, node: int) -> ValueError:
-        """Return the error about a node that does not exist."""
-        return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
 
     # Faults and counts.
 
@@ -264,12 +201,8 @@ class Network:
         """
         self.fault_state.recover(node)
         if not memory:
-            self._records.forget(node)
-            self._inboxes.drain(node)
-        if self._layer is not None:
-            if not memory:
-                self._layer.forget(node)
-            self._layer.resume(node)
+            self._forget(node)
+        self._transport_layer.recover(node, memory=memory)
 
     @property
     def fault_state(self) -> FaultState:
@@ -288,4 +221,4 @@ class Network:
 
     def transport_counts(self) -> TransportCounts | None:
         """Return the counts of transports up to now; None if no message has needed a transport."""
-        return None if self._layer is None else self._layer.counts()
+        return self._transport_layer.counts()

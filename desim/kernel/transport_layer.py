@@ -9,6 +9,7 @@ it has received. A message whose acknowledgement was lost may then be delivered 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
 from math import inf
@@ -16,9 +17,11 @@ from typing import Any, Literal
 
 from desim.config.model import MAX_TIME
 from desim.kernel.clock import Clock, NodeClock, Phase
+from desim.kernel.estimates import Estimates
 from desim.kernel.events import Trace, TransportCounts
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message, deliver
+from desim.kernel.inbox import Inbox, Inboxes, Message, deliver
+from desim.kernel.message_size import negative_size, size_of
 from desim.kernel.retransmission import first_timeout
 from desim.kernel.topology import Topology
 from desim.kernel.transport import Reliable, Transport
@@ -33,83 +36,115 @@ FIRST_DELIVERY = 1 << 48
 """The number of the first delivery: at one instant, deliveries come after messages without a transport."""
 
 
+@dataclass
+class _Node:
+    """The state of a node in the transport layer."""
+
+    endpoint: Endpoint
+    inbox: Inbox
+    """Its inbox of frames."""
+    senders: dict[Flow, Sender] = field(default_factory=dict)
+    receivers: dict[Flow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
+    expectations: dict[tuple[str, int, str], Expectation] = field(default_factory=dict)
+    """By kind (a message, "deadline", or any frame, "lease"), sender and port."""
+
+    def forget(self, now: int) -> None:
+        """Lose the memory, and begin a new session now, ns."""
+        self.endpoint.session = now
+        for sender in self.senders.values():
+            sender.forget()
+        for expectation in self.expectations.values():
+            expectation.drop()
+        for table in (self.senders, self.receivers, self.expectations):
+            table.clear()
+
+
 class TransportLayer:
     """Carries messages under the transports of their ports.
+
+    Most networks need no transport. The state of the nodes is therefore created when the first message is sent.
 
     Args:
         env: the clock of the simulation.
         topology: the current neighbours of the nodes.
+        estimates: estimates of the delays of the network, for the time-out "auto".
         inboxes: receive the frames, and the messages that are delivered.
         fault_state: the active faults; None: the network has no faults.
         clocks: the clocks of the nodes.
         trace: receives the events of transports; None if they are not needed.
         transmit: hands a message to the link layer, given its sender, receiver, size and port.
-        latency: returns the typical latency of the network, s.
-        sending_time: returns the time, s, for which a message of a size, bytes, keeps its sender from sending the next.
     """
 
     def __init__(
         self,
         env: Clock,
         topology: Topology,
+        estimates: Estimates,
         inboxes: Inboxes,
         fault_state: FaultState | None,
         clocks: Sequence[NodeClock],
         trace: Trace | None,
-        *,
         transmit: Callable[[int, int | None, Message, int, str], object],
-        latency: Callable[[], float],
-        sending_time: Callable[[int], float],
     ):
         self._env, self._topology, self._inboxes, self._fault_state = env, topology, inboxes, fault_state
-        self._clocks, self._transmit, self._latency, self._sending_time = clocks, transmit, latency, sending_time
+        self._clocks, self._transmit, self._estimates = clocks, transmit, estimates
         self._log = TransportLog(env, trace)
         self._transports: dict[str, Transport] = {}
         """By port."""
-        self._endpoints = [self._endpoint(node) for node in range(topology.size)]
-        self._senders: list[dict[Flow, Sender]] = [{} for _ in self._endpoints]
-        self._receivers: list[dict[Flow, ReliableReceiver | CodedReceiver]] = [{} for _ in self._endpoints]
-        self._expectations: list[dict[tuple[str, int, str], Expectation]] = [{} for _ in self._endpoints]
-        """By node: its expectations, by kind (a message, "deadline", or any frame, "lease"), sender and port."""
-        self._boxes = inboxes.at(PORT)
+        self._nodes: list[_Node] = []
+        """Empty until the first message."""
         self._numbers = count(FIRST_DELIVERY)
-        for node in range(topology.size):
-            self._listen(node)
 
-    def send(self, src: int, dst: int | None, message: Message, port: str, size: int, transport: Transport) -> None:
-        """Send a message of a size, bytes, to a node, or to all neighbours (None), under a transport.
+    def send(
+        self, src: int, dst: int | None, message: Message, port: str, size: int | None, transport: Transport
+    ) -> None:
+        """Send a message to a node, or to all neighbours (None), under a transport.
+
+        Args:
+            src: the sender.
+            dst: the receiver; None: all neighbours.
+            message: the message.
+            port: the port of the inbox.
+            size: the size of the message, bytes; computed from its body if None.
+            transport: how it is carried.
 
         Raises:
-            ValueError: if messages at this port have another transport.
+            ValueError: if the size is negative, or messages at this port have another transport.
         """
+        if size is None:
+            size = size_of(message.body)
+        elif size < 0:
+            raise negative_size(size)
+        if not self._nodes:
+            self._start()
         known = self._transports.setdefault(port, transport)
         if known is not transport and known != transport:
             raise ValueError(f"a port has one transport: {port!r} has {known!r} (got {transport!r})")
-        flow = Flow(src, dst, port)
-        sender = self._senders[src].get(flow)
+        flow, node = Flow(src, dst, port), self._nodes[src]
+        sender = node.senders.get(flow)
         if sender is None:
             kind = ReliableSender if isinstance(transport, Reliable) else CodedSender
-            sender = self._senders[src][flow] = kind(flow, transport, self._endpoints[src])  # type: ignore[arg-type]
+            sender = node.senders[flow] = kind(flow, transport, node.endpoint)  # type: ignore[arg-type]
         sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
 
-    def resume(self, node: int) -> None:
-        """Let the senders of a node continue, whose radio may be up again."""
-        for sender in self._senders[node].values():
+    def recover(self, node: int, *, memory: bool) -> None:
+        """Let the senders of a node continue, whose radio may be up again; without memory, let it forget them first."""
+        if not self._nodes:
+            return
+        if not memory:
+            self._nodes[node].forget(self._env.now)
+        for sender in self._nodes[node].senders.values():
             sender.resume()
 
-    def forget(self, node: int) -> None:
-        """Let a node lose its memory."""
-        self._endpoints[node].session = self._env.now
-        for sender in self._senders[node].values():
-            sender.forget()
-        for expectation in self._expectations[node].values():
-            expectation.drop()
-        for table in (self._senders, self._receivers, self._expectations):
-            table[node].clear()
+    def counts(self) -> TransportCounts | None:
+        """Return the counts of all transports up to now; None if no message has been sent."""
+        return self._log.counts() if self._nodes else None
 
-    def counts(self) -> TransportCounts:
-        """Return the counts of all transports up to now."""
-        return self._log.counts()
+    def _start(self) -> None:
+        """Create the state of the nodes, and let them listen for frames."""
+        self._nodes = [_Node(self._endpoint(node), inbox) for node, inbox in enumerate(self._inboxes.at(PORT))]
+        for node in range(self._topology.size):
+            self._listen(node)
 
     # Senders.
 
@@ -126,24 +161,25 @@ class TransportLayer:
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
         """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
-        answers = receivers * self._sending_time(acknowledgement_size(transport.window))
-        return first_timeout(self._latency(), self._sending_time(size) + answers, transport.min_timeout)
+        answers = receivers * self._estimates.sending_time(acknowledgement_size(transport.window))
+        sending_time = self._estimates.sending_time(size) + answers
+        return first_timeout(self._estimates.latency, sending_time, transport.min_timeout)
 
     # Receivers.
 
     def _listen(self, node: int) -> None:
         """Take the next frames of a node as they arrive."""
-        event = self._boxes[node].arrival(Phase.DELIVERY + 1 + node)
+        event = self._nodes[node].inbox.arrival(Phase.DELIVERY + 1 + node)
         event.callbacks.append(lambda _: self._receive(node))
 
     def _receive(self, node: int) -> None:
         """Process the frames that have arrived at a node."""
-        for src, stamp, frame in self._boxes[node].drain():
+        for src, stamp, frame in self._nodes[node].inbox.drain():
             transport = self._transports[frame.port]
             if transport.lease < inf:
                 self._expect(node, "lease", src, frame.port, transport.lease)
             if isinstance(frame, Acknowledgement):
-                sender = self._senders[node].get(Flow(node, None if frame.to_all else src, frame.port))
+                sender = self._nodes[node].senders.get(Flow(node, None if frame.to_all else src, frame.port))
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
             else:
@@ -155,12 +191,12 @@ class TransportLayer:
 
         A frame of a sender that has lost its memory since is ignored.
         """
-        flow = Flow(src, None if frame.to_all else node, frame.port)
-        receiver = self._receivers[node].get(flow)
+        flow, receivers = Flow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
+        receiver = receivers.get(flow)
         if receiver is not None and receiver.session > frame.session:
             return
         if receiver is None or receiver.session < frame.session:
-            receiver = self._receivers[node][flow] = _receiver(frame, transport)
+            receiver = receivers[flow] = _receiver(frame, transport)
         arrived: Any = receiver.receive(src, stamp, frame)  # type: ignore[arg-type]  # a port has one transport
         for seq, message, attempt in arrived:
             self._deliver(node, flow, seq, message, attempt, transport)
@@ -184,7 +220,8 @@ class TransportLayer:
 
     def _expect(self, node: int, what: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
         """Let a node expect a message, or any frame, of another within a time, s, by its own clock."""
-        known = self._expectations[node].get((what, src, port))
+        expectations = self._nodes[node].expectations
+        known = expectations.get((what, src, port))
         if known is None and within <= MAX_TIME:
             tell = self._log.miss_deadline if what == "deadline" else self._log.lose_liveliness
 
@@ -194,7 +231,7 @@ class TransportLayer:
 
             duration, priority = self._clocks[node].span(within), Phase.RELAY + node
             known = Expectation(self._env, priority, duration, miss, again=what == "deadline")
-            self._expectations[node][what, src, port] = known
+            expectations[what, src, port] = known
         if known is not None:
             known.meet()
 

@@ -42,7 +42,7 @@ from desim.kernel.transport_frames import Acknowledgement, Piece, Segment, Skip
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
-from protocols.token_passing import Token
+from protocols.token_messages import Token
 
 L, TIMEOUT = 0.1, 0.5
 """s"""
@@ -196,7 +196,7 @@ def test_a_message_is_given_up_after_so_many_repeats_and_the_later_ones_are_deli
     assert lab.sent(Skip) == [1.5, 2.0]
     assert lab.delivered() == [(2.1, "b")]
     assert lab.counts.given_up == {"repeats": 1}
-    assert not lab.net._layer._senders[0][0, 1, "port"]._entries
+    assert not lab.net._transport_layer._nodes[0].senders[0, 1, "port"]._entries
 
 
 def test_a_message_is_neither_repeated_nor_delivered_after_its_lifespan():
@@ -322,7 +322,7 @@ def test_a_receiver_remembers_a_bounded_number_of_messages():
         lab.send(float(k), k)
     lab.run(400.0)
     assert lab.delivered() == []
-    assert len(lab.net._layer._receivers[1][0, 1, "port"]._pieces) == 64
+    assert len(lab.net._transport_layer._nodes[1].receivers[0, 1, "port"]._pieces) == 64
 
 
 # Best effort, and what is refused.
@@ -413,12 +413,12 @@ def test_every_message_is_delivered_once_and_in_order_whatever_breaks_until_it_h
     for event in lab.trace:
         for watch in watchers:
             watch(event)
-    layer = lab.net._layer
-    assert not any(sender._entries for senders in layer._senders for sender in senders.values())
+    nodes = lab.net._transport_layer._nodes
+    assert not any(sender._entries for node in nodes for sender in node.senders.values())
     assert lab.counts.given_up.keys() <= {"memory_loss"}
     if what != "forgetful":
         assert lab.counts.delivered == lab.counts.submitted
-        assert not any(each._beyond for receivers in layer._receivers for each in receivers.values())
+        assert not any(each._beyond for node in nodes for each in node.receivers.values())
 
 
 FORGETS = FaultEnded(3, Crash(node=1, start=0.0, end=3e-9, memory=False))

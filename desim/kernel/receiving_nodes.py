@@ -1,0 +1,78 @@
+"""The receiving side of a network: the records and the messages that have arrived at its nodes."""
+
+from typing import Any
+
+from desim.kernel.arrivals import Arrivals
+from desim.kernel.clock import Clock
+from desim.kernel.inbox import Inbox, Inboxes
+from desim.kernel.message_size import as_sent
+from desim.kernel.received_records import Records
+from desim.kernel.records import Record, Table
+
+
+class ReceivingNodes:
+    """Nodes 0 .. n - 1 with the records and messages that they have received.
+
+    `desim.kernel.network.Network` adds the sending side. All methods raise ValueError for a node that does not exist.
+
+    Args:
+        env: the clock of the simulation.
+        records: the records that have arrived.
+        inboxes: the inboxes of the nodes.
+        arrivals: the arrivals whose outcome is not decided yet.
+        size: number of nodes.
+    """
+
+    def __init__(self, env: Clock, records: Records, inboxes: Inboxes, arrivals: Arrivals, size: int):
+        self._env, self._records, self._inboxes, self._arrivals, self._size = env, records, inboxes, arrivals, size
+        self._first_kept = arrivals.kept.first
+
+    def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
+        """Give each node without a record of `src` an initial record, without a message.
+
+        `stamp` is as in `Network.publish`.
+        """
+        if not 0 <= src < self._size:
+            raise self._unknown(src)
+        self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
+
+    def insert(self, node: int, record: Record) -> None:
+        """Insert a record received by other means than `Network.publish` into the table of a node.
+
+        The record is ignored if the node is its source, or has this or a newer record of the same source.
+        """
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
+        if record.src != node:
+            self._records.relay(node, record)
+
+    def latest_records(self, node: int) -> Table:
+        """Return the newest received record of each other node, by source; cost O(new records + sources)."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
+        return self._records.latest_records(node)
+
+    def matching(self, node: int) -> Table:
+        """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
+        return self._records.matching(node)
+
+    def inbox(self, node: int, port: str = "") -> Inbox:
+        """Return the inbox of a node at a port."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
+        return self._inboxes.at(port)[node]
+
+    def _forget(self, node: int) -> None:
+        """Delete the received records and the unread messages of a node."""
+        self._records.forget(node)
+        self._inboxes.drain(node)
+
+    def _unknown(self, node: int) -> ValueError:
+        """Return the error about a node that does not exist."""
+        return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
