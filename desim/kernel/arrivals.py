@@ -11,21 +11,18 @@ loss at its time, if there may be faults that are not planned, or if the source 
 positions (`PositionSource.looks_back`).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import repeat
+from collections.abc import Iterable
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from desim.config.arrays import Integers
+from desim.kernel.arrival_losses import ArrivalLosses
 from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message, deliver
+from desim.kernel.inbox import Inboxes, deliver
 from desim.kernel.received_records import Records
 from desim.kernel.records import Arrival, Record, pairs, per_receiver
 from desim.kernel.topology import Topology
+from desim.kernel.transmission import Flight, Lose, Transmission
 from desim.kernel.transmitter import Transmitter
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
@@ -33,37 +30,6 @@ MAX_KEPT = 100_000
 """Number of arrivals after which all that are due are decided, also those at nodes that do not read."""
 MANY = 1000
 """Length from which a list is searched for items that are no longer needed."""
-
-
-class Transmission(NamedTuple):
-    """One transmission: a record or a message, with its receivers."""
-
-    number: int
-    src: int
-    created: int
-    """Time of the call of `publish` or `send`, ns."""
-    size: int
-    """Bytes."""
-    receivers: list[int]
-    content: Record | Message
-    port: str
-    """Port of the inbox, for a message."""
-    reachable: bool
-    """False if `send` was called for one receiver that was then not linked to the sender or, with a range check at
-    transmission, out of range; else True."""
-    to_one: bool
-    """Whether it is a message to one node."""
-
-
-Lose = Callable[[Transmission, Mapping[int, Cause]], object]
-"""A function that counts the losses of a transmission, given their causes by receiver."""
-
-
-class _Flight(NamedTuple):
-    """A transmission and its airtime, ns."""
-
-    transmission: Transmission
-    airtime: int
 
 
 class KeptArrivals:
@@ -85,7 +51,7 @@ class KeptArrivals:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, flight: _Flight, nodes: list[int], times: list[int]) -> bool:
+    def add(self, flight: Flight, nodes: list[int], times: list[int]) -> bool:
         """Keep the arrivals (times in ns) at some nodes.
 
         Return whether all that are due should be decided, as many have been added since this was last the case.
@@ -104,11 +70,11 @@ class KeptArrivals:
         self._added = 0
         return True
 
-    def take(self, nodes: Iterable[int], until: int) -> tuple[list[int], list[int], list[_Flight]]:
+    def take(self, nodes: Iterable[int], until: int) -> tuple[list[int], list[int], list[Flight]]:
         """Remove the arrivals at some nodes up to and including a time, ns; return receivers, times and flights."""
         receivers: list[int] = []
         times: list[int] = []
-        flights: list[_Flight] = []
+        flights: list[Flight] = []
         for node in nodes:
             if self.first[node] > until:
                 continue
@@ -127,7 +93,7 @@ class KeptArrivals:
 
 
 class Arrivals:
-    """Decides which uncertain arrivals succeed, and stores what has arrived.
+    """Schedules uncertain arrivals, has their losses decided (`ArrivalLosses`), and stores what has arrived.
 
     Args:
         env: the clock of the simulation.
@@ -159,19 +125,16 @@ class Arrivals:
         at_once: bool,
         lose: Lose,
     ):
-        self._env, self._topology, self._records, self._inboxes = env, topology, records, inboxes
-        self._fault_state, self._processing = fault_state, processing
-        self._transmitter = transmitter
-        self._checks_range, self._lose = checks_range, lose
+        self._env, self._records, self._inboxes, self._fault_state = env, records, inboxes, fault_state
+        self._transmitter, self._lose = transmitter, lose
+        self._losses = ArrivalLosses(
+            env, topology, fault_state, transmitter, processing=processing, checks_range=checks_range
+        )
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if checks_range:
             topology.before_change(self.settle)
         if fault_state is not None:
             fault_state.before_change(self.settle)
-        self._on_air: dict[int, tuple[int, int]] = {}
-        """By sender: the number of its last transmission with an airtime, and the end of the airtime."""
-        self._cut_short: set[int] = set()
-        """The numbers of the transmissions whose sender crashed while it transmitted."""
         self._with_events = 0
         """Number of arrivals that have an event."""
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
@@ -182,9 +145,7 @@ class Arrivals:
 
     def crash(self, node: int) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
-        number, end = self._on_air.get(node, (0, 0))
-        if self._env.now < end:
-            self._cut_short.add(number)
+        self._losses.crash(node)
 
     def in_flight(self) -> int:
         """Return the number of arrivals that are not decided yet."""
@@ -194,9 +155,9 @@ class Arrivals:
         """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
         if not nodes:
             return
-        now, flight = self._env.now, _new(_Flight, (transmission, airtime))
+        now, flight = self._env.now, _new(Flight, (transmission, airtime))
         if self._transmitter is not None:
-            self._on_air[transmission.src] = transmission.number, now + airtime
+            self._losses.start(flight)
             if len(self._transmitter.recent) > self._forget_at:
                 self._transmitter.forget(min(now, *self.kept.first))
                 self._forget_at = 2 * len(self._transmitter.recent) + MANY
@@ -212,7 +173,7 @@ class Arrivals:
             for when, here in nodes_by_time.items():
                 self._land_at(when, flight, here, is_only=len(nodes_by_time) == 1)
 
-    def _land_at(self, when: int, flight: _Flight, nodes: list[int], *, is_only: bool) -> None:
+    def _land_at(self, when: int, flight: Flight, nodes: list[int], *, is_only: bool) -> None:
         """Schedule the arrival of a transmission at some nodes at a time, ns; `is_only`: see `_land`."""
         land = Instant(self._env, when, Phase.DELIVERY)
         land.callbacks.append(lambda _: self._land(flight, nodes, is_only=is_only))
@@ -257,7 +218,7 @@ class Arrivals:
         receivers, times, flights = self.kept.take(nodes, until)
         if not flights:
             return
-        causes = self._causes(receivers, times, flights)
+        causes = self._losses.causes(receivers, times, flights)
         if causes:
             for k, cause in causes.items():
                 self._lose(flights[k].transmission, {receivers[k]: cause})
@@ -272,12 +233,12 @@ class Arrivals:
         faults = self._fault_state
         return not self._at_once and isinstance(transmission.content, Record) and (faults is None or faults.looks_back)
 
-    def _land(self, flight: _Flight, nodes: list[int], *, is_only: bool) -> None:
+    def _land(self, flight: Flight, nodes: list[int], *, is_only: bool) -> None:
         """Deliver or lose a transmission at each of some nodes now; `is_only`: it arrives at no other time."""
         now, transmission = self._env.now, flight.transmission
         content, receivers = transmission.content, transmission.receivers
         self._with_events -= len(nodes)
-        causes = self._causes(nodes, now, flight)
+        causes = self._losses.causes(nodes, now, flight)
         lost = {nodes[k]: causes[k] for k in sorted(causes)}
         if lost:
             self._lose(transmission, lost)
@@ -290,65 +251,3 @@ class Arrivals:
             self._records.insert(reached, content)
         else:
             deliver(content, self._inboxes.at(transmission.port), reached, now, transmission.number)
-
-    def _causes(self, nodes: list[int], times: int | list[int], flights: _Flight | list[_Flight]) -> dict[int, Cause]:
-        """Return the cause of the loss of each of k arrivals that is lost, by its index.
-
-        If an arrival has several causes, the last in this order counts: half duplex, range, jamming, partition, crash.
-
-        Args:
-            nodes: (k,) the receivers.
-            times: the times of the arrivals, ns, one for all or (k,).
-            flights: what arrives, one for all or (k,).
-        """
-        causes: dict[int, Cause] = {}
-        if self._transmitter is not None:
-            causes = dict.fromkeys(self._while_transmitting(nodes, times, flights), "half_duplex")
-        if not self._checks_range and self._fault_state is None:
-            return causes
-        src, number = _of_each(flights, lambda each: each.src), _of_each(flights, lambda each: each.number)
-        when = times if isinstance(times, int) else np.array(times)
-        losses: list[tuple[Cause, list[bool] | None]] = []
-        if self._checks_range:
-            reached = self._topology.reaches(src, nodes, number, when)
-            losses.append(("out_of_range", [not each for each in reached]))
-        if (faults := self._fault_state) is not None:
-            losses.append(("jamming", faults.jammed(nodes, when)))
-            losses.append(("partition", faults.separated(src, nodes)))
-            losses.append(("crash", self._crashed(nodes, number)))
-        for cause, lost in losses:
-            if lost is not None and True in lost:
-                causes |= dict.fromkeys((k for k, is_lost in enumerate(lost) if is_lost), cause)
-        return causes
-
-    def _while_transmitting(
-        self, nodes: list[int], times: int | list[int], flights: _Flight | list[_Flight]
-    ) -> Iterator[int]:
-        """Yield the index of each arrival whose receiver transmitted during the reception; see `_causes`."""
-        assert self._transmitter is not None
-        lag = self._processing
-        earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
-        own = self._transmitter.during(earliest - lag, latest - lag)
-        if not own:
-            return
-        for k in [k for k, node in enumerate(nodes) if node in own]:
-            end = (times if isinstance(times, int) else times[k]) - lag
-            flight = flights if isinstance(flights, _Flight) else flights[k]
-            if any(begin < end < until + flight.airtime for begin, until in own[nodes[k]]):
-                yield k
-
-    def _crashed(self, nodes: list[int], number: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether the receiver is down or the sender crashed while sending; None: all False."""
-        assert self._fault_state is not None
-        down, cut_short = self._fault_state.down_nodes, self._cut_short
-        if not down and not cut_short:
-            return None
-        numbers = repeat(number) if isinstance(number, int) else number.tolist()
-        return [node in down or number in cut_short for node, number in zip(nodes, numbers, strict=False)]
-
-
-def _of_each(flights: _Flight | list[_Flight], number: Callable[[Transmission], int]) -> int | Integers:
-    """Return a number of one transmission, or of each of k: (k,)."""
-    if isinstance(flights, _Flight):
-        return number(flights.transmission)
-    return np.array([number(transmission) for transmission, _ in flights])

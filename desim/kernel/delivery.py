@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Mapping
 from itertools import compress
 from typing import NamedTuple
 
-from desim.kernel.arrivals import Arrivals, Lose, Transmission
+from desim.kernel.arrivals import Arrivals
 from desim.kernel.clock import Clock
 from desim.kernel.contention import Contention
 from desim.kernel.events import Cause
@@ -22,6 +22,7 @@ from desim.kernel.links import Links
 from desim.kernel.received_records import Records
 from desim.kernel.records import Arrival, Record, per_receiver
 from desim.kernel.topology import Topology
+from desim.kernel.transmission import Lose, Transmission
 from desim.kernel.transmitter import Transmitter
 
 

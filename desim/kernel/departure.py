@@ -2,12 +2,12 @@
 
 from itertools import compress
 
-from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.topology import Topology
+from desim.kernel.transmission import Transmission
 
 
 class Departure:

@@ -7,7 +7,6 @@ its arrivals scheduled (`desim.kernel.delivery`). If nodes contend, its arrivals
 from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 
-from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.contention import Contention
 from desim.kernel.delivery import Delivery
@@ -24,6 +23,7 @@ from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
 from desim.kernel.records import Arrival, Record, per_receiver
 from desim.kernel.topology import Topology
+from desim.kernel.transmission import Transmission
 from desim.kernel.transmitter import Transmitter
 
 Listener = Callable[[Record | Message, int], object]

@@ -3,10 +3,10 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from desim.kernel.arrivals import Transmission
 from desim.kernel.clock import Clock
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.records import Arrival, Record, per_receiver
+from desim.kernel.transmission import Transmission
 
 
 class MessageLog:

@@ -2,6 +2,7 @@
 
 from unittest.mock import patch
 
+from desim.kernel.arrival_losses import ArrivalLosses
 from desim.kernel.arrivals import Arrivals
 from desim.kernel.delivery import Delivery
 from desim.kernel.link_layer import LinkLayer
@@ -13,9 +14,10 @@ def network_over(layer):
     """Return a function that creates a network as `Network` does, with another class in place of a part.
 
     Args:
-        layer: a subclass of `Arrivals`, `Delivery`, `MessageLog` or `LinkLayer`.
+        layer: a subclass of `ArrivalLosses`, `Arrivals`, `Delivery`, `MessageLog` or `LinkLayer`.
     """
     places = {
+        ArrivalLosses: "arrivals.ArrivalLosses",
         Arrivals: "delivery.Arrivals",
         Delivery: "link_layer.Delivery",
         MessageLog: "link_layer.MessageLog",

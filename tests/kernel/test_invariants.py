@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.kernel.arrival_losses import ArrivalLosses
 from desim.kernel.arrivals import Arrivals
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
@@ -299,10 +300,10 @@ class SendsWhenDown(LinkLayer):
             self._fault_state._down[src] = down
 
 
-class Unbreakable(Arrivals):
+class Unbreakable(ArrivalLosses):
     """Nothing keeps a message from arriving."""
 
-    def _causes(self, nodes, times, flights):
+    def causes(self, nodes, times, flights):
         return {}
 
 
