@@ -8,6 +8,7 @@ sense is kept in arrays over all nodes (`CarrierSense`), and what is lost on the
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import count
 from typing import Generic, TypeVar
 
@@ -32,6 +33,28 @@ FIRST_DRAW = 1 << 40
 """The number of the draws of the first acknowledgement or repeated frame; other frames use that of the transmission."""
 
 
+@dataclass(frozen=True)
+class Callbacks(Generic[Item]):
+    """The functions that a channel calls at the steps of a transmission."""
+
+    start: Callable[[Item], None]
+    """Called when a frame of the transmission starts."""
+    leave: Callable[[Item, int], None]
+    """Called after `start` with a transmission that needs no acknowledgement, and its airtime, ns."""
+    land: Callable[[Item, dict[int, Cause]], None]
+    """Called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses on the
+    air, by receiver."""
+    attempt: Callable[[Item, int], Cause | None]
+    """Called with a transmission that needs an acknowledgement at the end of each attempt, and the number of the draws
+    of the attempt; draws the losses, and returns the cause, or None."""
+    succeed: Callable[[Item], None]
+    """Called with a transmission that needs an acknowledgement at the end of the attempt that succeeds."""
+    wait: Callable[[Item], None]
+    """Called with each transmission, because it may have to wait."""
+    lose: Callable[[Item, Cause], None]
+    """Called with a transmission that is given up, and the cause."""
+
+
 class Contention(Generic[Item]):
     """The channel for which all nodes of a network contend.
 
@@ -42,15 +65,7 @@ class Contention(Generic[Item]):
         positions: the current positions of the nodes; None: unknown.
         clocks: the clocks of the nodes.
         seed: the seed of the run.
-        start: called with a transmission when one of its frames starts.
-        leave: called after `start` with a transmission that needs no acknowledgement, and its airtime, ns.
-        land: called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses
-            on the air, by receiver.
-        attempt: called with a transmission that needs an acknowledgement at the end of each attempt, and the number of
-            the draws of the attempt; draws the losses, and returns the cause, or None.
-        succeed: called with a transmission that needs an acknowledgement at the end of the attempt that succeeds.
-        wait: called with each transmission, because it may have to wait.
-        lose: called with a transmission that is given up, and the cause.
+        callbacks: called at the steps of each transmission.
 
     Raises:
         ValueError: if there are no positions, but the model of interference or a sensing range needs them; or if the
@@ -67,19 +82,10 @@ class Contention(Generic[Item]):
         positions: PositionSource | None,
         clocks: Sequence[NodeClock],
         seed: int,
-        *,
-        start: Callable[[Item], None],
-        leave: Callable[[Item, int], None],
-        land: Callable[[Item, dict[int, Cause]], None],
-        attempt: Callable[[Item, int], Cause | None],
-        succeed: Callable[[Item], None],
-        wait: Callable[[Item], None],
-        lose: Callable[[Item, Cause], None],
+        callbacks: Callbacks[Item],
     ):
         access = medium.access
-        self._env, self._medium = env, medium
-        self._start, self._leave, self._attempt, self._succeed = start, leave, attempt, succeed
-        self._land, self._wait, self._lose = land, wait, lose
+        self._env, self._medium, self._callbacks = env, medium, callbacks
         self._air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
         self._access = access_method(access, self._nodes, stream(seed, "access"), clocks)
@@ -98,9 +104,9 @@ class Contention(Generic[Item]):
     def enqueue(self, item: Item) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
         queue = self._queues[item.src]
-        self._wait(item)
+        self._callbacks.wait(item)
         if self._airtime(item) > self._access.longest_airtime:
-            self._lose(item, "access")
+            self._callbacks.lose(item, "access")
             return
         queue.append(item)
         if len(queue) == 1:
@@ -108,7 +114,7 @@ class Contention(Generic[Item]):
         # The first is not dropped if it contends, or is to be transmitted again.
         kept = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
         if len(queue) > self._medium.queue_limit + kept:
-            self._lose(queue[kept], "queue")
+            self._callbacks.lose(queue[kept], "queue")
             del queue[kept]
 
     def flush(self, src: int) -> list[Item]:
@@ -169,7 +175,7 @@ class Contention(Generic[Item]):
         begun = [self._begin(node) for node in starting.tolist()]
         for node in dropping.tolist():
             self._nodes.ready[node], self._nodes.due[node] = False, NEVER
-            self._lose(self._queues[node].popleft(), "access")
+            self._callbacks.lose(self._queues[node].popleft(), "access")
             self._prepare(node)
         for frame in begun:
             self._carrier.sense(frame, 1)
@@ -181,11 +187,11 @@ class Contention(Generic[Item]):
         airtime = self._airtime(item)
         self._nodes.ready[node], self._nodes.due[node] = False, NEVER
         self._sending[node] = item
-        self._start(item)
+        self._callbacks.start(item)
         draw = next(self._draws) if item.number in self._repeated else item.number
         frame = self._transmit(item.number, node, self._env.now, airtime, draw)
         if not self._needs_ack(item):
-            self._leave(item, airtime)
+            self._callbacks.leave(item, airtime)
         return frame
 
     def _transmit(self, number: int, node: int, begin: int, airtime: int, draw: int) -> Frame:
@@ -204,12 +210,12 @@ class Contention(Generic[Item]):
         item, cause = self._sending.pop(frame.src), None
         causes = self._air.remove(frame, item.receivers if item is not None else [])
         if item is not None and not self._needs_ack(item):
-            self._land(item, causes)
+            self._callbacks.land(item, causes)
         elif item is not None:
-            cause = causes.get(item.receivers[0]) or self._attempt(item, frame.draw)
+            cause = causes.get(item.receivers[0]) or self._callbacks.attempt(item, frame.draw)
             self._repeated.discard(item.number)
             if cause is None:
-                self._succeed(item)
+                self._callbacks.succeed(item)
                 self._acknowledge(item.receivers[0])
         is_repeated = self._access.transmitted(frame.src, acknowledged=cause is None)
         if item is not None and cause is not None:
@@ -217,7 +223,7 @@ class Contention(Generic[Item]):
                 self._queues[frame.src].appendleft(item)
                 self._repeated.add(item.number)
             else:
-                self._lose(item, cause)
+                self._callbacks.lose(item, cause)
         self._carrier.sense(frame, -1)
         self._rest(frame)
         self._prepare(frame.src)

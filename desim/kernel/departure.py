@@ -1,6 +1,7 @@
 """The receivers of a transmission, and the losses that are known when it starts."""
 
 from itertools import compress
+from typing import TYPE_CHECKING
 
 from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
@@ -8,6 +9,9 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.topology import Topology
 from desim.kernel.transmission import Transmission
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Departure:
@@ -19,6 +23,9 @@ class Departure:
         sampler: draws losses.
         fault_state: the active faults; None: the network has no faults.
         checks_range: whether a receiver must be within range when a transmission starts.
+
+    Attributes:
+        receivers: returns the receivers of a new broadcast, ascending, given its sender and number.
     """
 
     def __init__(
@@ -32,10 +39,9 @@ class Departure:
     ):
         self._env, self._topology, self._sampler, self._fault_state = env, topology, sampler, fault_state
         self._checks_range = checks_range
-
-    def receivers(self, src: int, number: int) -> list[int]:
-        """Return the receivers of a new broadcast, ascending."""
-        return self._topology.hearers(src, number) if self._checks_range else self._topology.linked(src)
+        self.receivers: Callable[[int, int], list[int]] = (
+            topology.hearers if checks_range else lambda src, _: topology.linked(src)
+        )
 
     def reachable(self, src: int, dst: int, number: int) -> bool:
         """Return whether a new message to one node can reach it."""

@@ -4,11 +4,11 @@ A transmission waits until its transmitter is free. When it starts, its losses a
 its arrivals scheduled (`desim.kernel.delivery`). If nodes contend, its arrivals are scheduled when its frame ends.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import count
 
 from desim.kernel.clock import Clock, NodeClock
-from desim.kernel.contention import Contention
+from desim.kernel.contention import Callbacks, Contention
 from desim.kernel.delivery import Delivery
 from desim.kernel.departure import Departure
 from desim.kernel.events import LOST, Cause, MessageCounts, Trace
@@ -67,19 +67,13 @@ class LinkLayer:
     ):
         self._env, self._sampler = env, sampler
         self._records, self._fault_state = records, fault_state
-        self._log = MessageLog(env, trace)
+        self._log, self._is_traced = MessageLog(env, trace), trace is not None
         checks_range = links.range_check != "delivery"
         self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_range)
         medium = links.medium
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
         if isinstance(medium, Radio) and medium.contends:
-            self._transmitter = Contention(
-                env,
-                medium,
-                topology,
-                positions,
-                clocks,
-                seed,
+            callbacks = Callbacks(
                 start=self._log.start,
                 leave=self._leave,
                 land=self._land,
@@ -88,10 +82,12 @@ class LinkLayer:
                 wait=self._log.queue,
                 lose=self._log.give_up,
             )
+            self._transmitter = Contention(env, medium, topology, positions, clocks, seed, callbacks)
         elif not isinstance(medium, Unlimited):
             self._transmitter = Transmitter(
                 env, medium, topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )
+        self._receivers = self._departure.receivers
         self._contends = isinstance(self._transmitter, Contention)
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
@@ -105,11 +101,11 @@ class LinkLayer:
             fault_state,
             self._transmitter,
             processing=sampler.processing,
-            at_once=trace is not None,
+            at_once=self._is_traced,
             lose=self._log.lose,
         )
-        self._is_certain = self.delivery.is_certain and not self._contends and trace is None
-        """Whether all outcomes are certain at transmission, and no trace needs them."""
+        self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
+        """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
         self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._enqueue = self._leave if self._transmitter is None else self._transmitter.enqueue
@@ -156,7 +152,7 @@ class LinkLayer:
             return
         number, reachable = next(self._numbers), True
         if dst is None:
-            receivers = self._departure.receivers(src, number)
+            receivers = self._receivers(src, number)
         else:
             receivers, reachable = [dst], self._departure.reachable(src, dst, number)
         if size is None:
@@ -194,28 +190,24 @@ class LinkLayer:
         causes = (
             self._departure.losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
         )
-        content = transmission.content
-        # A record with some losses takes 10 % less time if the list of the nodes that it reaches is not needed.
-        if (
-            self._is_certain
-            and isinstance(arrival, int)
-            and not self._listeners
-            and isinstance(content, Record)
-            and self._records.share(content, len(receivers), arrival, causes)
-        ):
-            if causes:
-                self._log.lose(transmission, causes)
-            return
-        reached = receivers
+        content, reached = transmission.content, receivers
+        if self._is_certain and isinstance(content, Record) and not self._listeners:
+            # A record with some losses takes 10 % less time if the list of the nodes that it reaches is not needed.
+            if isinstance(arrival, int) and self._records.share(content, len(receivers), arrival, causes):
+                if causes:
+                    self._log.lose(transmission, causes)
+                return
+            if not causes:
+                self._records.schedule(content, receivers, arrival)
+                return
         if causes:
-            reached = [node for node in receivers if node not in causes]
-            if not isinstance(arrival, int):
-                arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
+            reached, arrival = _without(causes, receivers, arrival)
         if self._sampler.keeps_order:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
         for hear in self._listeners:
             hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
-        self._log.leave(transmission, causes, arrival)
+        if self._is_traced:
+            self._log.leave(transmission, causes, arrival)
         if causes:
             self._log.lose(transmission, causes)
         if draws and self._contends:
@@ -228,9 +220,14 @@ class LinkLayer:
         reached, arrival, drawn = self._on_air.pop(transmission.number)
         if causes:
             lost = {node: causes[node] for node in reached if node in causes}
-            if not isinstance(arrival, int):
-                arrival = [when for node, when in zip(reached, arrival, strict=True) if node not in causes]
-            reached = [node for node in reached if node not in causes]
+            reached, arrival = _without(lost, reached, arrival)
             self._log.lose(transmission, lost)
             drawn = {**drawn, **lost}
         self.delivery.schedule(transmission, reached, arrival, drawn, 0)
+
+
+def _without(lost: Collection[int], nodes: list[int], arrival: Arrival) -> tuple[list[int], Arrival]:
+    """Return the nodes that do not lose a transmission, and its arrival times (ns) there, given those at all nodes."""
+    if not isinstance(arrival, int):
+        arrival = [when for node, when in zip(nodes, arrival, strict=True) if node not in lost]
+    return [node for node in nodes if node not in lost], arrival

@@ -37,10 +37,10 @@ class MessageLog:
         self._bytes_sent += transmission.size
 
     def leave(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Record a transmission with the times of its arrivals, ns, and the receivers for which it is already lost."""
-        if self._trace is not None:
-            for event in _events(transmission, causes, arrival, self._env.now):
-                self._trace.append_message(event)
+        """Append a transmission with the times of its arrivals, ns, and the receivers for which it is already lost."""
+        assert self._trace is not None
+        for event in _events(transmission, causes, arrival, self._env.now):
+            self._trace.append_message(event)
 
     def lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Count and record losses of a transmission now, given the cause of each loss by receiver."""

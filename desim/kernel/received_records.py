@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 
 from desim.kernel.clock import Clock
 from desim.kernel.record_tables import OwnTables, SharedTable
-from desim.kernel.records import Arrival, Predicate, Record, Table, TimedRecord, per_receiver
+from desim.kernel.records import Arrival, Predicate, Record, Table, TimedRecord
 
 MAX_UNREAD = 2048
 """Length above which a list of unread records is merged into its table; a flat list has two items per record."""
@@ -49,10 +49,14 @@ class Records:
             arrival: the arrival times, ns.
             unreached: the nodes that the record does not reach.
         """
-        if isinstance(arrival, int) and self.share(record, len(receivers) + len(unreached), arrival, unreached):
+        if not isinstance(arrival, int):
+            times = arrival
+        elif self.share(record, len(receivers) + len(unreached), arrival, unreached):
             return
+        else:
+            times = [arrival] * len(receivers)
         unread = self._own.unread
-        for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
+        for node, when in zip(receivers, times, strict=True):
             pending = unread[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
             pending.append(record)

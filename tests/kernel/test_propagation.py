@@ -242,6 +242,20 @@ def test_fifo_messages_are_read_in_sending_order(order, own):
     assert (read == sorted(read)) is ("fifo" in {order, own})
 
 
+def test_a_fifo_record_waits_for_an_earlier_one_if_a_model_returns_one_latency_for_all_receivers():
+    """The record of 0.2 s has a latency of 0.1 s, and waits for the first one, which takes 1 s."""
+    clock = Clock()
+    links = Links(latency=lambda context, rng: 0.1 if context.now else 1.0, order="fifo")
+    net = Network(clock, nx.complete_graph(3), links)
+    net.publish(0, "slow")
+    clock.run(until=SECOND // 5)
+    net.publish(0, "fast")
+    clock.run(until=SECOND // 2)
+    assert net.latest_records(1) == {}
+    clock.run(until=SECOND + 1)
+    assert net.latest_records(1)[0][1].body == "fast"
+
+
 def test_a_link_of_its_own_keeps_its_order_too():
     own = (Link(src=0, dst=1, latency=Uniform(high=1.0)),)
     trip = sampler(Links(order="fifo", link=own))
