@@ -1,6 +1,5 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -14,8 +13,9 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.presets import PRESETS
+from desim.scenario.override_texts import key_and_value, key_and_values
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key
+from desim.scenario.toml_lines import KeyPath
 
 
 class ScenarioError(ValueError):
@@ -133,7 +133,7 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set to this value; see `set`.
         """
-        self._set_as_text("--set", text, "KEY=VALUE, for instance network.latency.value=0.05", _parsed)
+        self._set_as_text("--set", text, key_and_value)
 
     def vary(self, text: str) -> None:
         """Add a key to the grid of the sweep, or replace its values: "key.key=value,value,...", each value in TOML.
@@ -141,23 +141,15 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set; see `set`.
         """
-        form = "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1"
-        self._set_as_text("--grid", text, form, _parsed_list, above="sweep.grid.")
+        self._set_as_text("--grid", text, key_and_values, above="sweep.grid.")
 
-    def _set_as_text(self, option: str, text: str, form: str, parse: Callable[[str], Any], above: str = "") -> None:
-        """Set a key to a value, given the text KEY=VALUE of an option.
-
-        `above` is put before KEY, for instance "sweep.grid.".
-        """
+    def _set_as_text(self, option: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
+        """Set a key, which is put after `above`, to a value, given the text of an option."""
         origin = f"{option} {text}"
-        name, equals, value = text.partition("=")
-        if not equals or not all(name.strip().split(".")):
-            raise ScenarioError(f"{origin}: should be {form}")
-        if name.count(".") >= MAX_PARTS or deep_key(value) is not None:
-            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than {MAX_PARTS} parts")
         try:
-            self.set(above + name.strip(), parse(value.strip()), origin)
-        except ScenarioError as error:
+            name, value = parse(text)
+            self.set(above + name, value, origin)
+        except ValueError as error:
             raise ScenarioError(f"{origin}: {error}") from error
 
     def set(self, name: str, value: Any, origin: str) -> None:
@@ -323,47 +315,3 @@ def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
 def _key(part: str, node: Any) -> str | int:
     """Return a part of a dotted name as a key of a table or an index of a list."""
     return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
-
-
-def _parsed(text: str) -> Any:
-    """Return the value of a TOML text; text that is not TOML is a string, unless it begins with a quote or bracket.
-
-    Raises:
-        ScenarioError: if a text that begins with a quote or bracket is not TOML, or if a text is more than one value or
-            cannot be read.
-    """
-    try:
-        tables = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError as error:
-        if text.startswith(('"', "'", "[", "{")):
-            raise ScenarioError(f"{text!r} is not a TOML value") from error
-        return text
-    except (ValueError, RecursionError) as error:  # a number too long, or lists nested too deeply
-        raise ScenarioError(f"{text[:20]!r}... is not a TOML value that can be read: {error}") from error
-    if len(tables) > 1:
-        raise ScenarioError(f"{text!r} is more than one value")
-    return tables["value"]
-
-
-def _parsed_list(text: str) -> list[Any]:
-    """Return the values of a text, separated by commas; a comma within a list, a table or a string is no separator.
-
-    Raises:
-        ScenarioError: if one of them is empty, or `_parsed` refuses it.
-    """
-    values: list[Any] = []
-    begun: list[str] = []  # the parts of a value that is not complete yet
-    parts = text.split(",")
-    for k, part in enumerate(parts):
-        begun.append(part)
-        value = ",".join(begun).strip()
-        if not value:
-            raise ScenarioError(f"{text!r} has an empty value")
-        try:
-            values.append(_parsed(value))
-        except ScenarioError:
-            if k == len(parts) - 1:
-                raise
-            continue
-        begun = []
-    return values
