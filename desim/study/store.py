@@ -11,22 +11,22 @@ changes, its values are removed when the new code is registered.
 
 import json
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Json
 
-from desim.config.data_files import in_short
 from desim.study.configurations import Configuration
 from desim.study.row import Row
 from desim.study.run_rows import RunRows
 from desim.study.run_table import RunTable
 from desim.study.store_file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of, with_checksum
+from desim.study.sweep_properties import SweepProperties
 
 
-class Store(RunRows):
+class Store(SweepProperties, RunRows):
     """The runs of one sweep, of a shard of it (one of several parts that are run separately), or of merged shards.
 
     Args:
@@ -50,46 +50,6 @@ class Store(RunRows):
         except BaseException:
             self.close()
             raise
-
-    @property
-    @naming_the_file
-    def about(self) -> Mapping[str, str]:
-        """The properties of the sweep that the store belongs to, as JSON texts by name."""
-        return MappingProxyType(dict(self.rows("about")))
-
-    @naming_the_file
-    def read_property(self, name: str, kind: Any) -> Any:
-        """Return a property of the sweep, parsed from JSON and checked against a type.
-
-        Raises:
-            StoreError: if the property is missing, or has another type.
-        """
-        if name not in self.about:
-            raise StoreError(f"{self.path}: is damaged: {name} is missing in about")
-        return self.read(adapter_of(Annotated[kind, Json]), "about", (name, self.about[name]), 1)
-
-    @naming_the_file
-    def check_same(self, about: Mapping[str, str]) -> None:
-        """Raise StoreError if a property of the sweep is recorded with another value."""
-        mine = self.about
-        for name, value in about.items():
-            if mine.get(name, value) != value:
-                why = _differs(name, self.read_property(name, Any), json.loads(value))
-                raise StoreError(f"{self.path}: was made {why}; {HINT}")
-
-    @naming_the_file
-    def record_properties(self, about: Mapping[str, str]) -> None:
-        """Record the properties of the sweep.
-
-        Raises:
-            StoreError: if the store belongs to another sweep.
-        """
-        self.check_same(about)
-        if about.keys() <= self.about.keys():
-            return
-        with self.writing() as database:
-            self.check_same(about)
-            database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(with_checksum, about.items()))
 
     @naming_the_file
     def register(self, cells: Sequence[Configuration]) -> None:
@@ -232,35 +192,3 @@ class Store(RunRows):
 ARGV = Json[list[str]]
 SETTINGS = Json[dict[str, bool | int | float | str]]
 """`ARGV`, `SETTINGS`: the types of the words of a command, and of a configuration's settings."""
-
-
-def _differs(name: str, one: Any, other: Any) -> str:
-    """Return the end of the error message "was made ...", which tells how two sweeps differ.
-
-    Args:
-        name: the property in which they differ.
-        one: its value in the store.
-        other: its value in the other sweep.
-    """
-    if name == "format":
-        return "by another version of desim"
-    if name == "scenario":
-        old, new = flat(one), flat(other)
-        keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-        pairs = [(key, *(in_short(each.get(key, "not there")) for each in (old, new))) for key in keys[:5]]
-        texts = "; ".join(f"{key} was {was}, is {now}" for key, was, now in pairs)
-        return f"by another scenario: {texts}"
-    was, now = json.dumps(one), json.dumps(other)
-    is_source = name.startswith(("the code of ", "the content of "))
-    return f"by another {'version' if is_source else 'sweep'}: {name} was {was}, is {now}"
-
-
-def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
-    """Return the values in nested tables and lists by dotted key.
-
-    A table or list that is empty, or that `opens` rejects, counts as one value.
-    """
-    if not (isinstance(node, dict | list) and node and opens(node)):
-        return {above.removesuffix("."): node}
-    inner = node.items() if isinstance(node, dict) else enumerate(node)
-    return {key: each for name, value in inner for key, each in flat(value, opens, f"{above}{name}.").items()}

@@ -28,7 +28,8 @@ from desim.study.progress import progress
 from desim.study.result import SweepResult
 from desim.study.row import Row
 from desim.study.runs import SHOWN
-from desim.study.store import Store, flat
+from desim.study.store import Store
+from desim.study.sweep_properties import flat
 from desim.study.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]

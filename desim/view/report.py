@@ -24,7 +24,8 @@ from desim.study.explanation import Explanation
 from desim.study.history import shell_lines, wanted
 from desim.study.result import SweepResult
 from desim.study.runs import SHOWN, text
-from desim.study.store import Store, flat
+from desim.study.store import Store
+from desim.study.sweep_properties import flat
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -37,7 +37,7 @@ from desim.study.imperfections import (
     without_staleness,
     without_transport,
 )
-from desim.study.store import flat
+from desim.study.sweep_properties import flat
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import CodedOneHop, Gossip, ReliableOneHop
