@@ -7,40 +7,31 @@ of calling numpy.
 from itertools import compress
 from math import inf
 from operator import or_
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from desim.config.model import MAX_TIME
-from desim.kernel.graphs import as_model, links_with_attributes
 from desim.kernel.latency import Constant
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
+from desim.kernel.link_draws import as_nanoseconds, booleans_of, buffered, times_of
+from desim.kernel.link_overrides import link_overrides, overrides_of_run
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import ROOM, stream
-from desim.kernel.traits import LinkTraits, link_trait, model_of_run
+from desim.kernel.traits import link_trait, model_of_run
 from desim.kernel.units import SECOND, nanoseconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import networkx as nx
     from numpy.typing import NDArray
 
-    Draw = Callable[[int, np.random.Generator], NDArray[Any]]
-
 TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
-BLOCK = 4096
-"""Minimum number of draws per block."""
 GOLDEN = 0.6180339887498949
 """The golden ratio. Its multiples, modulo 1, spread evenly over [0, 1), however many they are."""
-Each = TypeVar("Each")
-Overrides = dict[int, dict[int, Any]]
-"""The models, or the orders, of individual links, by sender and receiver."""
 
 
 class LinkSampler:
@@ -73,11 +64,11 @@ class LinkSampler:
         self._duplicate, self._duplicate_rng = model_of_run(links.duplicate, size), stream(seed, purpose + "duplicate")
         self.duplicates_messages = not _never_loses(links.duplicate)
         """Whether messages may be transmitted twice."""
-        self._latency_buffer = _buffered(self._latency, self._latency_rng, _as_nanoseconds)
-        self._loss_buffer = _buffered(self._loss, self._loss_rng, np.ndarray.tolist)
-        overrides = own_models(links, graph)
-        self._latency_overrides = _of_run(overrides["latency"], size)
-        self._loss_overrides = _of_run(overrides["loss"], size)
+        self._latency_buffer = buffered(self._latency, self._latency_rng, as_nanoseconds)
+        self._loss_buffer = buffered(self._loss, self._loss_rng, np.ndarray.tolist)
+        overrides = link_overrides(links, graph)
+        self._latency_overrides = overrides_of_run(overrides["latency"], size)
+        self._loss_overrides = overrides_of_run(overrides["loss"], size)
         self._order, self._order_overrides = links.order, overrides["order"]
         for place, why in link_misfits(links, graph):
             raise ValueError(f"{'.'.join(map(str, place))}: {why}")
@@ -123,7 +114,7 @@ class LinkSampler:
         elif self._loss_buffer is not None:
             lost = self._loss_buffer.take(len(dst))
         else:
-            lost = _booleans(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
+            lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
         overrides = self._loss_overrides.get(src)
         if overrides is None:
             return lost
@@ -131,19 +122,19 @@ class LinkSampler:
             if node in overrides:
                 lost = lost or [False] * len(dst)
                 context = self._context(src, [node], now, size)
-                (lost[k],) = _booleans(overrides[node](context, self._override_loss_rng), 1)
+                (lost[k],) = booleans_of(overrides[node](context, self._override_loss_rng), 1)
         return lost
 
     def _without_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
         """Return for each receiver whether its latency model loses the message."""
         lost = [False] * len(dst)
         if self._is_lost is not None:
-            lost = _booleans(self._is_lost(self._context(src, dst, now, size)), len(dst))
+            lost = booleans_of(self._is_lost(self._context(src, dst, now, size)), len(dst))
         overrides = self._is_lost_overrides.get(src, {})
         for k, node in enumerate(dst) if overrides else ():
             if node in overrides:
                 is_lost, context = overrides[node], self._context(src, [node], now, size)
-                lost[k] = is_lost is not None and _booleans(is_lost(context), 1)[0]
+                lost[k] = is_lost is not None and booleans_of(is_lost(context), 1)[0]
         return lost
 
     def duplicates(self, src: int, dst: list[int], now: int, size: int) -> list[int]:
@@ -153,7 +144,7 @@ class LinkSampler:
             ValueError: if the model returns invalid booleans.
         """
         drawn = self._duplicate(self._context(src, dst, now, size), self._duplicate_rng)
-        return list(compress(dst, _booleans(drawn, len(dst))))
+        return list(compress(dst, booleans_of(drawn, len(dst))))
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
         """Draw the arrival time (ns) at each receiver of a message whose transmission starts now.
@@ -172,13 +163,13 @@ class LinkSampler:
         if self._latency_buffer is not None:
             delays = self._latency_buffer.take(len(dst))
         else:
-            delays = _times(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
+            delays = times_of(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
         if overrides:
             delays = [delays] * len(dst) if isinstance(delays, int) else delays
             for k, node in enumerate(dst):
                 if node in overrides:
                     context = self._context(src, [node], now, size)
-                    delay = _times(overrides[node](context, self._override_latency_rng), 1)
+                    delay = times_of(overrides[node](context, self._override_latency_rng), 1)
                     delays[k] = delay if isinstance(delay, int) else delay[0]
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
@@ -250,100 +241,5 @@ class _Receivers(NamedTuple):
     """(k,) their distances from the sender, m; None: they are not known, or change."""
 
 
-class _Buffer(Generic[Each]):
-    """A buffer of draws from a model whose draws are independent of the link."""
-
-    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
-        self._draw, self._rng, self._convert = draw, rng, convert
-        self._block: list[Each] = []
-        self._next = 0
-
-    def take(self, count: int) -> list[Each]:
-        """Return the next `count` draws."""
-        end = self._next + count
-        if end > len(self._block):
-            fresh = self._convert(self._draw(max(BLOCK, count), self._rng))
-            self._block = self._block[self._next :] + fresh
-            self._next, end = 0, count
-        taken = self._block[self._next : end]
-        self._next = end
-        return taken
-
-
-def _buffered(
-    model: object, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"
-) -> "_Buffer[Each] | None":
-    draw = LinkTraits.of(model).draw
-    return _Buffer(draw, rng, convert) if draw is not None else None
-
-
 def _never_loses(model: object) -> bool:
     return isinstance(model, Bernoulli) and model.p == 0.0
-
-
-def own_models(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models and the orders of individual links, by "latency", "loss" and "order".
-
-    Each is an attribute of an edge of the graph, or a value in `links.link`, which takes precedence.
-
-    Raises:
-        ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
-    """
-    found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
-    for src, dst, attributes in links_with_attributes(graph):
-        for name, overrides in found.items():
-            if (value := attributes.get(name)) is not None:
-                overrides.setdefault(src, {})[dst] = as_model(name, value)
-    for link in links.link:
-        for src, dst in link.ways():
-            if not graph.has_edge(src, dst):
-                raise ValueError(f"there is no link from {src} to {dst} in the graph")
-            for name, overrides in found.items():
-                model = dict(link)[name]
-                if model is not None:
-                    overrides.setdefault(src, {})[dst] = model
-    return found
-
-
-def _of_run(overrides: Overrides, size: int) -> Overrides:
-    """Return the models of individual links in one run of `size` nodes."""
-    return {src: {dst: model_of_run(model, size) for dst, model in models.items()} for src, models in overrides.items()}
-
-
-def _as_nanoseconds(delays: Any) -> Any:
-    """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
-
-    Raises:
-        ValueError: if a delay is negative, infinite or NaN.
-    """
-    given = np.asarray(delays, dtype=float)
-    if not ((given >= 0.0) & (given < inf)).all():
-        raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
-    return np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64).tolist()
-
-
-def _times(answer: Any, count: int) -> Arrival:
-    """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link.
-
-    Raises:
-        ValueError: if they are neither one number nor one for each link, or one of them is invalid.
-    """
-    shape = np.shape(answer)
-    if shape not in {(), (count,)}:
-        got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
-        raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
-    times: Arrival = _as_nanoseconds(answer)
-    return times
-
-
-def _booleans(answer: Any, count: int) -> list[bool]:
-    """Convert the losses that a model returned for `count` links to a list with one boolean per link.
-
-    Raises:
-        ValueError: if they are neither one boolean nor one for each link.
-    """
-    booleans = np.asarray(answer)
-    if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
-        raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
-    lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us
-    return [lost] * count if isinstance(lost, bool) else lost

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 from desim.kernel.graphs import Complete
 from desim.kernel.latency import Constant, Uniform
+from desim.kernel.link_overrides import link_overrides
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, Correlated, FourState, GilbertElliott
 from desim.kernel.medium import Bitrate, Medium, Radio, Unlimited
 from desim.kernel.netem import Netem
 from desim.kernel.netem_tables import TABLES, fit
-from desim.kernel.propagation import own_models
 from desim.kernel.tc_syntax import HEADERS, LINK, MAX_LIMIT, order_of
 from desim.kernel.tc_units import rate_word, share_word, time_word
 from desim.kernel.traits import LinkTraits
@@ -42,7 +42,7 @@ def script(links: Links, size: int, device: str = "eth0") -> Script:
     """
     writer = _Writer(links)
     lines = ["# on each node", writer.command(device, "network.", links.latency, links.loss, links.order)]
-    own = own_models(links, links.graph(size))
+    own = link_overrides(links, links.graph(size))
     ways = [way for link in links.link for way in link.ways()]
     ways += [(src, dst) for models in own.values() for src, receivers in models.items() for dst in receivers]
     for src, dst in dict.fromkeys(ways):

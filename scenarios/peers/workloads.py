@@ -15,8 +15,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from desim.kernel.faults import Fault
 from desim.kernel.latency import Constant, Lognormal
+from desim.kernel.link_draws import BLOCK
 from desim.kernel.links import Links
-from desim.kernel.propagation import BLOCK
 from desim.kernel.seeds import stream
 
 TICK = 0.001

@@ -21,12 +21,13 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
+from desim.kernel.link_draws import BLOCK
 from desim.kernel.link_memory import LinkMemory
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
-from desim.kernel.propagation import BLOCK, LinkSampler
+from desim.kernel.propagation import LinkSampler
 from desim.kernel.seeds import stream
 from desim.kernel.units import SECOND
 
