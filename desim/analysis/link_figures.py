@@ -9,9 +9,10 @@ from desim.analysis.palette import BLUE, GREY, LOST, LOST_MARK, SERIES
 from desim.analysis.plots import Axes, Figure, as_it_is, styled
 from desim.config.arrays import Bools, Floats
 from desim.config.trust import escaped
+from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.link_traces import LatencyTrace, LossTrace, SignalTrace
-from desim.kernel.measurements import SECOND
-from desim.kernel.playback import LinkTrace, Playback
+from desim.kernel.playback import Playback
+from desim.kernel.units import SECOND
 from desim.scenario.scenario import Scenario
 
 SIZE = 6.3, 2.3

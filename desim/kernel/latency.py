@@ -6,7 +6,6 @@ else one per receiver. A model may also have the methods of `desim.kernel.traits
 
 from dataclasses import replace
 from math import log, log1p, sqrt
-from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
 
@@ -15,9 +14,9 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
-from desim.config.data_files import lines_of
 from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
+from desim.kernel.latency_file import latencies_of
 from desim.kernel.link_context import LinkContext
 from desim.kernel.link_traces import LatencyTrace
 from desim.kernel.netem import Netem
@@ -173,7 +172,7 @@ class Empirical(_Drawn):
             return given
         if "values" in given:
             raise ValueError("should have values or a file of values, not both")
-        return given | {"file": None, "values": _numbers(resolve_path(given["file"], info))}
+        return given | {"file": None, "values": latencies_of(resolve_path(given["file"], info))}
 
     @model_validator(mode="after")
     def _is_not_empty(self) -> Self:
@@ -188,32 +187,6 @@ class Empirical(_Drawn):
     def quantile(self, u: Floats) -> Floats:
         """Return the empirical u-quantile of the list, s."""
         return np.sort(self.values)[(u * len(self.values)).astype(np.intp)]
-
-
-def _numbers(file: Path) -> list[float]:
-    """Return the numbers in a text file, separated by white space or commas; `#` begins a comment.
-
-    Raises:
-        ValueError: if the file cannot be read, contains no numbers or anything but times >= 0 s, or is a table of
-            several columns.
-    """
-    numbers: list[float] = []
-    rows = [text.replace(",", " ").split() for text in lines_of(file)]
-    for line, row in enumerate(rows, 1):
-        for item in row:
-            try:
-                numbers.append(float(item))
-            except ValueError as error:
-                hint = "" if numbers else "; a header should begin with #"
-                raise ValueError(f"{file}, line {line}: {item!r} is not a number{hint}") from error
-            if not 0.0 <= numbers[-1] < float("inf"):
-                raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {item})")
-    if not numbers:
-        raise ValueError(f"{file} contains no numbers")
-    lengths = [len(row) for row in rows if row]
-    if len(lengths) > 1 and lengths[0] > 1 and len(set(lengths)) == 1:
-        raise ValueError(f"{file} has {lengths[0]} columns; it should have one, with the latencies")
-    return numbers
 
 
 class Propagation(Value):

@@ -12,8 +12,9 @@ from pydantic import Field
 from desim.config.arrays import Bools, Floats
 from desim.config.model import MAX_TIME, Flag
 from desim.kernel.link_context import LinkContext
+from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.measurements import PER_SECOND, Unit
-from desim.kernel.playback import LinkTrace, Playback
+from desim.kernel.playback import Playback
 from desim.kernel.portable_math import exp
 
 MAX_SIGNAL = 1000.0

@@ -1,19 +1,13 @@
 """Tables of measurements over time, of all links together or of each link by itself.
 
-A table has a row per measurement: a time, the sender and the receiver if links differ, and a value. A model keeps its
-table as CSV text that has only the columns in use. Each row stays on its line of the file, so that an error message can
-name the line.
+A table (`desim.kernel.csv_tables`) has a row per measurement: a time, the sender and the receiver if links differ, and
+a value.
 """
 
-import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from functools import lru_cache
-from io import StringIO
-from itertools import repeat
-from operator import itemgetter
-from pathlib import Path
 from statistics import median
 from typing import Any, Literal, NamedTuple
 
@@ -21,31 +15,16 @@ import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
+from desim.kernel.csv_tables import KEPT, Columns, place_of, rows_of
+from desim.kernel.units import SECOND
 
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """The number of each unit in a second."""
-SECOND = PER_SECOND["ns"]
 MAX_NODE = 2**31 - 1
 NODE = "the number of a node, 0 or more"
 MAX_DIGITS = 30
 """A number with more digits before its decimal point is no time."""
-KEPT = 8
-"""Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
-
-
-class Columns(NamedTuple):
-    """The names of the columns of a table."""
-
-    time: str
-    src: str | None
-    """The sender; None, as is `dst`: the measurements hold for all links."""
-    dst: str | None
-    value: str
-
-    def used(self) -> list[str]:
-        """Return the names of the columns that the table has."""
-        return [name for name in self if name is not None]
 
 
 class Meaning(NamedTuple):
@@ -99,100 +78,6 @@ class Measurements:
         return max(last + max(last // (len(self.times) - 1), 1), int(median(lasting or [0])))
 
 
-def text_of(path: Path, columns: Columns) -> str:
-    """Return the text of a CSV file, or some columns of a Parquet file (*.parquet) as CSV; its other cells are empty.
-
-    Raises:
-        ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
-    """
-    try:
-        content = path.read_bytes()
-        if path.suffix.lower() == ".parquet":
-            return _csv_of(content, columns)
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from error
-    except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are of these types, too
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise ValueError(f"{path} cannot be read: {reason}") from error
-
-
-@lru_cache(maxsize=KEPT)
-def _csv_of(parquet: bytes, columns: Columns) -> str:
-    from pyarrow import BufferReader
-    from pyarrow.parquet import ParquetFile
-
-    file = ParquetFile(BufferReader(parquet))
-    names = file.schema_arrow.names
-    cells = file.read(columns=[name for name in names if name in columns]).to_pydict()
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    if file.metadata.num_rows and cells:
-        writer.writerows(zip(*(cells.get(name, repeat(None)) for name in names), strict=False))
-    return text.getvalue()
-
-
-def header_of(text: str, name: str) -> list[str]:
-    """Return the names of the columns of CSV text; see `select`.
-
-    Raises:
-        ValueError: if the text is empty or is not CSV.
-    """
-    for _, cells in _rows(text, name):
-        return [cell.strip() for cell in cells]
-    raise ValueError(f"{name} is empty: its first line should have the names of its columns")
-
-
-@lru_cache(maxsize=KEPT)
-def select(text: str, columns: Columns, name: str) -> str:
-    """Return CSV text reduced to some columns, with each row on the same line.
-
-    Args:
-        text: a header and rows; blank lines, and lines that begin with `#`, are ignored.
-        columns: the columns to keep.
-        name: the name of the table, for error messages.
-
-    Raises:
-        ValueError: if the text is empty or is not CSV, a column is missing or occurs twice, or a row is too short or
-            too long.
-    """
-    header = header_of(text, name)
-    for column in columns.used():
-        if header.count(column) != 1:
-            what = "no column" if column not in header else "several columns"
-            raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}")
-    chosen = itemgetter(*(header.index(column) for column in columns.used()))
-    rows, kept = _rows(text, name), StringIO()
-    writer = csv.writer(kept, lineterminator="\n")
-    first, _ = next(rows)
-    kept.write("\n" * (first - 1))
-    writer.writerow(columns.used())
-    below = first + 1
-    for line, cells in rows:
-        if len(cells) != len(header):
-            raise ValueError(f"{name}, line {line}: has {len(cells)} cells, but the table has {len(header)} columns")
-        if line > below:
-            kept.write("\n" * (line - below))
-        writer.writerow(chosen(cells))
-        below = line + 1
-    return kept.getvalue()
-
-
-def _rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space."""
-    lines = text.split("\n")
-    if "#" in text:
-        lines = ["" if line.lstrip().startswith("#") else line for line in lines]
-    reader = csv.reader(lines, strict=True, skipinitialspace=True)
-    try:
-        for cells in reader:
-            if any(cells):
-                yield reader.line_num, cells
-    except csv.Error as error:
-        raise ValueError(f"{name}, line {reader.line_num}: {error}") from error
-
-
 class _Cells(NamedTuple):
     """The column of a table, or several."""
 
@@ -229,11 +114,6 @@ def _converts(convert: Callable[[str], Any], cell: str) -> bool:
     return True
 
 
-def place_of(line: int, table: str) -> str:
-    """Return the place of a line in a table, given the name of the table; a Parquet file has no lines."""
-    return f"row {line - 1}" if table.lower().endswith(".parquet") else f"line {line}"
-
-
 @lru_cache(maxsize=KEPT)
 def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -> Measurements:
     """Return the measurements in a table, the text of which is made by `select`.
@@ -243,7 +123,7 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
             of a link have rows although a row holds for both.
     """
     lines, flat, names = list[int](), list[str](), columns.used()
-    for line, row_cells in _rows(table, name):  # without keeping a list per row, which takes twice as long
+    for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
         lines.append(line)
         flat += row_cells
     if len(lines) < 2:

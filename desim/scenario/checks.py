@@ -14,9 +14,9 @@ from desim.kernel.faults import ClockSkew, Fault
 from desim.kernel.graphs import Complete
 from desim.kernel.interference import Collision
 from desim.kernel.latency import mean_latency
+from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio
-from desim.kernel.playback import LinkTrace
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
