@@ -9,10 +9,8 @@ from itertools import repeat
 import numpy as np
 
 from desim.config.arrays import Integers
-from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
-from desim.kernel.fault_state import FaultState
-from desim.kernel.topology import Topology
+from desim.kernel.network_state import NetworkState
 from desim.kernel.transmission import Flight, Transmission
 from desim.kernel.transmitter import Transmitter
 
@@ -21,9 +19,7 @@ class ArrivalLosses:
     """Decides which arrivals are lost.
 
     Args:
-        env: the clock of the simulation.
-        topology: decides whether a receiver is within range.
-        fault_state: the active faults; None: the network has no faults.
+        state: the state of the network.
         transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
         processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
@@ -31,16 +27,14 @@ class ArrivalLosses:
 
     def __init__(
         self,
-        env: Clock,
-        topology: Topology,
-        fault_state: FaultState | None,
+        state: NetworkState,
         transmitter: Transmitter[Transmission] | None,
         *,
         processing: int,
         checks_range: bool,
     ):
-        self._env, self._topology, self._fault_state, self._transmitter = env, topology, fault_state, transmitter
-        self._processing, self._checks_range = processing, checks_range
+        self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
+        self._transmitter, self._processing, self._checks_range = transmitter, processing, checks_range
         self._on_air: dict[int, tuple[int, int]] = {}
         """By sender: the number of its last transmission with an airtime, and the end of the airtime, ns."""
         self._cut_short: set[int] = set()

@@ -16,12 +16,10 @@ from math import inf
 from typing import Any
 
 from desim.kernel.arrival_losses import ArrivalLosses
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, deliver
-from desim.kernel.received_records import Records
+from desim.kernel.clock import Instant, Phase
+from desim.kernel.inbox import deliver
+from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Arrival, Record, pairs, per_receiver
-from desim.kernel.topology import Topology
 from desim.kernel.transmission import Flight, Lose, Transmission
 from desim.kernel.transmitter import Transmitter
 
@@ -96,11 +94,7 @@ class Arrivals:
     """Schedules uncertain arrivals, has their losses decided (`ArrivalLosses`), and stores what has arrived.
 
     Args:
-        env: the clock of the simulation.
-        topology: decides whether a receiver is within range.
-        records: receives the records that arrive.
-        inboxes: receive the messages that arrive.
-        fault_state: the active faults; None: the network has no faults.
+        state: the state of the network; its records and inboxes receive what arrives.
         transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
         processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
@@ -113,11 +107,7 @@ class Arrivals:
 
     def __init__(
         self,
-        env: Clock,
-        topology: Topology,
-        records: Records,
-        inboxes: Inboxes,
-        fault_state: FaultState | None,
+        state: NetworkState,
         transmitter: Transmitter[Transmission] | None,
         *,
         processing: int,
@@ -125,16 +115,14 @@ class Arrivals:
         at_once: bool,
         lose: Lose,
     ):
-        self._env, self._records, self._inboxes, self._fault_state = env, records, inboxes, fault_state
-        self._transmitter, self._lose = transmitter, lose
-        self._losses = ArrivalLosses(
-            env, topology, fault_state, transmitter, processing=processing, checks_range=checks_range
-        )
+        topology, self._env, self._fault_state = state.topology, state.env, state.fault_state
+        self._records, self._inboxes, self._transmitter, self._lose = state.records, state.inboxes, transmitter, lose
+        self._losses = ArrivalLosses(state, transmitter, processing=processing, checks_range=checks_range)
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if checks_range:
             topology.before_change(self.settle)
-        if fault_state is not None:
-            fault_state.before_change(self.settle)
+        if state.fault_state is not None:
+            state.fault_state.before_change(self.settle)
         self._with_events = 0
         """Number of arrivals that have an event."""
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)

@@ -7,7 +7,7 @@ sense is kept in arrays over all nodes (`CarrierSense`), and what is lost on the
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from typing import Generic, TypeVar
@@ -16,13 +16,12 @@ from desim.kernel.access import CsmaCa
 from desim.kernel.access_methods import Contenders, access_method
 from desim.kernel.air import Air
 from desim.kernel.carrier_sense import CarrierSense
-from desim.kernel.clock import NEVER, Clock, Instant, NodeClock, Phase
+from desim.kernel.clock import NEVER, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
 from desim.kernel.medium import Radio
-from desim.kernel.positions import PositionSource
+from desim.kernel.network_state import NetworkState
 from desim.kernel.seeds import stream
-from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmittable
 from desim.kernel.units import nanoseconds
 
@@ -59,11 +58,8 @@ class Contention(Generic[Item]):
     """The channel for which all nodes of a network contend.
 
     Args:
-        env: the clock of the simulation.
+        state: the state of the network.
         medium: the model of the medium; its access model is not `Ideal`.
-        topology: the links of the graph, and which of them are within range.
-        positions: the current positions of the nodes; None: unknown.
-        clocks: the clocks of the nodes.
         seed: the seed of the run.
         callbacks: called at the steps of each transmission.
 
@@ -74,21 +70,13 @@ class Contention(Generic[Item]):
 
     channels = 1
 
-    def __init__(
-        self,
-        env: Clock,
-        medium: Radio,
-        topology: Topology,
-        positions: PositionSource | None,
-        clocks: Sequence[NodeClock],
-        seed: int,
-        callbacks: Callbacks[Item],
-    ):
+    def __init__(self, state: NetworkState, medium: Radio, seed: int, callbacks: Callbacks[Item]):
+        env, topology, positions = state.env, state.topology, state.positions
         access = medium.access
         self._env, self._medium, self._callbacks = env, medium, callbacks
         self._air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
-        self._access = access_method(access, self._nodes, stream(seed, "access"), clocks)
+        self._access = access_method(access, self._nodes, stream(seed, "access"), state.clocks)
         self._carrier = CarrierSense(env, access, self._access, self._nodes, topology, positions, self._plan)
         self._acknowledges = isinstance(access, CsmaCa)
         self._draws = count(FIRST_DRAW)

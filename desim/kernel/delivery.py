@@ -13,15 +13,13 @@ from itertools import compress
 from typing import NamedTuple
 
 from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import Clock
 from desim.kernel.contention import Contention
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, deliver
+from desim.kernel.inbox import deliver
 from desim.kernel.links import Links
-from desim.kernel.received_records import Records
+from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Arrival, Record, per_receiver
-from desim.kernel.topology import Topology
 from desim.kernel.transmission import Lose, Transmission
 from desim.kernel.transmitter import Transmitter
 
@@ -30,12 +28,8 @@ class Delivery:
     """Schedules the arrivals of transmissions in the records and inboxes of their receivers.
 
     Args:
-        env: the clock of the simulation.
+        state: the state of the network; its records and inboxes receive what arrives.
         links: the models of the links.
-        topology: the links of the graph, and which of them are within range.
-        records: receives the records that arrive.
-        inboxes: receive the messages that arrive.
-        fault_state: the active faults; None: the network has no faults.
         transmitter: the transmitters, or the channel for which nodes contend; None: nodes transmit without airtime.
         processing: processing delay of a message at sender and receiver together, ns.
         at_once: whether the outcome of each arrival is needed at its time, for a trace.
@@ -48,31 +42,23 @@ class Delivery:
 
     def __init__(
         self,
-        env: Clock,
+        state: NetworkState,
         links: Links,
-        topology: Topology,
-        records: Records,
-        inboxes: Inboxes,
-        fault_state: FaultState | None,
         transmitter: Transmitter[Transmission] | Contention[Transmission] | None,
         *,
         processing: int,
         at_once: bool,
         lose: Lose,
     ):
-        self._records, self._inboxes, self._fault_state = records, inboxes, fault_state
+        self._records, self._inboxes, self._fault_state = state.records, state.inboxes, state.fault_state
         checks_range, contends = links.range_check != "send", isinstance(transmitter, Contention)
         uses_half_duplex = links.medium.half_duplex and not contends
         # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
-        contends_with_faults = contends and fault_state is not None
+        contends_with_faults = contends and state.fault_state is not None
         self._decides_on_arrival = checks_range or uses_half_duplex or contends_with_faults
-        self.is_certain = not self._decides_on_arrival and fault_state is None
+        self.is_certain = not self._decides_on_arrival and state.fault_state is None
         self.arrivals = Arrivals(
-            env,
-            topology,
-            records,
-            inboxes,
-            fault_state,
+            state,
             transmitter if isinstance(transmitter, Transmitter) else None,
             processing=processing,
             checks_range=checks_range,

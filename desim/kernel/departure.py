@@ -3,11 +3,9 @@
 from itertools import compress
 from typing import TYPE_CHECKING
 
-from desim.kernel.clock import Clock
 from desim.kernel.events import Cause
-from desim.kernel.fault_state import FaultState
+from desim.kernel.network_state import NetworkState
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.topology import Topology
 from desim.kernel.transmission import Transmission
 
 if TYPE_CHECKING:
@@ -18,27 +16,18 @@ class Departure:
     """Draws the losses of the transmissions that start.
 
     Args:
-        env: the clock of the simulation.
-        topology: the links of the graph, and which of them are within range.
+        state: the state of the network.
         sampler: draws losses.
-        fault_state: the active faults; None: the network has no faults.
         checks_range: whether a receiver must be within range when a transmission starts.
 
     Attributes:
         receivers: returns the receivers of a new broadcast, ascending, given its sender and number.
     """
 
-    def __init__(
-        self,
-        env: Clock,
-        topology: Topology,
-        sampler: LinkSampler,
-        fault_state: FaultState | None,
-        *,
-        checks_range: bool,
-    ):
-        self._env, self._topology, self._sampler, self._fault_state = env, topology, sampler, fault_state
-        self._checks_range = checks_range
+    def __init__(self, state: NetworkState, sampler: LinkSampler, *, checks_range: bool):
+        self._env, self._fault_state = state.env, state.fault_state
+        self._topology = topology = state.topology
+        self._sampler, self._checks_range = sampler, checks_range
         self.receivers: Callable[[int, int], list[int]] = (
             topology.hearers if checks_range else lambda src, _: topology.linked(src)
         )

@@ -4,25 +4,21 @@ A transmission waits until its transmitter is free. When it starts, its losses a
 its arrivals scheduled (`desim.kernel.delivery`). If nodes contend, its arrivals are scheduled when its frame ends.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from itertools import count
 
-from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.contention import Callbacks, Contention
 from desim.kernel.delivery import Delivery
 from desim.kernel.departure import Departure
 from desim.kernel.events import LOST, Cause, MessageCounts, Trace
-from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message
+from desim.kernel.inbox import Message
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.message_log import MessageLog
 from desim.kernel.message_size import negative_size, size_of
-from desim.kernel.positions import PositionSource
+from desim.kernel.network_state import NetworkState
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.received_records import Records
 from desim.kernel.records import Arrival, Record, per_receiver
-from desim.kernel.topology import Topology
 from desim.kernel.transmission import Transmission
 from desim.kernel.transmitter import Transmitter
 
@@ -35,41 +31,22 @@ class LinkLayer:
     """Carries transmissions from their senders into the records and inboxes of their receivers.
 
     Args:
-        env: the clock of the simulation.
+        state: the state of the network; its records and inboxes receive what arrives.
         links: the models of the links.
-        topology: the links of the graph, and which of them are within range.
         sampler: draws latencies and losses.
-        records: receives the records that arrive.
-        inboxes: receive the messages that arrive.
-        fault_state: the active faults; None: the network has no faults.
         trace: receives the message events; None if they are not needed.
-        positions: the current positions of the nodes, for interference; None: unknown.
-        clocks: the clocks of the nodes, for TDMA.
         seed: the seed of channel access.
 
     Attributes:
         delivery: schedules the arrivals.
     """
 
-    def __init__(
-        self,
-        env: Clock,
-        links: Links,
-        topology: Topology,
-        sampler: LinkSampler,
-        records: Records,
-        inboxes: Inboxes,
-        fault_state: FaultState | None,
-        trace: Trace | None,
-        positions: PositionSource | None,
-        clocks: Sequence[NodeClock],
-        seed: int,
-    ):
-        self._env, self._sampler = env, sampler
-        self._records, self._fault_state = records, fault_state
+    def __init__(self, state: NetworkState, links: Links, sampler: LinkSampler, trace: Trace | None, seed: int):
+        env, self._sampler = state.env, sampler
+        self._env, self._records, self._fault_state = env, state.records, state.fault_state
         self._log, self._is_traced = MessageLog(env, trace), trace is not None
         checks_range = links.range_check != "delivery"
-        self._departure = Departure(env, topology, sampler, fault_state, checks_range=checks_range)
+        self._departure = Departure(state, sampler, checks_range=checks_range)
         medium = links.medium
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
         if isinstance(medium, Radio) and medium.contends:
@@ -82,10 +59,10 @@ class LinkLayer:
                 wait=self._log.queue,
                 lose=self._log.give_up,
             )
-            self._transmitter = Contention(env, medium, topology, positions, clocks, seed, callbacks)
+            self._transmitter = Contention(state, medium, seed, callbacks)
         elif not isinstance(medium, Unlimited):
             self._transmitter = Transmitter(
-                env, medium, topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
+                env, medium, state.topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )
         self._receivers = self._departure.receivers
         self._contends = isinstance(self._transmitter, Contention)
@@ -93,12 +70,8 @@ class LinkLayer:
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
         arrival times, ns, and the losses that were drawn."""
         self.delivery = Delivery(
-            env,
+            state,
             links,
-            topology,
-            records,
-            inboxes,
-            fault_state,
             self._transmitter,
             processing=sampler.processing,
             at_once=self._is_traced,
@@ -106,7 +79,7 @@ class LinkLayer:
         )
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
-        self._may_lose = fault_state is not None or not sampler.lossless or self._transmitter is not None
+        self._may_lose = state.fault_state is not None or not sampler.lossless or self._transmitter is not None
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._enqueue = self._leave if self._transmitter is None else self._transmitter.enqueue
         """Starts a transmission, or queues it if the transmitter is busy."""

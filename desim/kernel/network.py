@@ -20,6 +20,7 @@ from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
 from desim.kernel.message_size import as_sent
+from desim.kernel.network_state import NetworkState
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
@@ -88,27 +89,21 @@ class Network(ReceivingNodes):
         )
         sampler = LinkSampler(links, graph, seed, positions)
         self.estimates = Estimates(topology, links.medium, sampler)
-        records = Records(env, topology.size, predicate, repeats=sampler.duplicates_messages)
-        inboxes, clocks = Inboxes(env, topology.size), clocks or [NodeClock(env)] * topology.size
-        self._link_layer = LinkLayer(
+        state = NetworkState(
             env,
-            links,
             topology,
-            sampler,
-            records,
-            inboxes,
-            fault_state,
-            trace if trace is not None and trace.wants_messages else None,
             None if positions is None else as_position_source(positions),
-            clocks,
-            seed,
+            fault_state,
+            Records(env, topology.size, predicate, repeats=sampler.duplicates_messages),
+            Inboxes(env, topology.size),
+            clocks or [NodeClock(env)] * topology.size,
         )
-        super().__init__(env, records, inboxes, self._link_layer.delivery.arrivals, topology.size)
+        message_trace = trace if trace is not None and trace.wants_messages else None
+        self._link_layer = LinkLayer(state, links, sampler, message_trace, seed)
+        super().__init__(state, self._link_layer.delivery.arrivals)
         self._fault_state, self._transmit = fault_state, self._link_layer.transmit
         self._transport, self._is_plain = links.transport, links.transport.is_plain
-        self._transport_layer = TransportLayer(
-            env, topology, self.estimates, inboxes, fault_state, clocks, trace, self._transmit
-        )
+        self._transport_layer = TransportLayer(state, self.estimates, trace, self._transmit)
         self._seq = [0] * topology.size
 
     # Sending.

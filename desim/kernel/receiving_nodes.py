@@ -3,10 +3,9 @@
 from typing import Any
 
 from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import Clock
-from desim.kernel.inbox import Inbox, Inboxes
+from desim.kernel.inbox import Inbox
 from desim.kernel.message_size import as_sent
-from desim.kernel.received_records import Records
+from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Record, Table
 
 
@@ -16,16 +15,14 @@ class ReceivingNodes:
     `desim.kernel.network.Network` adds the sending side. All methods raise ValueError for a node that does not exist.
 
     Args:
-        env: the clock of the simulation.
-        records: the records that have arrived.
-        inboxes: the inboxes of the nodes.
+        state: the state of the network.
         arrivals: the arrivals whose outcome is not decided yet.
-        size: number of nodes.
     """
 
-    def __init__(self, env: Clock, records: Records, inboxes: Inboxes, arrivals: Arrivals, size: int):
-        self._env, self._records, self._inboxes, self._arrivals, self._size = env, records, inboxes, arrivals, size
-        self._first_kept = arrivals.kept.first
+    def __init__(self, state: NetworkState, arrivals: Arrivals):
+        self._env, self._size = state.env, state.topology.size
+        self._records, self._inboxes = state.records, state.inboxes
+        self._arrivals, self._first_kept = arrivals, arrivals.kept.first
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
         """Give each node without a record of `src` an initial record, without a message.

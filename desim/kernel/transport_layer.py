@@ -8,7 +8,7 @@ again. After a crash without memory a node numbers its messages anew, in a new s
 it has received. A message whose acknowledgement was lost may then be delivered a second time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -16,14 +16,13 @@ from math import inf
 from typing import Any, Literal
 
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import Clock, NodeClock, Phase
+from desim.kernel.clock import Phase
 from desim.kernel.estimates import Estimates
 from desim.kernel.events import Trace, TransportCounts
-from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inbox, Inboxes, Message, deliver
+from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.message_size import negative_size, size_of
+from desim.kernel.network_state import NetworkState
 from desim.kernel.retransmission import first_timeout
-from desim.kernel.topology import Topology
 from desim.kernel.transport import Reliable, Transport
 from desim.kernel.transport_frames import Acknowledgement, Frame, Piece, Segment, Skip, acknowledgement_size
 from desim.kernel.transport_log import Flow, TransportLog
@@ -65,30 +64,22 @@ class TransportLayer:
     Most networks need no transport. The state of the nodes is therefore created when the first message is sent.
 
     Args:
-        env: the clock of the simulation.
-        topology: the current neighbours of the nodes.
+        state: the state of the network; its inboxes receive the frames, and the messages that are delivered.
         estimates: estimates of the delays of the network, for the time-out "auto".
-        inboxes: receive the frames, and the messages that are delivered.
-        fault_state: the active faults; None: the network has no faults.
-        clocks: the clocks of the nodes.
         trace: receives the events of transports; None if they are not needed.
         transmit: hands a message to the link layer, given its sender, receiver, size and port.
     """
 
     def __init__(
         self,
-        env: Clock,
-        topology: Topology,
+        state: NetworkState,
         estimates: Estimates,
-        inboxes: Inboxes,
-        fault_state: FaultState | None,
-        clocks: Sequence[NodeClock],
         trace: Trace | None,
         transmit: Callable[[int, int | None, Message, int, str], object],
     ):
-        self._env, self._topology, self._inboxes, self._fault_state = env, topology, inboxes, fault_state
-        self._clocks, self._transmit, self._estimates = clocks, transmit, estimates
-        self._log = TransportLog(env, trace)
+        self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
+        self._inboxes, self._clocks, self._transmit, self._estimates = state.inboxes, state.clocks, transmit, estimates
+        self._log = TransportLog(state.env, trace)
         self._transports: dict[str, Transport] = {}
         """By port."""
         self._nodes: list[_Node] = []
