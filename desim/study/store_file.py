@@ -6,9 +6,7 @@ forgery.
 """
 
 import json
-import os
 import sqlite3
-import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +18,8 @@ from typing import Any, ParamSpec, Self, TypeVar
 from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
+
+from desim.study.store_connection import connected, use_rollback_journal, use_write_ahead_log
 
 FORMAT = "3"
 """The version of the tables below, and of the hashes of configurations."""
@@ -53,10 +53,6 @@ NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands"
 CACHE = 65_536
 """The largest size of the page cache, kB. The index of 10^6 runs fits; in SQLite's 2 MB their check takes 2.4 times as
 long."""
-LOCK_TIMEOUT = 30.0
-"""The time-out, s of wall time, for a file that another process has locked."""
-PAUSE = 0.02
-"""The pause, s of wall time, between two attempts to change the journal; see `_use_write_ahead_log`."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 Arguments = ParamSpec("Arguments")
@@ -107,7 +103,7 @@ class StoreFile:
     def _open(self, path: Path | None, read_only: bool) -> None:
         if path is not None and not read_only:
             path.parent.mkdir(parents=True, exist_ok=True)
-        self.database = _connected(path, read_only)
+        self.database = connected(path, read_only)
         try:
             self._prepare(path, read_only)
         except BaseException:
@@ -134,11 +130,11 @@ class StoreFile:
 
     def _create(self, path: Path | None) -> None:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
-        reason = _use_write_ahead_log(self.database)
+        reason = use_write_ahead_log(self.database)
         if reason:
             self.database.close()
-            _use_rollback_journal(path)
-            self.database = _connected(path)
+            use_rollback_journal(path)
+            self.database = connected(path)
         self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
         if reason:
             warnings.warn(
@@ -227,71 +223,6 @@ class StoreFile:
 def adapter_of(kind: Any) -> TypeAdapter[Any]:
     """Return the pydantic adapter that checks values against a type."""
     return TypeAdapter(kind)
-
-
-def _address(path: Path, read_only: bool) -> str:
-    """Return the URI with which SQLite opens a file.
-
-    To read a file with a write-ahead log, SQLite needs the index of the log, the file -shm. If this file is missing,
-    SQLite creates it, which requires write access. An immutable file is read without an index, so a file is opened as
-    immutable if it or its folder is not writable. SQLite ignores the journal of an immutable file. If the journal (-wal
-    or -journal) has content, the file is therefore opened read-only instead.
-    """
-    options = "rwc"
-    if read_only:
-        pending = any(each.is_file() and each.stat().st_size for each in map(Path, (f"{path}-wal", f"{path}-journal")))
-        is_writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
-        options = "rw" if is_writable else "ro" if pending else "ro&immutable=1"
-    return f"{path.absolute().as_uri()}?mode={options}"
-
-
-def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
-    """Open a connection to a file, or to a new database in memory."""
-    database = sqlite3.connect(
-        ":memory:" if path is None else _address(path, read_only), timeout=LOCK_TIMEOUT, uri=True
-    )
-    database.text_factory = lambda raw: raw.decode(errors="replace")  # the checksum then reveals invalid UTF-8
-    try:
-        database.execute("PRAGMA trusted_schema = OFF")
-    except sqlite3.Error:
-        database.close()
-        raise
-    return database
-
-
-def _use_write_ahead_log(database: sqlite3.Connection) -> str:
-    """Give a new file a write-ahead log, so that readers and a writer do not block each other.
-
-    Return "", or the reason why the file cannot have such a log. Changing the journal takes an exclusive lock. SQLite
-    does not wait for this lock while another connection is about to write, for example when several processes create
-    the store at the same time. The change is therefore attempted again, for up to `LOCK_TIMEOUT`.
-
-    Raises:
-        sqlite3.OperationalError: if the file is still locked then.
-    """
-    end = time.monotonic() + LOCK_TIMEOUT
-    while True:
-        try:
-            (mode,) = database.execute("PRAGMA journal_mode = WAL").fetchone()
-            database.executescript("BEGIN IMMEDIATE; ROLLBACK")  # fails if memory cannot be shared
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
-                return str(error)
-            if time.monotonic() > end:
-                raise
-            time.sleep(PAUSE)
-        else:
-            return "" if mode in {"wal", "memory"} else f"the journal is {mode}"
-
-
-def _use_rollback_journal(path: Path | None) -> None:
-    """Give a file a rollback journal; with an exclusive lock on the file, SQLite needs no shared memory for this."""
-    database = _connected(path)
-    try:
-        database.execute("PRAGMA locking_mode = EXCLUSIVE")
-        database.execute("PRAGMA journal_mode = DELETE")
-    finally:
-        database.close()
 
 
 def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:

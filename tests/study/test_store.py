@@ -25,6 +25,7 @@ from desim.analysis.metrics import summary
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
 from desim.simulation.run import run
+from desim.study import store_connection
 from desim.study.result import SweepResult
 from desim.study.row import Row
 from desim.study.store import Store
@@ -430,12 +431,12 @@ def test_a_store_that_another_process_is_about_to_make_is_waited_for(tmp_path, m
             if len(pauses) == 3:
                 other.execute("ROLLBACK")
 
-        monkeypatch.setattr(module.time, "sleep", pause)
+        monkeypatch.setattr(store_connection.time, "sleep", pause)
         if releases:
             with Store(path) as store:
                 assert (store.check(), len(pauses)) == ("ok", 3)
         else:
-            monkeypatch.setattr(module, "LOCK_TIMEOUT", 0.0)
+            monkeypatch.setattr(store_connection, "LOCK_TIMEOUT", 0.0)
             with pytest.raises(StoreError, match=r"sweep\.sqlite: database is locked"):
                 Store(path)
 
@@ -443,9 +444,9 @@ def test_a_store_that_another_process_is_about_to_make_is_waited_for(tmp_path, m
 @pytest.mark.parametrize("why", ["the file system cannot", "memory cannot be shared"])
 def test_without_a_write_ahead_log_there_is_a_rollback_journal_and_a_warning(tmp_path, monkeypatch, why):
     """SQLite locks with a file of its own, which leaves nothing to share; or the file to be shared cannot be made."""
-    path, address = tmp_path / "sweep.sqlite", module._address
+    path, address = tmp_path / "sweep.sqlite", store_connection.address_of
     if why == "the file system cannot":
-        monkeypatch.setattr(module, "_address", lambda *args: address(*args) + "&vfs=unix-dotfile")
+        monkeypatch.setattr(store_connection, "address_of", lambda *args: address(*args) + "&vfs=unix-dotfile")
     else:
         (tmp_path / "sweep.sqlite-shm").mkdir()
     with pytest.warns(UserWarning, match=f"{path}: .* no write-ahead log"), Store(path) as store:
