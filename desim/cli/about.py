@@ -61,7 +61,8 @@ def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     from desim.config.json_numbers import to_json
     from desim.scenario.scenario import Scenario
-    from desim.scenario.toml import BASE, BASE_DESCRIPTION
+    from desim.scenario.toml import BASE_DESCRIPTION
+    from desim.scenario.toml_errors import BASE
 
     found = Scenario.model_json_schema()
     found["properties"][BASE] = {"type": "string", "title": "Base", "description": BASE_DESCRIPTION}
@@ -74,7 +75,8 @@ def keys(key: str | None) -> None:
     """List keys of scenario files with defaults, units and kinds: all, or those of a KEY like network.latency.gamma."""
     from desim.cli.description import described, described_at
     from desim.scenario.scenario import Scenario
-    from desim.scenario.toml import BASE, BASE_DESCRIPTION
+    from desim.scenario.toml import BASE_DESCRIPTION
+    from desim.scenario.toml_errors import BASE
 
     base = f"{BASE}: {BASE_DESCRIPTION}"
     if key == BASE:
