@@ -1,12 +1,11 @@
 """The draws of link models: their validation, their conversion to nanoseconds and booleans, and their buffers."""
 
 from math import inf
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from desim.config.model import MAX_TIME
-from desim.kernel.records import Arrival
 from desim.kernel.traits import LinkTraits
 from desim.kernel.units import SECOND
 
@@ -19,38 +18,36 @@ if TYPE_CHECKING:
 
 BLOCK = 4096
 """Minimum number of draws per block."""
-Each = TypeVar("Each")
 
 
-class Buffer(Generic[Each]):
+class Buffer:
     """A buffer of draws from a model whose draws are independent of the link."""
 
-    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
+    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]"):
         self._draw, self._rng, self._convert = draw, rng, convert
-        self._block: list[Each] = []
-        self._next = 0
+        self._block: NDArray[Any] | None = None
+        self._next = self._end = 0
 
-    def take(self, count: int) -> list[Each]:
-        """Return the next `count` draws."""
-        end = self._next + count
-        if end > len(self._block):
+    def take(self, count: int) -> "NDArray[Any]":
+        """Return the next `count` converted draws; the array must not be changed."""
+        begin, end = self._next, self._next + count
+        if self._block is None or end > self._end:
             fresh = self._convert(self._draw(max(BLOCK, count), self._rng))
-            self._block = self._block[self._next :] + fresh
-            self._next, end = 0, count
-        taken = self._block[self._next : end]
+            self._block = fresh if self._block is None else np.concatenate((self._block[begin:], fresh))
+            begin, end, self._end = 0, count, len(self._block)
         self._next = end
-        return taken
+        return self._block[begin:end]
 
 
 def buffered(
-    model: object, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"
-) -> "Buffer[Each] | None":
+    model: object, rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]" = np.asarray
+) -> Buffer | None:
     """Return a buffer of the converted draws of a model; None if its draws may depend on the link."""
     draw = LinkTraits.of(model).draw
     return Buffer(draw, rng, convert) if draw is not None else None
 
 
-def as_nanoseconds(delays: Any) -> Any:
+def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
     """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
 
     Raises:
@@ -59,10 +56,11 @@ def as_nanoseconds(delays: Any) -> Any:
     given = np.asarray(delays, dtype=float)
     if not ((given >= 0.0) & (given < inf)).all():
         raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
-    return np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64).tolist()
+    times: NDArray[np.int64] = np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64)
+    return times
 
 
-def times_of(answer: Any, count: int) -> Arrival:
+def times_of(answer: Any, count: int) -> "NDArray[np.int64]":
     """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link.
 
     Raises:
@@ -72,8 +70,7 @@ def times_of(answer: Any, count: int) -> Arrival:
     if shape not in {(), (count,)}:
         got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
         raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
-    times: Arrival = as_nanoseconds(answer)
-    return times
+    return as_nanoseconds(answer)
 
 
 def booleans_of(answer: Any, count: int) -> list[bool]:

@@ -89,7 +89,7 @@ class SharedTable:
         """Return the table as a node knows it: with its exceptions, and without its own record."""
         known = self.table.copy()
         known.pop(node, None)
-        for src, received in self.exceptions.get(node, {}).items():
+        for src, received in self.exceptions[node].items() if node in self.exceptions else ():
             if received is not None:
                 known[src] = received
             else:
@@ -192,8 +192,7 @@ class OwnTables:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             else:  # in the order of transmission, so newer than the record in the table
-                # `| 0` copies a time > 1 s into 32 B: the sum that it was takes 48.
-                table[record[0]] = received = (arrival | 0, record)  # src and body, by position for speed
+                table[record[0]] = received = (arrival, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
                         matching[record[0]] = received
@@ -214,7 +213,7 @@ class OwnTables:
                 still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
                 if predicate is None:
-                    table[record[0]] = arrival | 0, record
+                    table[record[0]] = arrival, record
                 else:
                     _store((arrival, record), table, matching, predicate)
         return still_in_flight
