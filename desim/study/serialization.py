@@ -4,11 +4,15 @@ Functions and classes that are defined in a script, a notebook or a module besid
 worker. They also work with any executor, because the executor pickles only bytes and the function `called`.
 """
 
+import io
+import marshal
 import pickle
 import sys
+from collections import ChainMap
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from types import CodeType
+from typing import Any, ClassVar
 
 import cloudpickle
 
@@ -18,13 +22,26 @@ Call = partial[Any]
 """A function and its arguments."""
 
 
+class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
+    """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
+
+    The code objects of cloudpickle 3.1.3 have no file.
+    """
+
+    dispatch_table: ClassVar = ChainMap(
+        {CodeType: lambda code: (marshal.loads, (marshal.dumps(code),))}, cloudpickle.Pickler.dispatch_table
+    )
+
+
 def packed(call: Call) -> bytes:
     """Return a call as bytes, which include the functions and classes of user modules that the call refers to."""
     own = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
     for module in own:
         cloudpickle.register_pickle_by_value(module)
+    written = io.BytesIO()
     try:
-        return bytes(cloudpickle.dumps(call))
+        CallPickler(written).dump(call)
+        return written.getvalue()
     finally:
         for module in own:
             cloudpickle.unregister_pickle_by_value(module)
