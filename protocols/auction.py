@@ -41,10 +41,6 @@ class Bid(NamedTuple):
 NO_BID = Bid(NO_WINNER, -inf)
 
 
-Fields = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
-"""The action of a pursuer, and the winner and the winning bid of each evader; plain numbers if there is one evader."""
-
-
 class Auction(Rule):
     """A rule under which the winner of the auction for an evader chases it."""
 
@@ -83,17 +79,14 @@ def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
     return action, [offers[action] if evader == action else bid for evader, bid in enumerate(others, start=1)]
 
 
-def claim_fields(action: int, bids: Sequence[Bid]) -> Fields:
-    """Return an action and the (M,) best bids as the first fields of a claim."""
-    if len(bids) == 1:
-        return action, *bids[0]
-    return action, tuple(bid.winner for bid in bids), tuple(bid.amount for bid in bids)
+def lists_of(bids: Sequence[Bid]) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return (M,) best bids as the lists of a claim: the winners z, and the winning bids y."""
+    return tuple(bid.winner for bid in bids), tuple(bid.amount for bid in bids)
 
 
 def bids_of(claim: Any) -> list[Bid]:
-    """Return the (M,) bids of a claim, the inverse of `claim_fields`."""
-    _, winner, amount = claim[:3]
-    return [Bid(winner, amount)] if isinstance(winner, int) else list(map(Bid, winner, amount))
+    """Return the (M,) bids of a claim, the inverse of `lists_of`."""
+    return list(map(Bid, claim.winners, claim.amounts))
 
 
 def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:

@@ -26,22 +26,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, claim_fields, unread
+from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
 from protocols.rule import Rule
 
 
 class Claim(NamedTuple):
-    """The action of a pursuer, its winner list z and its winning-bid list y: (M,) each, or numbers for one evader."""
+    """The action of a pursuer, and what it knows of each evader's auction: the winner z and the winning bid y."""
 
     active: int
-    winner: int | tuple[int, ...]
-    amount: float | tuple[float, ...]
-    """The winning bid y, s."""
+    winners: tuple[int, ...]
+    """(M,) winners z; `NO_WINNER` without a bid."""
+    amounts: tuple[float, ...]
+    """(M,) winning bids y, s."""
 
     @property
-    def news(self) -> tuple[int, int | tuple[int, ...]]:
-        """The action and the winner; a change of them triggers an announcement."""
-        return self.active, self.winner
+    def news(self) -> tuple[int, tuple[int, ...]]:
+        """The action and the winners; a change of them triggers an announcement."""
+        return self.active, self.winners
 
 
 class CBAA(Auction):
@@ -60,7 +61,7 @@ class CBAA(Auction):
                 claimed = {j: update(claim[k]) for j, claim in claims.items()}
                 bids[k] = greatest(update(best), claimed | {me.id: NO_BID})
             action, bids = chosen(me, one_each(bids))
-            me.set_payload(Claim(*claim_fields(action, bids)))
+            me.set_payload(Claim(action, *lists_of(bids)))
             yield action
 
 

@@ -24,27 +24,28 @@ from typing import ClassVar, Literal, NamedTuple
 from desim.config.model import Timeout
 from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bid_updater, bids_of, chosen, claim_fields, unread
+from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """The actions of Table I: adopt the sender's winner and bid; clear winner and bid; change nothing."""
 
 
 class StampedClaim(NamedTuple):
-    """The action of a pursuer and its lists: (M,) winners z and bids y (numbers if M = 1), and (N,) time stamps s."""
+    """The action of a pursuer and its lists: winners z, winning bids y and time stamps s."""
 
     active: int
-    winner: int | tuple[int, ...]
-    amount: float | tuple[float, ...]
-    """The winning bid y, s."""
+    winners: tuple[int, ...]
+    """(M,) winners z; `NO_WINNER` without a bid."""
+    amounts: tuple[float, ...]
+    """(M,) winning bids y, s."""
     stamps: tuple[float, ...]
-    """s[m]: time stamp (s, clock of m) of the latest announcement of m of which the pursuer knows, either from m itself
-    or from the time stamps in the claims of others."""
+    """(N,) s[m]: time stamp (s, clock of m) of the latest announcement of m of which the pursuer knows, either from m
+    itself or from the time stamps in the claims of others."""
 
     @property
-    def news(self) -> tuple[int, int | tuple[int, ...]]:
-        """The action and the winner; a change of them triggers an announcement."""
-        return self.active, self.winner
+    def news(self) -> tuple[int, tuple[int, ...]]:
+        """The action and the winners; a change of them triggers an announcement."""
+        return self.active, self.winners
 
 
 class CBBA(Auction):
@@ -80,7 +81,7 @@ class CBBA(Auction):
             others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
             action, bids = chosen(me, others)
             stamps[me.id] = me.now
-            me.set_payload(StampedClaim(*claim_fields(action, bids), tuple(stamps)))
+            me.set_payload(StampedClaim(action, *lists_of(bids), tuple(stamps)))
             yield action
 
 

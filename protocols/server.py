@@ -53,13 +53,12 @@ class Order(NamedTuple):
 
     number: int
     """Number of the decision, greater for a newer one."""
-    chaser: int | tuple[int | None, ...] | None
-    """The pursuer that is to chase the evader, or None; if there are several evaders, a tuple with one for each."""
+    chasers: tuple[int | None, ...]
+    """(M,) the pursuer that is to chase each evader, or None."""
 
     def action(self, pursuer: int) -> int:
         """Return the evader that a pursuer is to chase, or 0."""
-        chasers = self.chaser if isinstance(self.chaser, tuple) else (self.chaser,)
-        return chasers.index(pursuer) + 1 if pursuer in chasers else 0
+        return self.chasers.index(pursuer) + 1 if pursuer in self.chasers else 0
 
 
 class Server(Value):
@@ -95,7 +94,7 @@ class Server(Value):
 
     def _lead(self, me: Agent) -> Process:
         """Decide when reports have arrived, obey the decision, and send it to the others."""
-        current = Order(-1, None)
+        current = Order(-1, ())
         orders: dict[int, list[tuple[int, int]]] = {}
         delay = me.latency + me.airtime(me.located())
         report_period = max(self.period, me.interval(me.located()))
@@ -116,10 +115,10 @@ class Server(Value):
                     last_report = me.now
                 changed = False
                 if reports or me.now >= last_report + report_timeout:
-                    chaser = self._chaser(me, orders, delay)
-                    changed = current.number < 0 or chaser != current.chaser
+                    chasers = self._chasers(me, orders, delay)
+                    changed = current.number < 0 or chasers != current.chasers
                     # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
-                    current = Order(max(nanoseconds(me.now), current.number + 1, 0), chaser) if changed else current
+                    current = Order(max(nanoseconds(me.now), current.number + 1, 0), chasers) if changed else current
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):
                     me.send(None, current, PORT)
@@ -132,8 +131,8 @@ class Server(Value):
         yield me.now
         yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
 
-    def _chaser(self, me: Agent, orders: Orders, delay: float) -> int | tuple[int | None, ...] | None:
-        """Return the best chaser of each evader, as `Order.chaser`, among the host and pursuers with a recent report.
+    def _chasers(self, me: Agent, orders: Orders, delay: float) -> tuple[int | None, ...]:
+        """Return the (M,) best chasers, or None, among the host and the pursuers with a recent report.
 
         Args:
             me: the host.
@@ -154,7 +153,7 @@ class Server(Value):
             ids = sorted(times)
             phi.append([times[j] for j in ids])
         chasers = {evader: ids[row] for row, evader in matching(phi, me.time_left()).items()}
-        return tuple(map(chasers.get, range(1, me.evader_count + 1))) if me.evader_count > 1 else chasers.get(1)
+        return tuple(map(chasers.get, range(1, me.evader_count + 1)))
 
 
 def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:

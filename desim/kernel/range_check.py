@@ -18,12 +18,9 @@ class RangeCheck:
         seed: the seed of the random draws.
         size: number of nodes.
 
-    The arguments of its methods, with k receivers:
-        src: the sender, one for all or (k,).
-        dst: (k,) the receivers.
-        apart: (k,) their distances, m.
-        message: the number of the message, one for all or (k,); None: with fading per message, a message is received
-            where the probability is at least 1/2.
+    The arguments of its methods, for k receivers, are the sender `src` (one for all or (k,)), the receivers `dst` (k,),
+    their distances `apart` (k,) in m, and the number of the `message` (one for all or (k,)). Without a number, and with
+    fading per message, a message is received where the probability is at least 1/2.
     """
 
     def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002

@@ -27,7 +27,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Evader, Motion, Recording, Team
-from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, claim_fields, offer, unread
+from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, lists_of, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
@@ -155,8 +155,8 @@ def rounds(auction, graph, seed, **changes):
     result = frozen(auction(schedule=Rounds(period=0.1)), seed, until=1.65, **(given | changes))
     announced = [{} for _ in range(17)]
     for message in result.trace.of(Broadcast):
-        assert message.body.active == (message.body.winner == message.src)
-        announced[round(message.t / 1e8) - 1][message.src] = message.body.winner
+        assert message.body.active == (message.body.winners == (message.src,))
+        announced[round(message.t / 1e8) - 1][message.src] = message.body.winners[0]
     return result, [[each[i] for i in range(len(graph))] for each in announced[:16]]
 
 
@@ -204,10 +204,10 @@ def test_a_pursuer_that_cannot_bid_forwards_claims(auction):
     assert winners[:4] == [[0, -1, 2], [0, 0, 2], [0, 0, 0], [0, 0, 0]]
 
 
-@pytest.mark.parametrize("claim", [partial(Claim, True, 2), partial(StampedClaim, False, 2, stamps=(1.0, 2.0))])
+@pytest.mark.parametrize("claim", [partial(Claim, True, (2,)), partial(StampedClaim, False, (2,), stamps=(1.0, 2.0))])
 def test_a_renewed_bid_does_not_trigger_an_announcement(claim):
     """The action and the winner are announced at once."""
-    assert claim(amount=-1.0).news == claim(amount=-2.0).news == (claim(amount=-1.0).active, 2)
+    assert claim(amounts=(-1.0,)).news == claim(amounts=(-2.0,)).news == (claim(amounts=(-1.0,)).active, (2,))
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -231,7 +231,7 @@ def without_timeout(auction):
 
 def agreed(result):
     """Return the believed winners at the end, one set for all pursuers."""
-    last = {message.src: message.body.winner for message in result.trace.of(Broadcast)}
+    last = {message.src: message.body.winners for message in result.trace.of(Broadcast)}
     return set(last.values())
 
 
@@ -349,7 +349,7 @@ def test_a_stale_claim_for_a_pursuer_that_changed_evaders_blocks_no_bid():
 
 @given(st.integers(0, 3), st.lists(BIDS, min_size=1, max_size=4))
 def test_a_claim_decodes_to_the_bids_it_encodes(action, bids):
-    claim = Claim(*claim_fields(action, bids))
+    claim = Claim(action, *lists_of(bids))
     assert bids_of(claim) == bids
     assert claim.active == action
 
@@ -666,11 +666,11 @@ def test_held_and_received_bids_are_both_updated(auction):
     me.capture_time, me.time_left = lambda evader: phi[0], lambda: 9.0
     claim = Claim if auction is CBAA else partial(StampedClaim, stamps=(-inf, 0.0, 0.0))
     turns = auction().actions(me)
-    heard |= {1: Record(1, 0, 0, claim(True, 1, -8.0)), 2: Record(2, 0, 0, claim(True, 2, -7.0))}
+    heard |= {1: Record(1, 0, 0, claim(True, (1,), (-8.0,))), 2: Record(2, 0, 0, claim(True, (2,), (-7.0,)))}
     announced = []
     for phi[0] in (3.0, 1.9, 1.7):
         next(turns)
-        announced.append(claims[-1][:3])
+        announced.append((claims[-1].active, *bids_of(claims[-1])[0]))
         phi[1] = 1.8
     assert announced == [(False, 1, -2.0), (False, 1, -1.8), (True, 0, -1.7)]
 
@@ -694,11 +694,16 @@ def test_at_each_turn_the_winner_renews_its_bid_or_releases_its_claim_if_late(au
     me.capture_time, me.time_left = lambda evader: next(phi), lambda: 5.0
     turns = auction().actions(me)
     assert [next(turns) for _ in range(4)] == [True, True, False, True]
-    assert [claim[:3] for claim in claims] == [(True, 0, -1.0), (True, 0, -3.0), (False, -1, -inf), (True, 0, -2.0)]
+    assert [(claim.active, *bids_of(claim)) for claim in claims] == [
+        (True, (0, -1.0)),
+        (True, (0, -3.0)),
+        (False, NO_BID),
+        (True, (0, -2.0)),
+    ]
 
 
 def test_each_trusted_record_with_a_claim_is_read_once_in_id_order():
-    claim, read = Claim(True, 2, -1.0), {}
+    claim, read = Claim(True, (2,), (-1.0,)), {}
     records = {2: Record(2, 7, 0, claim), 0: Record(0, 0, 0, Assignment(True)), 1: Record(1, 0, 0, claim)}
     me = SimpleNamespace(trusted=lambda: records)
     assert list(unread(me, read, Claim)) == [records[1], records[2]]

@@ -128,12 +128,12 @@ def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
     me = puppet(team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left, me.now = lambda evader: 2.0, lambda: 5.0, 9.0
     turns = CBBA().actions(me)
-    heard[1] = Record(1, 0, 4_000_000_000, StampedClaim(True, 1, -1.0, (2.0, 3.0, 7.0)))
+    heard[1] = Record(1, 0, 4_000_000_000, StampedClaim(True, (1,), (-1.0,), (2.0, 3.0, 7.0)))
     assert not next(turns)
-    assert claims[-1] == (False, 1, -1.0, (9.0, 4.0, 7.0))
-    heard[1] = Record(1, 1, 5_000_000_000, StampedClaim(False, 0, -2.0, (2.0, 3.0, 6.0)))
+    assert claims[-1] == (False, (1,), (-1.0,), (9.0, 4.0, 7.0))
+    heard[1] = Record(1, 1, 5_000_000_000, StampedClaim(False, (0,), (-2.0,), (2.0, 3.0, 6.0)))
     assert next(turns)
-    assert claims[-1] == (True, 0, -2.0, (9.0, 5.0, 7.0))
+    assert claims[-1] == (True, (0,), (-2.0,), (9.0, 5.0, 7.0))
 
 
 # What becomes of it in a run.
@@ -202,7 +202,7 @@ def test_a_failed_winner_times_out_everywhere_within_a_delay_per_hop():
         fault=(Crash(node=0, start=5.05),),
     )
     believed = {
-        (round(message.t / 1e8), message.src): message.body.winner
+        (round(message.t / 1e8), message.src): message.body.winners[0]
         for message in result.trace.of(Broadcast)
         if message.t >= 5e9
     }

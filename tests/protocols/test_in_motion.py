@@ -54,8 +54,8 @@ def outcome(seeds, protocol, **given):
 class Forgetful(Server):
     """A server that forgets its orders: it takes each pursuer to go on as it reported."""
 
-    def _chaser(self, me, orders, transmission):
-        return super()._chaser(me, {pursuer: [] for pursuer in orders}, 0.0)
+    def _chasers(self, me, orders, transmission):
+        return super()._chasers(me, {pursuer: [] for pursuer in orders}, 0.0)
 
 
 @pytest.mark.slow

@@ -161,8 +161,8 @@ def obeyed(result):
     for t, pursuer, order in arrived:
         if order.number >= newest.get(pursuer, -1):
             newest[pursuer] = order.number
-            if active[pursuer] != (order.chaser == pursuer):
-                active[pursuer] = order.chaser == pursuer
+            if active[pursuer] != (order.chasers == (pursuer,)):
+                active[pursuer] = order.chasers == (pursuer,)
                 found.append((t, pursuer, active[pursuer]))
     return found
 
@@ -376,14 +376,14 @@ def test_an_order_names_the_chaser_of_each_evader():
         record=Recording(trajectory=0.0, messages=True),
     )
     told = orders(run(case, None, lambda event: event.t > SECOND))
-    assert {sent.body.chaser for sent in told} == {(1, 0, None)}
+    assert {sent.body.chasers for sent in told} == {(1, 0, None)}
     assert {sent.size for sent in told} == {24 + 2 * 8}
     assert [told[0].body.action(j) for j in range(3)] == [2, 1, 0]
 
 
 def test_an_order_is_of_as_many_numbers_as_there_are_evaders():
-    assert [Order(7, 1).action(j) for j in range(3)] == [0, 1, 0]
-    assert [Order(7, None).action(j) for j in range(3)] == [0, 0, 0]
+    assert [Order(7, (1,)).action(j) for j in range(3)] == [0, 1, 0]
+    assert [Order(7, (None,)).action(j) for j in range(3)] == [0, 0, 0]
     assert [Order(7, (None, 0, 2)).action(j) for j in range(3)] == [2, 0, 3]
 
 
@@ -400,7 +400,7 @@ def test_a_pursuer_ordered_to_chase_a_captured_evader_stays_without_a_decision()
     result = run(scenario, None, lambda event: event.t > 3 * SECOND)
     (capture,) = result.trace.of(Captured)
     told = [sent for sent in orders(result) if sent.dst == 0 and sent.arrival > capture.t]
-    assert (capture.capturer, told[0].body.chaser) == (0, (0, 1))
+    assert (capture.capturer, told[0].body.chasers) == (0, (0, 1))
     assert [event for event in result.trace.of(Decided) if event.pursuer == 0 and event.t > capture.t] == []
 
 
