@@ -23,10 +23,11 @@ Robust to loss: yes, with heartbeats.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Literal, NamedTuple
+from math import inf
+from typing import ClassVar, Literal, NamedTuple, Self
 
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
+from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, falsified_lists, lists_of, unread
 from protocols.rule import Rule
 
 
@@ -43,6 +44,14 @@ class Claim(NamedTuple):
     def news(self) -> tuple[int, tuple[int, ...]]:
         """The action and the winners; a change of them triggers an announcement."""
         return self.active, self.winners
+
+    def falsified(self, pursuer: int, action: int, phi: float) -> Self:
+        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action`."""
+        return self._replace(active=action, **falsified_lists(bids_of(self), pursuer, action, phi))
+
+    def phi(self, pursuer: int) -> float:
+        """Return the capture time, s, in the bid of a pursuer for the evader that it chases; inf if there is none."""
+        return inf if not self.active or self.winners[self.active - 1] != pursuer else -self.amounts[self.active - 1]
 
 
 class CBAA(Auction):

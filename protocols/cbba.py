@@ -19,12 +19,23 @@ Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes o
 
 from collections.abc import Iterator, Sequence
 from math import inf
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, Self
 
 from desim.config.model import Timeout
 from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
+from protocols.auction import (
+    NO_BID,
+    NO_WINNER,
+    Auction,
+    Bid,
+    bid_updater,
+    bids_of,
+    chosen,
+    falsified_lists,
+    lists_of,
+    unread,
+)
 
 Verdict = Literal["update", "reset", "leave"]
 """The actions of Table I: adopt the sender's winner and bid; clear winner and bid; change nothing."""
@@ -46,6 +57,14 @@ class StampedClaim(NamedTuple):
     def news(self) -> tuple[int, tuple[int, ...]]:
         """The action and the winners; a change of them triggers an announcement."""
         return self.active, self.winners
+
+    def falsified(self, pursuer: int, action: int, phi: float) -> Self:
+        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action`."""
+        return self._replace(active=action, **falsified_lists(bids_of(self), pursuer, action, phi))
+
+    def phi(self, pursuer: int) -> float:
+        """Return the capture time, s, in the bid of a pursuer for the evader that it chases; inf if there is none."""
+        return inf if not self.active or self.winners[self.active - 1] != pursuer else -self.amounts[self.active - 1]
 
 
 class CBBA(Auction):

@@ -186,7 +186,7 @@ class _Clocks:
     """The errors of the nodes' clocks. The time stamp of a forwarded record is a reading of its source's clock."""
 
     def __init__(self, result: Result, size: int):
-        self._errors = clock_errors(result.scenario.fault, size, result.seed)
+        self._errors = clock_errors(result.scenario.network_faults, size, result.seed)
         self._corrections: dict[int, list[tuple[int, float]]] = {}
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
         for each in result.trace.of(ClockCorrected):

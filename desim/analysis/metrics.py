@@ -33,6 +33,7 @@ from desim.analysis.activity import (
     switches,
 )
 from desim.analysis.age import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
+from desim.analysis.deception import checks_announcements, false_accusations, time_to_detect
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
 from desim.analysis.trace_index import (
     captures,
@@ -82,6 +83,7 @@ __all__ = [
     "delivery_delay",
     "energy",
     "excess_time",
+    "false_accusations",
     "given_up",
     "handovers",
     "idle_time",
@@ -100,6 +102,7 @@ __all__ = [
     "share_delivered",
     "summary",
     "switches",
+    "time_to_detect",
     "time_to_relay",
     "title",
     "users_metrics",
@@ -342,6 +345,12 @@ class Summary(Mapping[str, Any]):
         deadlines_missed, note="", given=has_transport, silent_at_0=True, more_is="worse"
     )
     liveliness_lost: int | None = entry(liveliness_lost, note="", given=has_transport, silent_at_0=True)
+    false_accusations: int | None = entry(
+        false_accusations, note="of honest pursuers by honest ones", given=checks_announcements, more_is="worse"
+    )
+    time_to_detect: float | None = entry(
+        time_to_detect, "s", "from a fault of word to distrust", given=checks_announcements, more_is="worse"
+    )
     age_mean: float | None = entry(
         age_mean, "s", "averaged over time and pairs", given=messages_recorded, more_is="worse"
     )

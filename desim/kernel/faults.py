@@ -22,7 +22,7 @@ MIN_DRIFT = -0.99
 """Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
 
 
-class _Window(Value):
+class Window(Value):
     """Base of the faults that have a start and an end time."""
 
     start: Time
@@ -38,7 +38,7 @@ class _Window(Value):
         return end
 
 
-class Crash(_Window):
+class Crash(Window):
     """A node crashes and, if the crash ends, recovers."""
 
     kind: Literal["crash"] = "crash"
@@ -50,7 +50,7 @@ class Crash(_Window):
     """Whether the node keeps its beliefs; if not, it recovers without any, and a crashed robot restarts its process."""
 
 
-class Partition(_Window):
+class Partition(Window):
     """Groups of nodes cannot communicate with each other."""
 
     kind: Literal["partition"] = "partition"
@@ -67,7 +67,7 @@ class Partition(_Window):
         return groups
 
 
-class Jamming(_Window):
+class Jamming(Window):
     """No node within a disc receives messages."""
 
     kind: Literal["jamming"] = "jamming"
@@ -75,6 +75,21 @@ class Jamming(_Window):
     """[x, y], m."""
     radius: Length
     """m"""
+
+
+class Misbehaviour(Window):
+    """A node does not follow its protocol; the network carries what it sends like any other message.
+
+    It has no effect here: a model of a higher layer draws it, and acts on it.
+    """
+
+    kind: Literal["misbehaviour"] = "misbehaviour"
+    node: Node
+    """The node that misbehaves."""
+    model: str
+    """The kind of the model."""
+    number: Annotated[int, Field(ge=0, strict=True)]
+    """Number of the misbehaviour in the run, from 0 on."""
 
 
 class ClockSkew(Value):
@@ -91,28 +106,30 @@ class ClockSkew(Value):
 
 
 Fault = Crash | Partition | Jamming
-"""A fault with a start and an end time."""
+"""A fault of the network, with a start and an end time."""
+TracedFault = Fault | Misbehaviour
+"""A fault whose start and end are events of the trace."""
 
 
 def nodes_of(fault: object) -> list[int]:
     """Return the nodes that a fault or a clock error names."""
     if isinstance(fault, Partition):
         return [node for group in fault.groups for node in group]
-    return [fault.node] if isinstance(fault, Crash | ClockSkew) and fault.node is not None else []
+    return [fault.node] if isinstance(fault, Crash | Misbehaviour | ClockSkew) and fault.node is not None else []
 
 
 class FaultStarted(NamedTuple):
     """A fault started."""
 
     t: Nanoseconds
-    fault: Annotated[Fault, Field(discriminator="kind")]
+    fault: Annotated[TracedFault, Field(discriminator="kind")]
 
 
 class FaultEnded(NamedTuple):
     """A fault ended."""
 
     t: Nanoseconds
-    fault: Annotated[Fault, Field(discriminator="kind")]
+    fault: Annotated[TracedFault, Field(discriminator="kind")]
 
 
 class FaultPlan(Protocol):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from desim.kernel.access import CsmaCa
 from desim.kernel.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
-from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Partition, TracedFault
 from desim.kernel.interference import Collision
 from desim.kernel.medium import Radio
 from desim.kernel.transport_frames import carried
@@ -58,7 +58,7 @@ class Conservation:
         """By transmission number: its latest event, and the unchecked arrivals by receiver, ns or `LOST`."""
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
-        self._faults: list[Fault] = []
+        self._faults: list[TracedFault] = []
         self._max_unchecked = MIN_BATCH
         self._handlers: dict[type, Callable[[Any], None]] = {
             Broadcast: self._depart,

@@ -23,7 +23,9 @@ from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignme
 from desim.pursuit.beliefs import Beliefs
 from desim.pursuit.knowledge import Knowledge
 from desim.pursuit.timing import Timing
+from desim.pursuit.trust import Judge
 from desim.pursuit.views import GlobalState, View
+from desim.pursuit.voice import Voice
 
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
@@ -50,6 +52,8 @@ class Agent(Knowledge, Timing):
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
         clock: its local clock.
+        voice: sends its messages; None: the network, as it is asked to.
+        judge: decides which announcements it believes; None: it believes all.
     """
 
     def __init__(
@@ -62,11 +66,13 @@ class Agent(Knowledge, Timing):
         seed: int,
         announcements: Announcements,
         clock: NodeClock,
+        voice: Voice | None = None,
+        judge: Judge | None = None,
     ):
-        beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement)
+        beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement, judge)
         Knowledge.__init__(self, pursuer, view, network, clock, beliefs)
         Timing.__init__(self, pursuer, env, clock, network)
-        self.global_state = global_state
+        self.global_state, self._voice, self._judge = global_state, voice or network, judge
         self._seed, self._announcements = seed, announcements
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
@@ -85,6 +91,8 @@ class Agent(Knowledge, Timing):
         if restarted:
             self._payload = None
             self.restarts += 1
+            if self._judge is not None:
+                self._judge.forget()
 
     def stream(self, name: str) -> np.random.Generator:
         """Return the random stream of this pursuer with this name.
@@ -155,7 +163,7 @@ class Agent(Knowledge, Timing):
 
     def record(self, body: Any) -> Record:
         """Create its next record, with this body, for a dissemination model that does not use `publish`."""
-        return self._network.next_record(self.id, body, self._clock.stamp)
+        return self._voice.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
         """Publish a record to all neighbours; a receiver reads the newest one at its next decision.
@@ -163,7 +171,7 @@ class Agent(Knowledge, Timing):
         Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
         All receivers share one body, as with `send`.
         """
-        self._network.publish(self.id, body, stamp=self._clock.stamp)
+        self._voice.publish(self.id, body, stamp=self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
         """Merge records received inside a message into this pursuer's table, which keeps the newest of each source."""
@@ -197,7 +205,7 @@ class Agent(Knowledge, Timing):
             ValueError: if the receiver is the sender, there is no such teammate, the size is negative, or messages at
                 the port have another transport.
         """
-        self._network.send(self.id, dst, body, port=port, size=size, transport=transport)
+        self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""

@@ -16,6 +16,7 @@ from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
 from desim.kernel.transport_frames import carried
 from desim.pursuit.traits import DisseminationTraits
+from desim.pursuit.trust import TRUSTS, Credulous, Trust
 from desim.pursuit.views import View
 
 
@@ -66,7 +67,9 @@ class LocatedAssignment(NamedTuple):
         return cls(state.profile[pursuer], place.real, place.imag, state.speed(pursuer))
 
 
-PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
+Announcement = Assignment | TimedAssignment | LocatedAssignment
+"""A standard announcement."""
+PAYLOADS: dict[str, type[Announcement]] = {
     "action": Assignment,
     "time": TimedAssignment,
     "state": LocatedAssignment,
@@ -194,6 +197,8 @@ class Announcements(Value):
     """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How announcements spread beyond the first receivers."""
+    trust: Annotated[Trust, TRUSTS] = Credulous()
+    """Which announcements of its teammates a pursuer believes."""
 
     @property
     def payload_size(self) -> int:

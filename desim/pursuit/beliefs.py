@@ -16,6 +16,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
+from desim.pursuit.trust import Judge
 from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
@@ -59,6 +60,7 @@ class Beliefs:
         network: the network that delivers announcements.
         announcements: the content of announcements, and how long they are believed.
         announcement: returns an announcement of the pursuer, from which the airtime is computed.
+        judge: decides which announcements the pursuer believes; None: it believes all.
     """
 
     def __init__(
@@ -69,9 +71,10 @@ class Beliefs:
         network: Network,
         announcements: Announcements,
         announcement: Callable[[], Any],
+        judge: Judge | None = None,
     ):
         self._id, self._clock, self._view, self._network = pursuer, clock, view, network
-        self._announcements, self._announcement = announcements, announcement
+        self._announcements, self._announcement, self._judge = announcements, announcement, judge
         self.senses_others = announcements.payload == "action"
 
     def latest_records(self) -> dict[int, Record]:
@@ -87,7 +90,10 @@ class Beliefs:
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
         received = self._network.latest_records(self._id)
-        return {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
+        fresh = {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
+        if self._judge is None:
+            return fresh
+        return {j: record for j, record in fresh.items() if self._judge.believes(record)}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
@@ -96,11 +102,19 @@ class Beliefs:
         """
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
+        if self._judge is not None:
+            chasing = [j for j in chasing if self._judge.believes(matching[j][1])]
         if self.senses_others:
             own, *times = self._view.capture_times_of([self._id, *chasing], evader)
-            return own, chasing, times
-        (own,) = self._view.capture_times_of([self._id], evader)
-        return own, chasing, [self._capture_time(matching[j][1], evader) for j in chasing]
+        else:
+            (own,) = self._view.capture_times_of([self._id], evader)
+            times = [self._capture_time(matching[j][1], evader) for j in chasing]
+        if self._judge is not None:
+            claims = dict(zip(chasing, times, strict=True))
+            ignored = self._judge.ignored(own, claims)
+            chasing = [j for j in chasing if j not in ignored]
+            times = [claims[j] for j in chasing]
+        return own, chasing, times
 
     def about_teammates(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each teammate whose announcement has not expired; see `Agent.beliefs`.
@@ -108,10 +122,15 @@ class Beliefs:
         The capture time of a belief is that of the teammate for the given evader.
         """
         now = self._clock.stamp
-        return {
+        beliefs = {
             j: Belief(record.body.active, self._capture_time(record, evader, orders), (now - record.stamp) / SECOND)
             for j, record in self.trusted(period).items()
         }
+        if self._judge is None:
+            return beliefs
+        (own,) = self._view.capture_times_of([self._id], evader)
+        ignored = self._judge.ignored(own, {j: belief.capture_time for j, belief in beliefs.items()})
+        return {j: belief for j, belief in beliefs.items() if j not in ignored}
 
     def team_estimate(self, evader: int) -> TeamEstimate:
         """Return the estimated positions and speeds of the team, and the capture times for an evader.

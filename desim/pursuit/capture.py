@@ -64,6 +64,22 @@ class RadialTime:
         return 0.0 if gap <= 0.0 else inf if slow else gap / closing
 
 
+def least_capture_time(distance: float, radius: float, top_speed: float, evader_speed: float) -> float:
+    """Return the least capture time, s, of any pursuer of at most a speed at a distance (m) from a fleeing evader.
+
+    It bounds the capture times that a pursuer can truthfully announce: (d - eps) / (v_max - v_e), inf if no pursuer is
+    faster than the evader, and 0 within the capture radius.
+
+    Args:
+        distance: the distance d, m.
+        radius: the capture radius eps, m.
+        top_speed: the greatest speed v_max of a pursuer, m/s.
+        evader_speed: the speed v_e of the evader, m/s.
+    """
+    gap, closing = distance - radius, top_speed - evader_speed
+    return 0.0 if gap <= 0.0 else inf if closing <= NO_SPEED else gap / closing
+
+
 def intercept_time(
     evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
 ) -> Floats:

@@ -70,6 +70,16 @@ class Captured(NamedTuple):
     capturer: NodeId
 
 
+class Distrusted(NamedTuple):
+    """A pursuer began, or stopped, to distrust the announcements of a teammate."""
+
+    t: Nanoseconds
+    pursuer: NodeId
+    suspect: NodeId
+    distrusted: bool
+    """Whether it began."""
+
+
 class Ended(NamedTuple):
     """The pursuit ended."""
 

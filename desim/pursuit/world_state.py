@@ -37,10 +37,12 @@ class WorldState:
     Attributes:
         size: number of pursuers, N.
         evader_count: number of evaders at the start, M.
+        top_speed: the greatest speed of a pursuer while it chases, m/s.
         at_large: numbers of the evaders that have not been captured, ascending.
         actions: see `Actions`; replaced by `set_actions`, never changed in place.
         profile: `actions` as a list.
         broken: (N,) mask of the pursuers that are down, and so stand still.
+        acting_since: by pursuer, the time, ns, at which its present action began.
         step_end: end of the present motion step, ns.
     """
 
@@ -62,10 +64,10 @@ class WorldState:
         self._env = env
         self.players, self.bodies, self.speeds = players, bodies, speeds
         self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
-        self.size, self.evader_count = len(speeds), len(bodies)
+        self.size, self.evader_count, self.top_speed = len(speeds), len(bodies), float(speeds.max(initial=0.0))
         self.at_large: Sequence[int] = range(1, len(bodies) + 1)
         self.broken: NDArray[np.bool_] = np.zeros(self.size, dtype=bool)
-        self.step_end = 0
+        self.acting_since, self.step_end = [0] * self.size, 0
         self.set_actions(actions)
 
     def body(self, evader: int) -> EvaderBody:
@@ -114,6 +116,8 @@ class WorldState:
         body.captured = self.now
         self.at_large = tuple(each for each in self.at_large if each != body.number)
         chasing = self.actions == body.number
+        for pursuer in chasing.nonzero()[0].tolist():
+            self.acting_since[pursuer] = self.now
         velocities = self.players.velocities.copy()
         velocities[body.player] = 0.0
         velocities[: self.size][chasing] = 0.0

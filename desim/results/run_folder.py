@@ -26,17 +26,17 @@ from desim.kernel.events import (
     Trace,
     TransportCounts,
 )
-from desim.kernel.faults import Fault, FaultEnded, FaultStarted, nodes_of
+from desim.kernel.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
-from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Distrusted, Ended, Sampled, Started
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
 from desim.simulation.run import Result, run
 
 EVENTS = (
-    *(Started, Decided, BrokeDown, Sampled, Captured, Ended),
+    *(Started, Decided, BrokeDown, Sampled, Captured, Distrusted, Ended),
     *(*MESSAGES, MessageCounts, *TRANSPORT, ClockCorrected, FaultStarted, FaultEnded),
 )
 """The types of events in a trace."""
@@ -279,7 +279,7 @@ def _is_number(value: Any, end: int) -> bool:
 def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
-    receivers, broken = dict[int, tuple[int, ...]](), list[Fault]()
+    receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
     for number, event in enumerate(found, start=1):
         if event.t < t:
             yield number, "is earlier than the line before"

@@ -21,8 +21,10 @@ from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.kernel.units import nanoseconds
+from desim.pursuit.lies import FalseAnnouncements, FaultOfWord, Liar, Selective, Silent, Slander
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import DisseminationTraits
+from desim.pursuit.trust import Accusations, Credulous, Trimmed, tolerated_liars
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
 
@@ -197,8 +199,10 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
         yield "clocks.sync", "it costs messages, and all clocks are right (`fault.kind` clock_skew makes them wrong)"
     for k, fault in enumerate(scenario.fault):
-        if isinstance(fault, Fault) and fault.start >= scenario.horizon:
+        if isinstance(fault, Fault | FaultOfWord) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
+    yield from _lie_warnings(scenario)
+    yield from _trust_warnings(scenario)
     yield from _trace_warnings(scenario)
     yield from _channel_warnings(scenario)
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
@@ -214,6 +218,47 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
             f" bound, or messages {'collide or ' if contend else ''}are dropped",
         )
+
+
+def _lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about faults of word without an effect."""
+    payload = None if scenario.protocol_traits.claim_size else scenario.announce.payload
+    forwards = DisseminationTraits.of(scenario.announce.dissemination).relays
+    token = scenario.schedule_traits.spreads_to is not None
+    for k, fault in enumerate(scenario.fault):
+        if not isinstance(fault, FaultOfWord):
+            continue
+        if not scenario.announces and fault.acts == "protocol" and not isinstance(fault, Silent | FalseAnnouncements):
+            yield f"fault.{k}", f"it has no effect, because pursuers announce nothing under {scenario.protocol_name!r}"
+        if isinstance(fault, FalseAnnouncements):
+            contained = {"phi": payload in {"time", None}, "position": payload == "state" or not scenario.announces}
+            unused = [key for key, is_said in contained.items() if dict(fault)[key] is not None and not is_said]
+            yield from ((f"fault.{k}.{key}", "it has no effect: announcements do not contain it") for key in unused)
+        if isinstance(fault, Liar) and (fault.action, fault.phi, fault.position) == ("truth", None, None):
+            yield f"fault.{k}.action", "the announcements are true"
+        if isinstance(fault, Selective) and not (forwards or token):
+            yield f"fault.{k}", "it has no effect, because pursuers forward nothing"
+        if isinstance(fault, Slander) and not isinstance(scenario.announce.trust, Accusations):
+            yield f"fault.{k}", "it has no effect, because `announce.trust` reads no accusations"
+
+
+def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about trust without an effect, or with more liars than it can tolerate."""
+    trust, count = scenario.announce.trust, scenario.team.count
+    if isinstance(trust, Credulous):
+        return
+    if not scenario.announces:
+        yield "announce.trust", "it has no effect, because pursuers announce nothing"
+    if isinstance(trust, Trimmed):
+        if scenario.protocol_traits.claim_size:
+            yield "announce.trust", f"{scenario.protocol_name} compares bids, of which none is ignored"
+        if trust.liars > tolerated_liars(count):
+            yield (
+                "announce.trust.liars",
+                f"a complete graph of {count} pursuers is robust against {tolerated_liars(count)} liars",
+            )
+    elif scenario.motion.static:
+        yield "announce.trust", "it has no effect: no pursuer moves, so no motion refutes an announcement"
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

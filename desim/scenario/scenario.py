@@ -38,7 +38,7 @@ from desim.config.model import (
 from desim.config.traits import name_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
-from desim.kernel.faults import FAULTS, Partition, nodes_of
+from desim.kernel.faults import Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio
@@ -50,6 +50,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
+from desim.pursuit.lies import PURSUER_FAULTS, FaultOfWord, is_lie
 from desim.pursuit.recorded import RecordedMotion, RelayNode
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
@@ -337,8 +338,8 @@ class Scenario(Value):
     """Content and times of the pursuers' announcements."""
     network: Links = Links()
     clocks: Clocks = Clocks()
-    fault: tuple[Annotated[Any, FAULTS], ...] = ()
-    """Faults of pursuers, clocks and the network."""
+    fault: tuple[Annotated[Any, PURSUER_FAULTS], ...] = ()
+    """Faults of pursuers, of their messages, of clocks and of the network."""
     record: Recording = Recording()
     sweep: Sweep = Sweep()
 
@@ -366,6 +367,11 @@ class Scenario(Value):
         """The parameters of each of the M evaders; evader j has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
+
+    @property
+    def network_faults(self) -> tuple[Any, ...]:
+        """The faults that are not faults of word: those of robots, radios, clocks and the network."""
+        return tuple(each for each in self.fault if not is_lie(each))
 
     @property
     def protocol_name(self) -> str:
@@ -452,6 +458,9 @@ class Scenario(Value):
             except ValueError as error:
                 yield ("protocol", part), str(error)
         for k, fault in enumerate(self.fault):
+            if isinstance(fault, FaultOfWord):
+                named = fault.named().items()
+                yield from ((("fault", k, key), no_pursuer.format(each)) for key, each in named if each >= count)
             key = "groups" if isinstance(fault, Partition) else "node"
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
 

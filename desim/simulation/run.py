@@ -15,10 +15,13 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
-from desim.kernel.units import seconds
+from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended, Sampled
+from desim.pursuit.evidence import Witness
+from desim.pursuit.lies import draw_lies
+from desim.pursuit.lying import LyingTeam
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import coordinates
 from desim.pursuit.views import GlobalState, View
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     import simpy
     from matplotlib.figure import Figure
 
+    from desim.pursuit.trust import Judge
     from desim.view.replay import Replay
 
 
@@ -158,9 +162,9 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
     state = initial_state(env, scenario, seed)
-    faults = draw_faults(scenario.fault, state.size, scenario.horizon, seed)
+    faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = _PursuerPositions(state, scenario.team.top_speed)
-    skews = scenario.fault if scenario.protocol_traits.embodied else ()
+    skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(
         env,
@@ -180,15 +184,22 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     world = World(env, scenario, state, views, trace, end, sensor)
     if world.eavesdropper is not None:
         network.overhear(world.eavesdropper)
-    global_state = GlobalState(state, scenario.prune, world.set_action)
-    agents = [
-        Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock)
-        for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
-    ]
+    lies = draw_lies(scenario.fault, state.size, scenario.horizon, seed)
+    liars = None
+    if lies:
+        liars = LyingTeam(env, network, views, scenario.announce, seed, world.set_action, lies, trace)
+    global_state = GlobalState(state, scenario.prune, world.set_action if liars is None else liars.set_action)
+    step, voice = nanoseconds(scenario.motion.step), liars or network
+    agents, judges = [], []
+    for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True)):
+        judges.append(scenario.announce.trust.judge(Witness(pursuer, view, clock, network, voice, step, trace)))
+        agents.append(
+            Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock, voice, judges[-1])
+        )
     if scenario.announce.warm_start:
         for agent, clock in zip(agents, clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
-    team = _Team(env, scenario, world, agents, sensor)
+    team = _Team(env, scenario, world, agents, judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
     team.begin()
     world.begin()
@@ -249,10 +260,12 @@ class _Team:
         scenario: Scenario,
         world: World,
         agents: "Sequence[Agent]",
+        judges: "Sequence[Judge | None]",
         sensor: TeamSensor | None,
+        liars: LyingTeam | None,
     ):
         self._env, self._scenario, self._world = env, scenario, world
-        self._agents, self._sensor = agents, sensor
+        self._agents, self._judges, self._sensor, self._liars = agents, judges, sensor, liars
         self._embodied = scenario.protocol_traits.embodied
         self.processes: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
         self._open_crashes: dict[int, list[Crash]] = defaultdict(list)
@@ -269,7 +282,13 @@ class _Team:
                 env.process(repeat(agent, agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
-                env.process(repeat(agent, view.report, period, "sightings"))
+                report = view.report if self._liars is None else self._liars.unless_silent(pursuer, view.report)
+                env.process(repeat(agent, report, period, "sightings"))
+            if self._liars is not None:
+                env.process(self._liars.receive(agent))
+            judge, interval = self._judges[pursuer], announce.trust.period
+            if judge is not None and interval is not None:
+                env.process(repeat(agent, judge.report, interval, "accusations"))
 
     def crashed(self, crash: Crash) -> None:
         """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""

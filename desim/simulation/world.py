@@ -130,6 +130,7 @@ class World:
             return
         actions = state.actions.copy()
         actions[pursuer] = action
+        state.acting_since[pursuer] = self._env.now
         self._set_actions(actions)
         now = self._env.now
         if now < state.step_end:  # within a step; at its end all players get new velocities

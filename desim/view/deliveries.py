@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from desim.analysis.activity import action, changes_with_previous, relays
 from desim.analysis.trace_index import ended, require_messages, started
 from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
-from desim.kernel.faults import Fault, FaultEnded, FaultStarted
+from desim.kernel.faults import FaultEnded, FaultStarted, TracedFault
 from desim.simulation.run import Result
 
 
@@ -118,10 +118,10 @@ def handover_events(result: Result) -> list[Handover]:
     return sorted(Handover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
 
-def outages(result: Result) -> list[tuple[Fault, Interval]]:
+def outages(result: Result) -> list[tuple[TracedFault, Interval]]:
     """Return the faults of a run with their intervals, in order of their start; the end of the run ends all faults."""
     end, open_faults = ended(result).t, list[FaultStarted]()
-    found: list[tuple[Fault, Interval]] = []
+    found: list[tuple[TracedFault, Interval]] = []
     for event in result.trace:
         if isinstance(event, FaultStarted):
             open_faults.append(event)

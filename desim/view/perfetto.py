@@ -22,7 +22,7 @@ from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import without_symlink
 from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
-from desim.kernel.faults import Crash
+from desim.kernel.faults import Crash, Misbehaviour
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
@@ -98,6 +98,7 @@ def _slices(result: Result) -> Iterator[Entry]:
     for k, (fault, (begin, end)) in enumerate(outages(result)):
         ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
         name = f"{fault.scope} of {fault.node} down" if isinstance(fault, Crash) else fault.kind
+        name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else name
         yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault})
         yield _entry("e", name, TEAM, end, **ends)
 

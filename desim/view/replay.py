@@ -34,7 +34,7 @@ from desim.analysis.trace_index import (
 from desim.config.arrays import Floats
 from desim.config.model import Value
 from desim.config.trust import escaped, without_symlink
-from desim.kernel.faults import Crash, Fault, Partition
+from desim.kernel.faults import Crash, Misbehaviour, Partition, TracedFault
 from desim.kernel.graphs import Complete
 from desim.kernel.implicit_complete import is_complete
 from desim.kernel.latency import Constant
@@ -433,11 +433,13 @@ def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
     return [_fault(fault, interval.begin, interval.end, ticks) for fault, interval in outages(result)]
 
 
-def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
+def _fault(fault: TracedFault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
     """Return the data of a fault that lasted from `begin` to `until` (ns)."""
     found: ReplayData
     if isinstance(fault, Crash):
         found = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
+    elif isinstance(fault, Misbehaviour):
+        found = {"node": fault.node, "model": fault.model}
     elif isinstance(fault, Partition):
         found = {"groups": [list(group) for group in fault.groups]}
     else:

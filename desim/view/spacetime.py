@@ -18,7 +18,7 @@ from desim.analysis.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOS
 from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
-from desim.kernel.faults import Crash
+from desim.kernel.faults import Crash, Misbehaviour
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Captured
@@ -190,7 +190,8 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
         if not isinstance(fault, Crash):
             axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
             lower, level = (2, -2 - 8 * level), 1 - level
-            axes.annotate(fault.kind, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
+            name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else fault.kind
+            axes.annotate(name, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
         elif fault.node in rows:
             row = rows[fault.node]
             kind = "robot down" if fault.scope == "robot" else "radio down"

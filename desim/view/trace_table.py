@@ -61,6 +61,8 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "y": Column("float64", "Position of this pursuer or evader, m"),
         "speed": Column("float64", "Speed of this pursuer while it chases, m/s"),
         "active": Column("int64", "Action of this pursuer: the evader that it chases, 1 .. M, or 0"),
+        "suspect": Column("int64", "Pursuer whose announcements this pursuer begins or stops to distrust"),
+        "distrusted": Column("int64", "Whether this pursuer begins, 1, or stops, 0, to distrust the suspect"),
         "transmission": Column("int64", "Number of the transmission, the same for all its receivers"),
         "src": Column("int64", "Sender"),
         "seq": Column("int64", "Sequence number of a broadcast record; greater ones are newer"),
@@ -202,6 +204,6 @@ def _value(name: str, value: Any) -> Any:
     """Return the value of a field as that of its column."""
     if name in {"created", "delay"}:
         return seconds(value)
-    if name == "to_all":
+    if name in {"to_all", "distrusted"}:
         return int(value)
     return body_json(value) if name in {"body", "lost_by", "given_up", "fault"} else value
