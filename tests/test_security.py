@@ -110,6 +110,7 @@ PLACES = {
     "evader.0.strategy": "[[evader]]\nstrategy = {}",
     "team.guidance": "team.guidance = {}",
     "team.relay.0.motion": "team.relay = [{{ pursuer = 0, motion = {} }}]",
+    "announce.trust": "announce.trust = {}",
     "announce.dissemination": "announce.dissemination = {}",
     "fault.0": "fault = [{}]",
     "sweep.grid.network.latency": "[sweep.grid]\nnetwork.latency = [{}]",
@@ -367,7 +368,7 @@ ALLOWED = {
     "desim/__init__.py": {"import_module"},  # of its own modules
     "protocols/__init__.py": {"import_module"},  # of its own modules
     "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
-    "desim/study/serialization.py": {"pickle.loads"},  # what the driver sent to its workers
+    "desim/study/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
     "desim/study/workers.py": {"pickle.loads"},  # what they sent back
     "desim/study/dispatch.py": {"pickle.loads"},  # what it has just pickled
 }

@@ -22,6 +22,7 @@ from desim.kernel.units import SECOND
 from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
+from desim.pursuit.trust import TRUSTS
 from desim.pursuit.utility import UTILITIES
 from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import PROTOCOLS
@@ -118,7 +119,11 @@ def faults(dice, size, until):
     partition = {"kind": "partition", "start": 0.3, "end": 0.8, "groups": [[0], [size - 1]] if size > 1 else [[0]]}
     jamming = {"kind": "jamming", "start": 0.5, "end": until, "centre": [5.0, 5.0], "radius": dice.number(1.0, 5.0)}
     more = [crashes, for_ever] if until == np.inf else []
-    return [plan | {"box": (0.0, 10.0)}, *(each for each in [*more, skew, partition, jamming] if dice.chance(0.3))]
+    lies = {"kind": "random_lies", "rate": dice.number(0.5, 4.0), "mean_duration": 0.5, "end": until}
+    return [
+        plan | {"box": (0.0, 10.0)},
+        *(each for each in [*more, skew, partition, jamming, lies] if dice.chance(0.3)),
+    ]
 
 
 def transport(dice):
@@ -174,6 +179,7 @@ def anything(seed):
             "belief_timeout": dice.one(["auto", 0.5, np.inf]),
             "warm_start": dice.chance(0.7),
             "dissemination": dice.kind(DISSEMINATIONS),
+            "trust": dice.one(["none", dice.kind(TRUSTS)]),
         },
         "network": {
             "graph": graph,

@@ -7,17 +7,15 @@ any trust. What refutes a record is in `desim.pursuit.evidence`.
 
 from collections.abc import Collection, Mapping
 from math import exp, inf
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 from pydantic import Field
 
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Limit, Period, Probability, Value
+from desim.kernel.inbox import Message
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
-
-if TYPE_CHECKING:
-    from desim.pursuit.evidence import Witness
 
 PORT = "accusations"
 """The port at which accusations arrive."""
@@ -27,6 +25,31 @@ class Accusation(NamedTuple):
     """The teammates that a pursuer has evidence against."""
 
     accused: tuple[int, ...]
+
+
+class Observer(Protocol):
+    """What a judge needs to know and to do; see `desim.pursuit.evidence.Witness`."""
+
+    @property
+    def now(self) -> int:
+        """The local time, ns."""
+        ...
+
+    def refutes(self, record: Record, radius: float) -> bool:
+        """Return whether a record contradicts what the pursuer observes up to a distance, m."""
+        ...
+
+    def note(self, suspect: int, *, distrusted: bool) -> None:
+        """Record that the pursuer begins or stops to distrust a teammate."""
+        ...
+
+    def mail(self, port: str) -> list[Message]:
+        """Remove and return the unread messages of a port."""
+        ...
+
+    def send(self, body: Any, port: str) -> None:
+        """Send a message to all neighbours."""
+        ...
 
 
 class Judge:
@@ -60,7 +83,7 @@ class Trust(Protocol):
         """Time between two reports of a judge, s; None: judges do not report."""
         ...
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Create the judge of a pursuer, given what it observes; None: it believes everything."""
         ...
 
@@ -75,7 +98,7 @@ class Credulous(Value):
         """No reports."""
         return None
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Return None."""
         return None
 
@@ -98,7 +121,7 @@ class Trimmed(Value):
         """No reports."""
         return None
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
         return _Trimming(self.liars)
 
@@ -128,7 +151,7 @@ class Plausible(_Observing):
 
     kind: Literal["plausible"] = "plausible"
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
         return Checking(witness, self.radius)
 
@@ -154,7 +177,7 @@ class Accusations(_Observing):
         """The interval, s."""
         return self.interval
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
         return _Accusing(witness, self.radius, self.quorum)
 
@@ -163,19 +186,19 @@ class Reputation(_Observing):
     """A pursuer believes a teammate whose reputation is high enough; evidence loses its weight with time.
 
     Each announcement of a teammate is evidence, good or, if it is refuted as in `plausible`, bad. With the weights g
-    and b of both, the reputation is (1 + g) / (2 + g + b), the mean of a beta distribution (Josang & Ismail 2002, "The
+    and b of both, the reputation is (1 + g) / (2 + g + b), the mean of a beta distribution (Jøsang & Ismail 2002, "The
     Beta Reputation System"). The weight of an announcement decays exponentially.
     """
 
     kind: Literal["reputation"] = "reputation"
     threshold: Probability = 0.5
     """Least reputation that is believed, in [0, 1]; without evidence it is 1/2."""
-    memory: Duration = 10.0
+    decay_time: Duration = 10.0
     """Time in which the weight of an announcement decays to 1/e, s."""
 
-    def judge(self, witness: "Witness") -> Judge | None:
+    def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
-        return _Rating(witness, self.radius, self.threshold, self.memory)
+        return _Rating(witness, self.radius, self.threshold, self.decay_time)
 
 
 TRUSTS = OneOf(Credulous, Trimmed, Plausible, Accusations, Reputation, needs=("judge", "period"))
@@ -209,7 +232,7 @@ class Checking(Judge):
         radius: distance up to which it observes teammates, m.
     """
 
-    def __init__(self, witness: "Witness", radius: float):
+    def __init__(self, witness: Observer, radius: float):
         self._witness, self._radius = witness, radius
         self._checked: dict[int, int] = {}
         """By teammate, the sequence number of the last record that was checked."""
@@ -239,7 +262,7 @@ class Checking(Judge):
 
 
 class _Accusing(Checking):
-    def __init__(self, witness: "Witness", radius: float, quorum: int):
+    def __init__(self, witness: Observer, radius: float, quorum: int):
         super().__init__(witness, radius)
         self._quorum = quorum
         self._evidence: set[int] = set()
@@ -275,9 +298,9 @@ class _Accusing(Checking):
 
 
 class _Rating(Checking):
-    def __init__(self, witness: "Witness", radius: float, threshold: float, memory: float):
+    def __init__(self, witness: Observer, radius: float, threshold: float, decay_time: float):
         super().__init__(witness, radius)
-        self._threshold, self._memory = threshold, memory
+        self._threshold, self._decay_time = threshold, decay_time
         self._weights: dict[int, tuple[int, float, float]] = {}
         """By teammate: the time of its last record, ns, and the weights of good and bad records then."""
 
@@ -289,7 +312,7 @@ class _Rating(Checking):
     def _note(self, suspect: int, *, refuted: bool) -> None:
         now = self._witness.now
         then, good, bad = self._weights.get(suspect, (now, 0.0, 0.0))
-        kept = exp((then - now) / SECOND / self._memory)
+        kept = exp((then - now) / SECOND / self._decay_time)
         good, bad = good * kept + (not refuted), bad * kept + refuted
         self._weights[suspect] = now, good, bad
         self._set(suspect, distrusted=refuted or (1.0 + good) / (2.0 + good + bad) < self._threshold)

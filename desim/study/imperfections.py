@@ -21,6 +21,7 @@ from desim.kernel.medium import LoRa, Medium, Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.pursuit.announcements import one_hop
+from desim.pursuit.lies import is_lie
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Scenario
 
@@ -85,8 +86,13 @@ def without_range(scenario: Scenario) -> Scenario:
 
 
 def without_faults(scenario: Scenario) -> Scenario:
-    """Return the scenario without faults: no crash, partition, jamming or clock skew."""
-    return scenario.model_copy(update={"fault": ()})
+    """Return the scenario without faults of the network, robots and clocks: no crash, partition, jamming or skew."""
+    return scenario.model_copy(update={"fault": tuple(each for each in scenario.fault if is_lie(each))})
+
+
+def without_lies(scenario: Scenario) -> Scenario:
+    """Return the scenario without faults of word; `announce.trust` is kept."""
+    return scenario.model_copy(update={"fault": scenario.network_faults})
 
 
 def without_serial_decisions(scenario: Scenario) -> Scenario:
@@ -132,6 +138,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "transport": without_transport,
         "range limit": without_range,
         "faults": without_faults,
+        "lies": without_lies,
         "serial decisions": without_serial_decisions,
         "stale knowledge": without_staleness,
         "limited sight": without_sensing_limit,

@@ -347,6 +347,8 @@ def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
         "capturer",
         "mean_capture_time",
         "time_to_relay",
+        "false_accusations",
+        "time_to_detect",
         *OF_TRANSPORTS,
     }
     assert Summary(json.loads(json.dumps(dict(numbers)))) == numbers

@@ -22,6 +22,8 @@ from scenarios import (
     figures,
     find_table1,
     first_picture,
+    liars,
+    liars_runs,
     many,
     range_runs,
     rivals,
@@ -44,6 +46,7 @@ STUDIES = (
     evaders,
     figures,
     find_table1,
+    liars,
     many,
     ranges,
     rivals,
@@ -327,6 +330,29 @@ def test_the_transport_study_spends_the_same_bytes_on_each_way_to_repeat(monkeyp
     assert cells["distance", 20.0, "coded"]["age"] is None
     assert "bytes/s, coded" in table
     assert "mean age of information (s)" in picture
+
+
+@pytest.mark.slow
+def test_the_study_of_liars_shows_harm_and_defence(monkeypatch, study, shortened):
+    """In 10 s: a liar leaves all idle, trimming holds against F liars, and evidence against more."""
+    shortened(10.0)
+    for name, few in (("NUMBERS", (0, 1, 2)), ("OFFSETS", (0.0, 0.5)), ("LATENCIES", (0.0, 0.2))):
+        patch_study(monkeypatch, (liars, liars_runs), name, few)
+    document, table, picture = study(liars.main, "--runs", "3")
+    cells = {(each["part"], each["lie"], each["defence"], each["value"]): each for each in document["cells"]}
+    active = {
+        defence: [cells["numbers", "there at once", defence, n]["active_time"]["mean"] for n in (0.0, 1.0, 2.0)]
+        for defence in ("none", "trimmed, F = 1", "plausible")
+    }
+    honest = active["none"][0]
+    assert max(active["none"][1:]) < honest / 2
+    assert active["trimmed, F = 1"][2] < honest / 2 < min(active["trimmed, F = 1"][:2])
+    assert min(active["plausible"]) > honest / 2
+    assert cells["lies", "honest", "none", 1.0]["delay"]["mean"] == 0.0
+    accused = [cells["clocks", "honest", "plausible", offset]["false_accusations"]["mean"] for offset in (0.0, 0.5)]
+    assert accused[0] == 0.0 < accused[1]
+    assert "there at once" in table
+    assert "false accusations per run" in picture
 
 
 def test_the_best_heartbeat_has_the_least_age_in_theory(monkeypatch):

@@ -26,6 +26,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.lies import Liar, Silent
 from desim.pursuit.sensing import Sensing
 from desim.scenario.scenario import Motion, Recording, Team
 from desim.scenario.toml import read, validate
@@ -69,7 +70,7 @@ BAD = GOOD.model_copy(
             range=12.0,
             medium=Bitrate(bitrate=20_000.0, access=Aloha()),
         ),
-        "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0)),
+        "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0), Silent(node=2, start=0.2)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
         "sensing": Sensing(radius=4.0),
@@ -102,6 +103,7 @@ SPOILT = {
     "transport": {"announce": Announcements(dissemination=CodedOneHop(pieces=2))},
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},
+    "lies": {"fault": (Liar(node=0, start=0.0, action="chase", acts="stay"),)},
     "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
     "limited sight": {"sensing": Sensing(radius=3.0)},
 }
@@ -262,8 +264,8 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
-        "absent: contention, duplicates, transport, range limit, faults, serial decisions, stale knowledge, limited"
-        " sight\n"
+        "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, stale knowledge,"
+        " limited sight\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
@@ -739,8 +741,8 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing", "excludes_0"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    absent = ["contention", "loss", "duplicates", "transport", "range limit", "stale knowledge", "limited sight"]
-    assert document["absent"] == absent
+    present = {"latency", "faults", "serial decisions"}
+    assert document["absent"] == [name for name in IMPERFECTIONS if name not in present]
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
 

@@ -22,6 +22,7 @@ from desim.kernel.reception import Disk, QuasiUnitDisk
 from desim.kernel.transport import Coded
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Started
+from desim.pursuit.lies import Silent
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.utility import Component
 from desim.scenario.scenario import Motion, Recording, Team
@@ -31,6 +32,7 @@ from desim.study.imperfections import (
     without_contention,
     without_faults,
     without_latency,
+    without_lies,
     without_loss,
     without_range,
     without_serial_decisions,
@@ -51,6 +53,7 @@ from scenarios.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
 LATE, LOSSY = Constant(value=0.5), Bernoulli(p=0.25)
+LIE = Silent(node=2, start=2.0)
 RING = TokenRing(holding_time=0.03, attempts=2)
 WORST = Scenario(
     name="worst",
@@ -110,6 +113,7 @@ WORST = Scenario(
         ClockSkew(offset=0.1),
         RandomCrashes(),
         RandomFaults(),
+        LIE,
     ),
     sensing=Sensing(radius=3.0, estimate="hold", track_timeout=1.0),
     record=Recording(trajectory=0.0, messages=True),
@@ -174,7 +178,10 @@ CHANGES = {
         "network.reception.kind": "disk",
         **below("network.reception", "certain", "p"),
     },
-    "faults": {"fault": []} | {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.")},
+    "faults": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.") and key != "fault.0.end"}
+    | {f"fault.0.{key}": each for key, each in LIE.plain().items() if key not in {"start", "end"}}
+    | {"fault.0.start": 2.0, "fault.0.memory": GONE, "fault.0.scope": GONE},
+    "lies": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.6.")},
     "serial decisions": {
         "protocol.schedule.kind": "synchronous",
         "protocol.schedule.schedule.kind": "token_ring",
@@ -246,6 +253,7 @@ THERE = {
     "recorded": "latency, range limit, stale knowledge",
     "imperfect": "latency, loss, range limit, faults, serial decisions, stale knowledge",
     "learning": "latency, loss",
+    "liars": "latency, loss, lies, stale knowledge",
     "many": "latency",
     "lora": "contention",
     "measured": "latency, loss",
@@ -534,4 +542,4 @@ def test_without_staleness_every_change_is_announced_at_once_and_repeated(trigge
 @pytest.mark.parametrize("fault", WORST.fault, ids=lambda each: each.kind)
 def test_removing_faults_leaves_none(fault):
     scenario = Scenario(fault=(fault,))
-    assert without_faults(scenario) == Scenario()
+    assert without_lies(without_faults(scenario)) == Scenario()
