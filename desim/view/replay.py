@@ -44,7 +44,7 @@ from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 from desim.kernel.units import SECOND, seconds
-from desim.pursuit.events import BrokeDown, Captured, Decided
+from desim.pursuit.events import BrokeDown, Captured, Decided, Distrusted
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
@@ -296,6 +296,7 @@ def _document(result: Result, ghost: Result | None = None) -> ReplayData:
         "faults": _faults(result, ticks),
         "messages": _messages(result, ticks) if has_messages else None,
         "beliefs": _beliefs(knowledge(result), result, ticks) if has_messages else None,
+        "distrust": _distrust(result, ticks),
         "ghost": _ghost(ghost, _Ticks(ticks.length, ended(ghost).t)) if ghost else None,
     }
 
@@ -489,6 +490,19 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
         "reader": _column(known["reader"][order], "<u2"),
         "source": _column(known["source"][order], "<u2"),
         "value": _column(value[order], _kind(result)),
+    }
+
+
+def _distrust(result: Result, ticks: _Ticks) -> ReplayData | None:
+    """Return the changes of trust as columns: time, pursuer, suspect, and whether it begins; None if there are none."""
+    found = result.trace.of(Distrusted)
+    if not found:
+        return None
+    return {
+        "t": ticks([each.t for each in found]),
+        "who": _column([each.pursuer for each in found], "<u2"),
+        "suspect": _column([each.suspect for each in found], "<u2"),
+        "begins": _column([each.distrusted for each in found], "u1"),
     }
 
 

@@ -819,6 +819,27 @@ def test_the_beliefs_of_the_page_match_the_trace_forwards_and_backwards(shown, r
 
 @in_chromium
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("trust", "told"),
+    [("none", "It lies; 11 teammates believe it."), ("plausible", "It lies; no teammate believes it.")],
+)
+def test_the_page_says_who_lies_and_how_many_believe_it(shown, trust, told):
+    scenario = load(SCENARIOS / "liars.toml", [f"announce.trust.kind='{trust}'", "horizon=2.0"])
+    result = run(scenario, 3)
+    opened = shown(result)
+    opened.value("(replay.seek(1.5), replay.choose(4), replay.draw())")
+    opened.until(f"said.textContent.endsWith({json.dumps(told)})")
+    assert _document(result)["faults"][0] == {
+        "kind": "misbehaviour",
+        "begin": 0,
+        "end": 2 * SECOND,
+        "node": 4,
+        "model": "liar",
+    }
+
+
+@in_chromium
+@pytest.mark.slow
 def test_the_page_shows_chases_and_captures_per_evader_as_in_the_trace(shown, result_of):
     """Just after decisions, just before and after captures, the latest first; a tick is 10 ns."""
     result = result_of("many")
