@@ -6,7 +6,7 @@ Numbers that are not finite are written as in Python's `json`: Infinity, -Infini
 import json
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from keyword import iskeyword
 from math import isfinite
 from pathlib import Path
@@ -153,6 +153,7 @@ def _times_json(times: tuple[int, ...]) -> str:
     return text.replace(",", ", ")
 
 
+@lru_cache(maxsize=256)  # a sender often has the same receivers
 def _nodes_json(nodes: tuple[int, ...]) -> str:
     return to_json(nodes, fallback=repr).decode().replace(",", ", ")  # twice as fast as `json`
 
