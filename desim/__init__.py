@@ -82,17 +82,29 @@ if TYPE_CHECKING:
     from desim.pursuit.evasion import Zigzag as Zigzag
     from desim.pursuit.guidance import ConstantBearing as ConstantBearing
     from desim.pursuit.guidance import PurePursuit as PurePursuit
+    from desim.pursuit.lies import Equivocate as Equivocate
+    from desim.pursuit.lies import Liar as Liar
+    from desim.pursuit.lies import RandomLies as RandomLies
+    from desim.pursuit.lies import ReplayAttack as ReplayAttack
+    from desim.pursuit.lies import Selective as Selective
+    from desim.pursuit.lies import Silent as Silent
+    from desim.pursuit.lies import Slander as Slander
+    from desim.pursuit.lies import Spoof as Spoof
     from desim.pursuit.recorded import RecordedMotion as RecordedMotion
     from desim.pursuit.recorded import RelayNode as RelayNode
     from desim.pursuit.sensing import Sensing as Sensing
+    from desim.pursuit.trust import Accusations as Accusations
+    from desim.pursuit.trust import Plausible as Plausible
+    from desim.pursuit.trust import Reputation as Reputation
+    from desim.pursuit.trust import Trimmed as Trimmed
     from desim.scenario.examples import examples as examples
+    from desim.scenario.players import Evader as Evader
+    from desim.scenario.players import Team as Team
     from desim.scenario.scenario import Capture as Capture
     from desim.scenario.scenario import Clocks as Clocks
-    from desim.scenario.scenario import Evader as Evader
     from desim.scenario.scenario import Motion as Motion
     from desim.scenario.scenario import Recording as Recording
     from desim.scenario.scenario import Scenario as Scenario
-    from desim.scenario.scenario import Team as Team
     from desim.scenario.toml import load as load
     from desim.simulation.run import Result as Result
     from desim.simulation.run import run as run
@@ -140,10 +152,22 @@ _NAMES = {
         "Zigzag",
     ),
     "desim.pursuit.guidance": ("ConstantBearing", "PurePursuit"),
+    "desim.pursuit.lies": (
+        "Equivocate",
+        "Liar",
+        "RandomLies",
+        "ReplayAttack",
+        "Selective",
+        "Silent",
+        "Slander",
+        "Spoof",
+    ),
     "desim.pursuit.recorded": ("RecordedMotion", "RelayNode"),
     "desim.pursuit.sensing": ("Sensing",),
+    "desim.pursuit.trust": ("Accusations", "Plausible", "Reputation", "Trimmed"),
     "desim.scenario.examples": ("examples",),
-    "desim.scenario.scenario": ("Capture", "Clocks", "Evader", "Motion", "Recording", "Scenario", "Team"),
+    "desim.scenario.players": ("Evader", "Team"),
+    "desim.scenario.scenario": ("Capture", "Clocks", "Motion", "Recording", "Scenario"),
     "desim.scenario.toml": ("load",),
     "desim.simulation.run": ("Result", "run"),
     "desim.study.explain": ("explain",),

@@ -17,7 +17,8 @@ from desim.kernel.access import Aloha, CsmaCa, Ideal, Tdma
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate, LoRa
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay

@@ -38,7 +38,8 @@ from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
 from desim.kernel.units import SECOND, seconds
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 from scenarios.measuring import Cost, apart, command, memory, per_unit

@@ -11,7 +11,8 @@ from desim.analysis.statistics import estimate
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, Rounds, Schedule, SharedSeed

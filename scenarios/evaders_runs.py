@@ -33,7 +33,8 @@ from desim.pursuit.evasion import (
 )
 from desim.pursuit.events import Sampled
 from desim.pursuit.sensing import Sensing, Sighting
-from desim.scenario.scenario import Evader, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Recording
 from scenarios.rivals_runs import N, contender
 from scenarios.study import Options
 

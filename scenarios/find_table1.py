@@ -23,7 +23,8 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
 from desim.config.arrays import Points
-from desim.scenario.scenario import Capture, Evader, Recording, Scenario, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Recording, Scenario
 from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised

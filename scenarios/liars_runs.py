@@ -16,7 +16,8 @@ from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.lies import Equivocate, FaultOfWord, Liar, ReplayAttack, Silent, Spoof
 from desim.pursuit.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
-from desim.scenario.scenario import Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
@@ -77,7 +78,7 @@ LOSSES = 0.1
 
 
 class Run(NamedTuple):
-    """What is measured in one run."""
+    """The measurements of one run."""
 
     captured: bool
     duration: float
@@ -92,7 +93,7 @@ class Cell:
     """The results of one combination of protocol, lie, defence, clocks and latency."""
 
     part: str
-    """What varies: "lies", "numbers", "clocks" or "latency"."""
+    """The property that varies: "lies", "numbers", "clocks" or "latency"."""
     protocol: str
     lie: str
     defence: str

@@ -14,7 +14,8 @@ from desim.config.arrays import Floats
 from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Started
-from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature
 from scenarios.study import Options

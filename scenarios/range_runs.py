@@ -18,7 +18,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.game import equilibria, greedy_maximal_independent_set
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from desim.study.batch import seeds_from
 from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin

@@ -10,7 +10,8 @@ from desim.analysis.statistics import estimate
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules import Poisson
 from scenarios.study import Options
 

@@ -16,7 +16,8 @@ import numpy as np
 from desim import Scenario, run, summary, sweep
 from desim.analysis.metrics import Summary
 from desim.cli import main as command_line
-from desim.scenario.scenario import Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording
 from desim.study.configurations import SweepGrid
 from desim.study.row import Row
 from desim.study.store import Store

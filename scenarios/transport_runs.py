@@ -17,7 +17,8 @@ from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.message_size import HEADER
 from desim.kernel.transport_frames import piece_size
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, ReliableOneHop
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
@@ -86,7 +87,7 @@ WITH_AGES = ("loss", "burst", "latency")
 
 
 class Budget(NamedTuple):
-    """What `RELIABLE` takes in a setting."""
+    """The bytes and announcements of `RELIABLE` in a setting."""
 
     bytes: float
     """Bytes per second of all pursuers together."""
@@ -95,7 +96,7 @@ class Budget(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What is measured in one run."""
+    """The measurements of one run."""
 
     value: float
     """The sum of active times, or the mean age of information, s."""

@@ -8,7 +8,8 @@ from desim import Scenario, run
 from desim.kernel.links import Links
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, logit, profiles
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 
 PHI = (1.0, 2.0, 4.0, 8.0)
 """s"""

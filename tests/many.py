@@ -8,7 +8,8 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Decided, Started
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 
 LOSSY = Links(loss=Bernoulli(p=0.2), latency=Constant(value=0.03))
 """A fifth is lost, and all is late, s."""

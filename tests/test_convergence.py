@@ -18,7 +18,8 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from desim.study.batch import run_many
 from protocols.dissemination import Flooding, OneHop
 from protocols.mutex import LocalMutex

@@ -14,7 +14,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.trace_file import line_of
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from desim.simulation import run as run_module
 from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay

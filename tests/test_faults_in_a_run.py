@@ -15,7 +15,8 @@ from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed

@@ -8,7 +8,8 @@ from desim.analysis.statistics import wilson
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import equilibria, gibbs, optimum, profiles, welfare
 from desim.pursuit.events import Captured, Decided, Ended
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, Rounds, SharedSeed

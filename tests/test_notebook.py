@@ -15,7 +15,8 @@ from desim import Scenario, run, summary
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
 from desim.pursuit.events import Ended
-from desim.scenario.scenario import Evader, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Recording
 from desim.study.explain import explain
 from desim.study.explanation import Explanation
 from desim.study.progress import progress

@@ -15,7 +15,8 @@ from desim.kernel.seeds import stream
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.game import gibbs, logit
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed

@@ -21,7 +21,8 @@ from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.rule import SCHEDULES, Rule
 from protocols.schedules import Poisson
 from scenarios.study import SCENARIOS

@@ -10,7 +10,8 @@ from desim.analysis.metrics import active_time, activity, excess_time
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, Rounds, SharedSeed

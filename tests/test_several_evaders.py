@@ -17,7 +17,8 @@ from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import EVENTS
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
 from desim.scenario.toml import load
 from tests.worlds import world_of
 

@@ -1,4 +1,4 @@
-"""What transports achieved: the share of the messages that were delivered, after how many attempts and how long.
+"""Metrics of transports: the share of messages that were delivered, the attempts and the delay.
 
 A broadcast counts as one message per receiver. The functions need a run with a transport (`has_transport`).
 """

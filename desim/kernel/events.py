@@ -219,7 +219,7 @@ class LivelinessLost(NamedTuple):
 
 
 class TransportCounts(NamedTuple):
-    """What the transports of a network did until time t; each receiver of a message counts as one message."""
+    """The counts of the transports of a network up to time t; each receiver of a message counts as one message."""
 
     t: Nanoseconds
     submitted: Count
@@ -246,7 +246,7 @@ class ClockCorrected(NamedTuple):
     t: Nanoseconds
     node: NodeId
     correction: float
-    """What has been added to its clock since the start, s."""
+    """The sum of all corrections of its clock since the start, s."""
 
 
 DELIVERIES = (Delivered, Retransmitted, GivenUp, Expired)

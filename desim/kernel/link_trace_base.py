@@ -50,8 +50,8 @@ class LinkTrace(Value):
     between: Literal["hold", "linear"] = "hold"
     """The value between two measurements: hold, that of the earlier one; linear, interpolated."""
     after: Literal["repeat", "hold", "error"] = "repeat"
-    """What follows the last measurement. repeat: the first one, so that the trace is periodic; hold: its value; error:
-    a message that is sent then ends the run with an error."""
+    """Continuation after the last measurement. repeat: the first one, so that the trace is periodic; hold: its value;
+    error: a message that is sent then ends the run with an error."""
     start: Annotated[
         Annotated[Time, Tag("number")] | Annotated[Literal["random"], Tag("text")], Discriminator(_form_of_start)
     ] = 0.0

@@ -110,7 +110,7 @@ class FaultOfWord(Window):
     share: Probability | None = None
     """The share of the team, drawn at random per seed, in [0, 1]; a larger share contains the smaller ones."""
     acts: Literal["protocol", "stay"] = "protocol"
-    """How these pursuers act. protocol: as their protocol decides; stay: they never chase."""
+    """Actions of these pursuers. protocol: those of their protocol; stay: they never chase."""
 
     @model_validator(mode="after")
     def _names_pursuers(self) -> Self:

@@ -28,7 +28,7 @@ class Accusation(NamedTuple):
 
 
 class Observer(Protocol):
-    """What a judge needs to know and to do; see `desim.pursuit.evidence.Witness`."""
+    """The interface of a judge to its pursuer; see `desim.pursuit.evidence.Witness`."""
 
     @property
     def now(self) -> int:

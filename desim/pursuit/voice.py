@@ -7,7 +7,7 @@ from desim.kernel.transport import Transport
 
 
 class Voice(Protocol):
-    """How a pursuer sends; the methods are those of `Network`."""
+    """The operations with which a pursuer sends; the methods are those of `Network`."""
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of a pursuer as a record."""

@@ -1,17 +1,13 @@
 """A scenario: a complete experiment as one immutable, validated object, from Python or from a file."""
 
 from collections.abc import Iterator
-from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     Discriminator,
     Field,
     Tag,
-    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -22,16 +18,11 @@ from desim.config.html import html_properties
 from desim.config.model import (
     MIN_PERIOD,
     RESOLUTION,
-    Box,
-    Coordinate,
     Flag,
     Horizon,
     Length,
-    Limit,
     Period,
-    Probability,
     Recurring,
-    Speed,
     Time,
     Value,
 )
@@ -42,19 +33,15 @@ from desim.kernel.faults import Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio
-from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import EvaderController
-from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
-from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.lies import PURSUER_FAULTS, FaultOfWord, is_lie
-from desim.pursuit.recorded import RecordedMotion, RelayNode
 from desim.pursuit.sensing import Sensing
-from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
+from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
 from desim.scenario.named_metrics import MetricName
+from desim.scenario.players import Evader, Team
 
 if TYPE_CHECKING:
     from desim.view.widget import PlayWidget
@@ -73,175 +60,8 @@ def _not_over_at_once(horizon: float) -> float:
     return horizon
 
 
-Point = tuple[Coordinate, Coordinate]
 PROTOCOLS = OneOf(group="desim.protocols", takes=("me",), traits=ProtocolTraits)
 """The installed protocols."""
-
-
-class Speeds(Value):
-    """One speed for all pursuers but the last, and one for the last."""
-
-    default: Speed = 1.0
-    """Speed of all pursuers but the last, m/s."""
-    last: Speed = 2.0
-    """Speed of the last pursuer, m/s."""
-
-
-def _form_of_speeds(value: Any) -> str:
-    if isinstance(value, dict | Speeds):
-        return "table"
-    return "list" if isinstance(value, list | tuple) else "number"
-
-
-class Team(Value):
-    """The pursuers: number, initial positions, speeds, initial actions and guidance."""
-
-    count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
-    """Number of pursuers N; with `positions`, it must be their number or be absent."""
-    positions: tuple[Point, ...] | None = None
-    """Initial positions, one [x, y] per pursuer, m; if absent, uniform random draws from `box` per seed."""
-    box: Box = (0.0, 20.0)
-    """Lower and upper bound of both initial coordinates, m."""
-    speeds: Annotated[
-        Annotated[Speed, Tag("number")] | Annotated[tuple[Speed, ...], Tag("list")] | Annotated[Speeds, Tag("table")],
-        Discriminator(_form_of_speeds),
-    ] = Speeds()
-    """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
-    active_at_start: Probability = 1.0
-    """Probability p0 that a pursuer is active at the start, in [0, 1]; one that may not chase (`prune`) is inactive."""
-    guidance: Annotated[
-        Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
-    ] = PurePursuit()
-    """Guidance law of active pursuers."""
-    relay: tuple[RelayNode, ...] = ()
-    """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _count_positions(cls, given: Any) -> Any:
-        positions = given.get("positions") if isinstance(given, dict) else None
-        if isinstance(positions, list | tuple) and positions and "count" not in given:
-            return given | {"count": len(positions)}
-        return given
-
-    @field_validator("relay")
-    @classmethod
-    def _are_pursuers(cls, given: tuple[RelayNode, ...], info: ValidationInfo) -> tuple[RelayNode, ...]:
-        count, pursuers = info.data.get("count"), [each.pursuer for each in given]
-        for pursuer in pursuers:
-            if count is not None and pursuer >= count:
-                raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {count - 1}")
-            if pursuers.count(pursuer) > 1:
-                raise ValueError(f"pursuer {pursuer} is named twice")
-        return given
-
-    @field_validator("positions", "speeds")
-    @classmethod
-    def _one_per_pursuer(cls, given: Any, info: ValidationInfo) -> Any:
-        count = info.data.get("count")
-        if isinstance(given, tuple) and count is not None and len(given) != count:
-            raise ValueError(f"should be one per pursuer: count is {count}, there are {len(given)}")
-        return given
-
-    @property
-    def relays(self) -> dict[int, RecordedMotion]:
-        """The motion of each pursuer in `relay`, by its number."""
-        return {each.pursuer: each.motion for each in self.relay}
-
-    def all_speeds(self) -> list[float]:
-        """Return the (N,) speeds while they chase, m/s; 0 for relays."""
-        if isinstance(self.speeds, Speeds):
-            speeds = [self.speeds.default] * (self.count - 1) + [self.speeds.last]
-        else:
-            speeds = list(self.speeds) if isinstance(self.speeds, tuple) else [self.speeds] * self.count
-        for pursuer in self.relays:
-            speeds[pursuer] = 0.0
-        return speeds
-
-    @property
-    def top_speed(self) -> float:
-        """The greatest speed of any pursuer, m/s, relays included."""
-        return max(*self.all_speeds(), *(motion.top_speed for motion in self.relays.values()), 0.0)
-
-    def start(self, seed: int) -> NDArray[np.float64]:
-        """Return the (N, 2) initial positions, m."""
-        if self.positions is not None:
-            places = np.array(self.positions)
-        else:
-            places = stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
-        for pursuer, motion in self.relays.items():
-            places[pursuer] = motion.start.real, motion.start.imag
-        return places
-
-    def start_profile(self, seed: int) -> NDArray[np.bool_]:
-        """Return the (N,) initial profile, whether each pursuer is active."""
-        return stream(seed, "start").random(self.count) < self.active_at_start
-
-
-class Evader(Value):
-    """An evader, or several with the same parameters: initial position, speed, strategy and sensing."""
-
-    count: Annotated[int, Field(ge=1, le=1_000, strict=True)] = 1
-    """Number of evaders with these parameters."""
-    position: Point | None = None
-    """Initial position [x, y], m; if absent, that of the record, or a uniform random draw from `box` per seed."""
-    box: Box = (8.0, 12.0)
-    """Lower and upper bound of both initial coordinates, m."""
-    speed: Speed = 0.9
-    """Speed v_e, m/s."""
-    strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
-    """Evasion strategy."""
-    sensing_range: Limit = inf
-    """Distance up to which it senses pursuers, m."""
-    reaction_delay: Time = 0.0
-    """Delay of its observations of the pursuers' positions and actions, s."""
-
-    @field_validator("strategy")
-    @classmethod
-    def _agrees_with_its_record(cls, strategy: Strategy, info: ValidationInfo) -> Strategy:
-        if isinstance(strategy, RecordedMotion):
-            if info.data.get("position") is not None:
-                raise ValueError("the record determines the initial position: leave out `position`")
-            if info.data.get("count", 1) > 1:
-                raise ValueError("a record is of one evader: with several, give each a table of its own")
-            strategy.check_speed(info.data.get("speed", inf))
-        return strategy
-
-    @property
-    def record(self) -> RecordedMotion | None:
-        """Its record, if its motion is recorded."""
-        return self.strategy if isinstance(self.strategy, RecordedMotion) else None
-
-    def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
-        """Return the (2,) initial position, m; `index` counts all evaders of the scenario from 0."""
-        if self.record is not None:
-            return np.array([self.record.start.real, self.record.start.imag])
-        if self.position is not None:
-            return np.array(self.position)
-        return stream(seed, "evader", index).uniform(*self.box, size=2)
-
-    @property
-    def listens(self) -> bool:
-        """Whether its strategy overhears the pursuers' radio."""
-        return StrategyTraits.of(self.strategy).listens
-
-    def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
-        """Return the controller of one evader with these parameters in a run.
-
-        Args:
-            rng: the random stream of the evader.
-            speeds: (N,) speeds of the pursuers, m/s.
-            radius: capture radius, m.
-        """
-        return EvaderController(
-            self.strategy,
-            rng,
-            speed=self.speed,
-            speeds=speeds,
-            radius=radius,
-            sensing_range=self.sensing_range,
-            reaction_delay=self.reaction_delay,
-        )
 
 
 def _not_empty(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:

@@ -14,7 +14,7 @@ TABLES = (".csv", ".parquet")
 COUNTED: Mapping[str, str] = MappingProxyType(
     {".csv": "rows", ".parquet": "rows", ".pcapng": "packets", ".mcap": "messages"}
 )
-"""What a file consists of, by its suffix."""
+"""The items of a file, by its suffix."""
 NEEDED: Mapping[str, tuple[str, str]] = MappingProxyType(
     {".parquet": ("pyarrow", "parquet"), ".mcap": ("mcap", "mcap")}
 )

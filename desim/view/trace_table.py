@@ -95,7 +95,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "lives_lost": Column("int64", "Times that a node lost the liveliness of another"),
         "delay": Column("float64", "Sum of the times from sending to delivery over all delivered messages, s"),
         "node": Column("int64", "Node that corrected its clock"),
-        "correction": Column("float64", "What has been added to its clock since the start, s"),
+        "correction": Column("float64", "Sum of all corrections of its clock since the start, s"),
         "fault": Column("string", "Fault that started or ended, JSON as in `trace.jsonl`"),
     }
 )

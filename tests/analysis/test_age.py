@@ -34,7 +34,8 @@ from desim.kernel.records import Record
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, Assignment, Forwarded
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.mutex import LocalMutex

@@ -12,7 +12,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Distrusted, Ended
 from desim.pursuit.lies import Liar, Silent
 from desim.pursuit.trust import Plausible
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from desim.simulation.run import Result
 from protocols.local_min import LocalMin
 from protocols.schedules import Poisson

@@ -27,7 +27,8 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled, Started
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Scenario, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording, Scenario
 from desim.simulation.run import Result, run
 from protocols.centralised import Centralised
 from protocols.geometric import Voronoi

@@ -19,7 +19,8 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.steering import Steering
 from desim.pursuit.utility import EdgePenalty
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from desim.simulation.run import Result
 from desim.simulation.world import World
 from protocols.best_response import BestResponse

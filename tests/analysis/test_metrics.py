@@ -34,7 +34,8 @@ from desim.kernel.faults import FaultStarted, Jamming
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import BrokeDown, Decided, Ended, Started
-from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
 from desim.simulation.run import Result, run
 from tests.golden import golden
 

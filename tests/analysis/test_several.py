@@ -21,7 +21,8 @@ from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.scenario.scenario import Capture, Evader, Motion, Scenario, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Scenario
 from desim.simulation.run import Result, run
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson

@@ -13,7 +13,8 @@ from desim.analysis.tables import (
     run_table,
     with_half_width,
 )
-from desim.scenario.scenario import Capture, Evader, Scenario, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Scenario
 from tests.golden import golden
 from tests.summaries import changed
 from tests.view.by_hand import history

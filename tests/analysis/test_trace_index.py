@@ -12,7 +12,8 @@ from desim.analysis.trace_index import (
 )
 from desim.kernel.events import MessageCounts, Trace
 from desim.pursuit.events import Sampled, Started
-from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run
 from protocols.centralised import Centralised
 

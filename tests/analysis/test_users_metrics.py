@@ -8,7 +8,8 @@ import pytest
 
 from desim.analysis.metrics import METRICS, Metric, MetricError, active_time, plain, summary
 from desim.analysis.tables import batch_table, run_table
-from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut

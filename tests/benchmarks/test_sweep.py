@@ -5,7 +5,8 @@ import time
 import pytest
 
 from desim.analysis.metrics import summary
-from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.study.dispatch import drive
 from desim.study.workers import workers_for
 from protocols.sap import SpatialAdaptivePlay

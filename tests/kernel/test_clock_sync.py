@@ -21,7 +21,8 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Clocks, Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Clocks, Motion, Recording
 
 
 def errors(links, model, *, size=2, seconds=2.0, seed=0, **skew):

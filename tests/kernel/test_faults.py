@@ -33,7 +33,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.kernel.units import SECOND
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 
 PERIOD = SECOND // 10
 

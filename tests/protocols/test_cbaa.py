@@ -26,7 +26,8 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, lists_of, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim

@@ -16,7 +16,7 @@ from desim.kernel.records import Record
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.events import Decided
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA, StampedClaim, decision
 from protocols.schedules import Poisson, Rounds, SharedSeed

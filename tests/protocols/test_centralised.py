@@ -8,7 +8,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.events import Decided
-from desim.scenario.scenario import Evader, Team
+from desim.scenario.players import Evader, Team
 from protocols.centralised import Centralised
 from tests.many import at_rest, by_evader, chased, times
 

@@ -23,7 +23,8 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.transport import Coded, Reliable
 from desim.kernel.units import seconds
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, OneHop, ReliableOneHop
 
 L = 0.25

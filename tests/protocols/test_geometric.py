@@ -19,7 +19,8 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.geometric import Argmin, Velocity, Voronoi, announced_chasers, first
 from protocols.geometric import owners as owners_of

@@ -14,7 +14,8 @@ from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
-from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.server import Server
 from tests.omniscient import RoundTrip
 

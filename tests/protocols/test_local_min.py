@@ -16,7 +16,8 @@ from desim.pursuit.beliefs import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import greedy_maximal_independent_set, relay_profile
 from desim.pursuit.utility import EdgePenalty, LocalMean
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, OneHop
 from protocols.local_min import ArgminKnown, LocalMin

@@ -18,7 +18,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.message_size import size_of
 from desim.pursuit.events import Decided
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request, request_and_reply
 from protocols.schedules import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing

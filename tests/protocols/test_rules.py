@@ -22,7 +22,8 @@ from desim.pursuit.beliefs import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
-from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.best_response import BestResponse, BetterReply
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.fictitious_play import FictitiousPlay, JointStrategyFictitiousPlay

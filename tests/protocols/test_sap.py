@@ -13,7 +13,8 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.scenario import Motion, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import PaperTau

@@ -14,7 +14,8 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain
 from desim.scenario.checks import warnings
-from desim.scenario.scenario import Motion, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed, owned_slots
 from protocols.temperature import ConstantTau

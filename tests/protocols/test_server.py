@@ -19,7 +19,8 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.server import Order, Server
 from tests.many import LOSSY, at_rest, by_evader, chased, times

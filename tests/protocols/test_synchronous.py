@@ -12,7 +12,8 @@ from desim.kernel.units import SECOND
 from desim.pursuit.events import Decided
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from desim.study.imperfections import without_serial_decisions
 from protocols.best_response import BestResponse
 from protocols.mutex import LocalMutex

@@ -12,7 +12,8 @@ from desim import Scenario, run
 from desim.kernel.faults import ClockSkew
 from desim.pursuit.announcements import Announcements, TimedAssignment
 from desim.pursuit.beliefs import Belief
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.temperature import (
     AdaptiveTau,
     ConstantTau,

@@ -6,7 +6,8 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided
-from desim.scenario.scenario import Motion, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion
 
 SECOND = 1_000_000_000
 

@@ -19,7 +19,8 @@ from desim.pursuit.agent import repeat
 from desim.pursuit.announcements import Announcements, Assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.schedules import Poisson

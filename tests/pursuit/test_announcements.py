@@ -29,7 +29,8 @@ from desim.pursuit.announcements import (
     announces_chase,
     relayed_records,
 )
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 
 PAYLOADS = ["action", "time", "state"]
 

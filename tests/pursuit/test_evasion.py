@@ -25,7 +25,7 @@ from desim.pursuit.evasion import (
 )
 from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import State, complex_points, coordinates
-from desim.scenario.scenario import Evader
+from desim.scenario.players import Evader
 from desim.scenario.toml import load
 
 ARENA = (-10.0, 10.0)

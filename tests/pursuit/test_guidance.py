@@ -10,7 +10,8 @@ from desim.pursuit import guidance
 from desim.pursuit.events import Ended
 from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
 plane = st.builds(complex, numbers, numbers)

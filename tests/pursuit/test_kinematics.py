@@ -19,7 +19,8 @@ from desim.pursuit.events import Ended
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import lengths
-from desim.scenario.scenario import Evader, Motion, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 from tests.worlds import world_of

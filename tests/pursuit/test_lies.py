@@ -36,7 +36,8 @@ from desim.pursuit.lies import (
     Spoof,
     draw_lies,
 )
-from desim.scenario.scenario import PROTOCOLS, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import PROTOCOLS, Recording
 from protocols.cbaa import CBAA, Claim
 from protocols.cbba import CBBA
 from protocols.dissemination import Flooding, Gossip

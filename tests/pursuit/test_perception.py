@@ -29,7 +29,8 @@ from desim.pursuit.evasion import (
 from desim.pursuit.events import Sampled
 from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import State
-from desim.scenario.scenario import Evader, Motion, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion
 from protocols.dissemination import Flooding, Gossip
 
 MS = 1_000_000

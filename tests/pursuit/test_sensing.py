@@ -20,7 +20,8 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.centralised import Centralised
 from tests.worlds import world_of
 

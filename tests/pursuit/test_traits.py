@@ -20,7 +20,8 @@ from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.traits import DisseminationTraits, ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
 from desim.pursuit.utility import UTILITIES
-from desim.scenario.scenario import PROTOCOLS, Evader
+from desim.scenario.players import Evader
+from desim.scenario.scenario import PROTOCOLS
 from protocols.rule import SCHEDULES, LearningRule
 from protocols.sap import SpatialAdaptivePlay
 

@@ -29,7 +29,8 @@ from desim.pursuit.trust import (
     Trimmed,
     tolerated_liars,
 )
-from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.dissemination import Gossip
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.sap import SpatialAdaptivePlay

@@ -18,7 +18,8 @@ from desim.kernel.links import Links
 from desim.results import environment, provenance
 from desim.results.provenance import ProvenanceError, differences, document, of_one, read, source, write
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Evader, Scenario, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import dump, load, validate
 from desim.study.configurations import configurations

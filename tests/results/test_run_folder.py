@@ -16,7 +16,8 @@ from desim.kernel.trace_file import line_of
 from desim.pursuit.events import Captured
 from desim.results import provenance
 from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
-from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump, load
 from desim.simulation.run import run
 from tests.command import accepted

@@ -34,7 +34,8 @@ from desim.scenario.assumptions import (
     violations,
 )
 from desim.scenario.checks import warnings
-from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
+from desim.scenario.players import Evader, Speeds, Team
+from desim.scenario.scenario import PROTOCOLS, Motion
 from protocols.best_response import BestResponse, BetterReply
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, ReliableOneHop
 from protocols.fictitious_play import FictitiousPlay

@@ -18,7 +18,8 @@ from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.checks import latency_warnings, warnings
-from desim.scenario.scenario import Capture, Clocks, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Clocks, Motion, Recording
 from desim.study.sweep import SweepPlan
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised

@@ -14,7 +14,8 @@ from desim.kernel.faults import Crash, RandomCrashes
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.scenario.overrides import ScenarioError, Source
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load, validate
 from desim.scenario.toml_lines import key_lines

@@ -17,7 +17,8 @@ from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended
 from desim.scenario.checks import warnings
-from desim.scenario.scenario import PROTOCOLS, Evader, Recording, Scenario, Speeds, Team
+from desim.scenario.players import Evader, Speeds, Team
+from desim.scenario.scenario import PROTOCOLS, Recording, Scenario
 from desim.simulation.run import run
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay

@@ -19,7 +19,8 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Scenario, Speeds, Team
+from desim.scenario.players import Evader, Speeds, Team
+from desim.scenario.scenario import Capture, Motion, Recording, Scenario
 from desim.scenario.toml import dump, load, read, validate
 from desim.scenario.toml_lines import key_lines
 from protocols.centralised import Centralised

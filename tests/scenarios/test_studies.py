@@ -12,7 +12,8 @@ from desim.analysis.metrics import active_time, network_regret
 from desim.kernel.events import Broadcast, Sent
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
-from desim.scenario.scenario import PROTOCOLS, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import PROTOCOLS, Recording
 from scenarios import (
     benchmarks,
     contention,

@@ -16,7 +16,8 @@ from pydantic_core import PydanticSerializationError
 
 from desim.cli import main
 from desim.results import provenance, run_folder
-from desim.scenario.scenario import Motion, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Scenario
 from desim.simulation import run as run_module
 from desim.simulation import watchdog
 from desim.simulation.run import run

@@ -16,7 +16,8 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
 from scenarios.study import SCENARIOS
 
 

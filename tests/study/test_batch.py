@@ -7,7 +7,8 @@ import pytest
 from desim.analysis.metrics import active_time, summary
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import run
 from desim.study.batch import run_many, seeds_from
 from protocols.sap import SpatialAdaptivePlay

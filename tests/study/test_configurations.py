@@ -20,7 +20,8 @@ from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.scenario.overrides import ScenarioError, Source
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load, read
 from desim.study import configurations as module

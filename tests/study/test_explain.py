@@ -28,7 +28,8 @@ from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.lies import Liar, Silent
 from desim.pursuit.sensing import Sensing
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read, validate
 from desim.study.explain import Variants
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving

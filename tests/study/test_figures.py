@@ -9,7 +9,8 @@ import pytest
 
 from desim.analysis.metrics import summary
 from desim.analysis.plots import save
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.figures import INK, _cell_text, means, multiples, phase
 from desim.study.result import SweepResult

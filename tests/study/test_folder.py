@@ -7,7 +7,8 @@ import pytest
 
 import desim
 from desim.results.run_folder import write
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.study.result import SweepResult
 from desim.study.sweep import sweep

@@ -25,7 +25,8 @@ from desim.pursuit.events import Started
 from desim.pursuit.lies import Silent
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.utility import Component
-from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording
 from desim.scenario.sweep_table import Sweep
 from desim.study.imperfections import (
     IMPERFECTIONS,

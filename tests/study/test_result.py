@@ -12,7 +12,8 @@ import pytest
 
 from desim.analysis.metrics import METRICS, summary
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.metric_code import units_and_codes
 from desim.study.result import SweepResult

@@ -21,7 +21,8 @@ from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import read
 from desim.study import sweep as module

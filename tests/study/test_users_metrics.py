@@ -23,7 +23,8 @@ from desim.analysis.statistics import runs_needed
 from desim.cli.options import shown_metrics
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
 from desim.study import metric_code
 from desim.study import sweep as module
 from desim.study.config_hash import identify

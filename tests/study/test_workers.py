@@ -84,7 +84,8 @@ SCRIPT = """\
 import sys
 
 import desim
-from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.players import Team
+from desim.scenario.scenario import Motion, Recording, Scenario
 from my_trouble import WAYS
 from protocols.rule import Rule
 from protocols.schedules import Poisson

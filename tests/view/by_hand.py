@@ -4,7 +4,8 @@ from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Se
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.announcements import Assignment
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.scenario.scenario import Evader, Scenario
+from desim.scenario.players import Evader
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 
 MS = 1_000_000

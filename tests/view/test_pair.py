@@ -16,7 +16,8 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Decided
 from desim.results.run_folder import write
-from desim.scenario.scenario import Evader, Recording, Speeds, Team
+from desim.scenario.players import Evader, Speeds, Team
+from desim.scenario.scenario import Recording
 from desim.scenario.sweep_table import Sweep
 from desim.simulation.run import Result
 from desim.view.pair import MAX_DIFFERENCES, MAX_TEXT, differences, side_by_side

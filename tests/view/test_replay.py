@@ -37,7 +37,8 @@ from desim.pursuit.evasion import Still
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
-from desim.scenario.scenario import Evader, Motion, Recording, Team
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
 from desim.view.replay import MAX_REPLAY_TIME, _column, _document, _Ticks, conditions, missing_recordings, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson

@@ -22,7 +22,7 @@ from desim.analysis.metrics import summary
 from desim.cli.many import merge
 from desim.cli.pages import report as command
 from desim.results import provenance
-from desim.scenario.scenario import Team
+from desim.scenario.players import Team
 from desim.study.explain import Variants
 from desim.study.history import shell_lines, wanted
 from desim.study.row import Row
