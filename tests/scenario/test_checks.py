@@ -16,11 +16,14 @@ from desim.kernel.links import Links
 from desim.kernel.reception import QuasiUnitDisk
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.trust import Trimmed
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Clocks, Motion, Recording
 from desim.study.sweep import SweepPlan
+from protocols.cbaa import CBAA
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import CodedOneHop, Flooding, ReliableOneHop
@@ -173,6 +176,29 @@ def test_the_default_is_not_warned_of():
             "network.transport",
             "it has no effect: announcements have their own",
         ),
+        ({"fault": [Liar(start=0.0, node=0)]}, "fault.0.action", "the announcements are true"),
+        (
+            {"fault": [Crash(start=0.0, node=1), Liar(start=0.0, node=0, action="chase", phi=0.0)]},
+            "fault.1.phi",
+            "announcements do not contain it",
+        ),
+        (
+            {"fault": [Liar(start=0.0, node=0, action="chase", position="random")], "announce": {"payload": "time"}},
+            "fault.0.position",
+            "announcements do not contain it",
+        ),
+        ({"fault": [Silent(start=30.0, node=0)]}, "fault.0.start", "starts after the horizon"),
+        ({"fault": [Selective(start=0.0, node=0)]}, "fault.0", "pursuers forward nothing"),
+        ({"fault": [ReplayAttack(start=0.0, node=0)], "protocol": Server()}, "fault.0", "pursuers announce nothing"),
+        ({"fault": [Slander(start=0.0, node=0, accused=(1,))]}, "fault.0", "`announce.trust` reads no accusations"),
+        ({"announce": {"trust": "plausible"}, "protocol": Server()}, "announce.trust", "pursuers announce nothing"),
+        ({"announce": {"trust": "trimmed"}, "protocol": CBAA()}, "announce.trust", "cbaa compares bids"),
+        ({"announce": {"trust": Trimmed(liars=5)}}, "announce.trust.liars", "20 pursuers is robust against 4 liars"),
+        (
+            {"announce": {"trust": "reputation"}, "motion": Motion(static=True)},
+            "announce.trust",
+            "no motion refutes an announcement",
+        ),
         (
             {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
             None,
@@ -247,6 +273,14 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"network": RELIABLE, "protocol": users_own},
         {"network": RELIABLE, "sensing": Sensing(radius=9.0)},
         {"network": Links(transport=Reliable(window=9, history="keep_all")), "protocol": Server()},
+        {"fault": [Liar(start=0.0, node=0, action="chase"), Liar(start=0.0, share=0.1, acts="stay", action="stay")]},
+        {"fault": [Liar(start=0.0, node=0, phi=0.0)], "announce": {"payload": "time", "trust": "trimmed"}},
+        {"fault": [Liar(start=0.0, node=0, phi=0.0)], "protocol": CBAA()},
+        {"fault": [Liar(start=0.0, node=0, position="random")], "protocol": Server()},
+        {"fault": [Selective(start=0.0, node=0)], "announce": Announcements(dissemination=Flooding())},
+        {"fault": [Selective(start=0.0, node=0)], "protocol": SpatialAdaptivePlay(schedule=TokenRing())},
+        {"fault": [Slander(start=0.0, node=0, accused=(1,))], "announce": {"trust": "accusations"}},
+        {"announce": {"trust": Trimmed(liars=4)}},
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},
