@@ -69,6 +69,11 @@ def within(limit: float) -> Iterator[None]:
                 set_exception(ctypes.c_ulong(thread), ctypes.py_object(Raised))
 
     watcher = Thread(target=watch, daemon=True)
+    usual_hook = sys.unraisablehook
+
+    def ignore_raised(dropped: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(dropped.exc_type, Raised):  # one that hits a callback of the garbage collector is dropped
+            usual_hook(dropped)
 
     def end() -> None:
         nonlocal is_over
@@ -76,10 +81,12 @@ def within(limit: float) -> Iterator[None]:
         if watcher.is_alive():
             watcher.join()
         set_exception(ctypes.c_ulong(thread), None)
+        sys.unraisablehook = usual_hook
         is_over = True
 
     try:
         try:
+            sys.unraisablehook = ignore_raised
             watcher.start()
             yield
         finally:

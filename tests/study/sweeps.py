@@ -181,7 +181,7 @@ def await_workers(address, count):
     from distributed import Client
 
     with Client(address) as client:
-        client.wait_for_workers(count, timeout=200)
+        client.wait_for_workers(count, timeout=900)
 
 
 def marked(mark):
