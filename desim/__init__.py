@@ -90,9 +90,13 @@ if TYPE_CHECKING:
     from desim.pursuit.lies import Silent as Silent
     from desim.pursuit.lies import Slander as Slander
     from desim.pursuit.lies import Spoof as Spoof
+    from desim.pursuit.noise import PositionNoise as PositionNoise
+    from desim.pursuit.noise import RangeBearingNoise as RangeBearingNoise
     from desim.pursuit.recorded import RecordedMotion as RecordedMotion
     from desim.pursuit.recorded import RelayNode as RelayNode
     from desim.pursuit.sensing import Sensing as Sensing
+    from desim.pursuit.tracking import AlphaBeta as AlphaBeta
+    from desim.pursuit.tracking import Kalman as Kalman
     from desim.pursuit.trust import Accusations as Accusations
     from desim.pursuit.trust import Plausible as Plausible
     from desim.pursuit.trust import Reputation as Reputation
@@ -162,8 +166,10 @@ _NAMES = {
         "Slander",
         "Spoof",
     ),
+    "desim.pursuit.noise": ("PositionNoise", "RangeBearingNoise"),
     "desim.pursuit.recorded": ("RecordedMotion", "RelayNode"),
     "desim.pursuit.sensing": ("Sensing",),
+    "desim.pursuit.tracking": ("AlphaBeta", "Kalman"),
     "desim.pursuit.trust": ("Accusations", "Plausible", "Reputation", "Trimmed"),
     "desim.scenario.examples": ("examples",),
     "desim.scenario.players": ("Evader", "Team"),

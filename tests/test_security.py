@@ -110,6 +110,8 @@ PLACES = {
     "evader.0.strategy": "[[evader]]\nstrategy = {}",
     "team.guidance": "team.guidance = {}",
     "team.relay.0.motion": "team.relay = [{{ pursuer = 0, motion = {} }}]",
+    "sensing.noise": "sensing.noise = {}",
+    "sensing.estimator": "sensing = {{ noise = 0.1, estimator = {} }}",
     "announce.trust": "announce.trust = {}",
     "announce.dissemination": "announce.dissemination = {}",
     "fault.0": "fault = [{}]",

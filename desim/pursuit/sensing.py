@@ -9,13 +9,16 @@ their positions, and all pursuers know which evaders are captured.
 from cmath import rect
 from collections.abc import Iterable
 from math import inf, pi, sqrt
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 
-from desim.config.model import Flag, Limit, Period, Timeout, Value
+from desim.config.model import MAX_COORDINATE, Flag, Limit, Period, Timeout, Value
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
+from desim.pursuit.noise import NOISES, Noise, Noiseless
+from desim.pursuit.tracking import ESTIMATORS, Estimator, Fusion, Kalman, Unfiltered
 from desim.pursuit.views import NOWHERE, EvaderEstimate, Prune, View
 
 if TYPE_CHECKING:
@@ -52,11 +55,46 @@ class Sensing(Value):
     speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
     pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps. It is rotated by another angle for each
     pursuer. A pursuer without any sighting of an evader may not chase it."""
+    noise: Annotated[Noise, NOISES] = Noiseless()
+    """Noise of sightings."""
+    interval: Period = 0.05
+    """Time between two noisy sightings of a pursuer, s; without noise it sees at every motion step."""
+    estimator: Annotated[Unfiltered | Estimator, ESTIMATORS] = Unfiltered()
+    """Filter of noisy sightings; without one, the newest sighting is the estimate (`estimate`)."""
+    fusion: Fusion = "by_stamp"
+    """How reports are combined. by_stamp: reports contain the newest sighting of a pursuer, and the filter of a
+    receiver processes all sightings in the order of their time stamps; naive, covariance_intersection: reports contain
+    tracks with their covariances, and are fused as if they were independent, or consistently whatever they have in
+    common."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        is_noisy, has_filter = not isinstance(self.noise, Noiseless), not isinstance(self.estimator, Unfiltered)
+        if has_filter and not is_noisy:
+            raise ValueError("estimator: there is nothing to estimate without noise (sensing.noise)")
+        if is_noisy and not has_filter and self.estimate == "constant_velocity":
+            raise ValueError(
+                "estimate: noisy sightings have no velocity; choose an estimator (alpha_beta, kalman), or the estimate"
+                " hold or worst_case"
+            )
+        if self.fusion != "by_stamp" and not isinstance(self.estimator, Kalman):
+            raise ValueError("fusion: tracks have a covariance with the estimator kalman only")
+        return self
 
     @property
     def limited(self) -> bool:
         """Whether the sensing radius is finite."""
         return self.radius < inf
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether sightings have errors."""
+        return not isinstance(self.noise, Noiseless)
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether all pursuers see all evaders exactly."""
+        return not (self.limited or self.is_noisy)
 
 
 class Sighting(NamedTuple):
@@ -132,7 +170,70 @@ class TeamSensor:
         self._seen[:, pursuer] = NEVER
 
 
-class SensedView(View):
+class LimitedView(View):
+    """The view of a pursuer that does not always know the true position of an evader: common part of such views.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        pursuer: the id of the pursuer.
+        sensing: the parameters.
+        network: the network that delivers reports.
+        clock: the local clock of the pursuer.
+    """
+
+    unlimited: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        state: "WorldState",
+        prune: Prune,
+        pursuer: int,
+        sensing: Sensing,
+        network: Network,
+        clock: NodeClock,
+    ):
+        super().__init__(state, prune)
+        self._id, self._sensing, self._network, self._clock = pursuer, sensing, network, clock
+
+    def newest(self, evader: int) -> Sighting | None:
+        """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""
+        raise NotImplementedError
+
+    def report(self) -> None:
+        """Broadcast what the pursuer knows of the evaders."""
+        raise NotImplementedError
+
+    def forget(self, *, heard_only: bool) -> None:
+        """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
+        raise NotImplementedError
+
+    def _estimate_from_sighting(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate that follows from the newest sighting (`sensing.estimate`); None if there is none."""
+        sighting, sensing = self.newest(evader), self._sensing
+        if sighting is None:
+            return None
+        age = max(self._clock.now - sighting.seen, 0.0)
+        worst = sensing.estimate == "worst_case"
+        uncertainty = self.state.body(evader).speed * age if worst else 0.0
+        velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
+        if age <= sensing.track_timeout:
+            return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
+        if sensing.on_lost == "stay":
+            return None
+        off = self._search(age)
+        return EvaderEstimate(
+            sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
+        )
+
+    def _search(self, age: float) -> complex:
+        """Return the place of the search, m from the last estimated position, if the newest sighting is `age` s old."""
+        apart = 2.0 * max(min(self._sensing.radius, MAX_COORDINATE), self.state.radius)
+        arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
+        return arm * spiral(self.state.speed(self._id) * (age - self._sensing.track_timeout), apart)
+
+
+class SensedView(LimitedView):
     """The view of one pursuer with limited sensing.
 
     An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
@@ -147,8 +248,6 @@ class SensedView(View):
         clock: the local clock of the pursuer.
     """
 
-    unlimited: ClassVar[bool] = False
-
     def __init__(
         self,
         state: "WorldState",
@@ -158,9 +257,8 @@ class SensedView(View):
         network: Network,
         clock: NodeClock,
     ):
-        super().__init__(state, prune)
-        self._id, self._sensor, self._sensing = pursuer, sensor, sensor.sensing
-        self._network, self._clock = network, clock
+        super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+        self._sensor = sensor
         self._reported: dict[int, Sighting] = {}
 
     def sees(self, evader: int) -> bool:
@@ -181,25 +279,7 @@ class SensedView(View):
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
-        if self.sees(evader):
-            return super().estimate(evader)
-        sighting, sensing = self.newest(evader), self._sensing
-        if sighting is None:
-            return None
-        age = max(self._clock.now - sighting.seen, 0.0)
-        worst = sensing.estimate == "worst_case"
-        uncertainty = self.state.body(evader).speed * age if worst else 0.0
-        velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
-        if age <= sensing.track_timeout:
-            return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
-        if sensing.on_lost == "stay":
-            return None
-        apart = 2.0 * max(sensing.radius, self.state.radius)
-        arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
-        off = arm * spiral(self.state.speed(self._id) * (age - sensing.track_timeout), apart)
-        return EvaderEstimate(
-            sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
-        )
+        return super().estimate(evader) if self.sees(evader) else self._estimate_from_sighting(evader)
 
     def report(self) -> None:
         """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""

@@ -6,7 +6,7 @@ from desim.config.arrays import Points
 from desim.kernel.units import seconds
 from desim.pursuit.evader import MAX_SCALAR_SIZE, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
-from desim.pursuit.sensing import TeamSensor
+from desim.pursuit.noisy_sensing import Sensor
 from desim.pursuit.world_state import Actions, WorldState
 
 
@@ -21,7 +21,7 @@ class Steering:
             position at the start.
     """
 
-    def __init__(self, state: WorldState, law: Guidance, sensor: TeamSensor | None, *, evader_first: bool):
+    def __init__(self, state: WorldState, law: Guidance, sensor: Sensor | None, *, evader_first: bool):
         self._players, self._targets, self._law = state.players, state.bodies, law
         self._speeds, self._speed = state.speeds, state.speeds.tolist()
         self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays

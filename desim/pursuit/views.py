@@ -8,8 +8,10 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Floats, Points
 from desim.kernel.units import seconds
 from desim.pursuit.dead_reckoning import moved_towards
+from desim.pursuit.noise import expected_distance
 from desim.pursuit.state import lengths
 from desim.pursuit.world_state import WorldState
 
@@ -28,6 +30,19 @@ class EvaderEstimate(NamedTuple):
     """m/s"""
     uncertainty: float = 0.0
     """Upper bound, m, of the distance of the evader from `position`; 0 if this kind of estimate gives no bound."""
+    deviation: float = 0.0
+    """Standard deviation of each coordinate of `position`, m; 0 if it is not known."""
+
+    def distance(self, position: complex) -> float:
+        """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
+        return expected_distance(abs(self.position - position), self.deviation) + self.uncertainty
+
+    def distances(self, positions: Points) -> Floats:
+        """Return the (N,) distances, m, from positions to the evader; see `distance`."""
+        found = lengths(self.position - positions)
+        if self.deviation:
+            found = np.array([expected_distance(each, self.deviation) for each in found.tolist()])
+        return found + self.uncertainty
 
 
 class View:
@@ -73,7 +88,7 @@ class View:
         estimate = self.estimate(evader)
         if estimate is None:
             return (inf,) * state.size
-        return body.capture_times_over(lengths(estimate.position - state.positions()) + estimate.uncertainty)
+        return body.capture_times_over(estimate.distances(state.positions()))
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
@@ -94,8 +109,7 @@ class View:
         estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
         if estimate is None:
             return inf
-        distance = abs(estimate.position - position) + estimate.uncertainty
-        return self.state.body(evader).capture_time_over(pursuer, distance)
+        return self.state.body(evader).capture_time_over(pursuer, estimate.distance(position))
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.

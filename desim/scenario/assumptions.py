@@ -147,6 +147,8 @@ def times_known(scenario: "Scenario") -> str | None:
     """
     if scenario.sensing.limited:
         return "pursuers see the evader only within the sensing radius (`sensing.radius`)"
+    if scenario.sensing.is_noisy:
+        return "pursuers do not see the evader exactly (`sensing.noise`)"
     if scenario.announce.payload == "action":
         return None
     if scenario.announce.payload == "time" and len(scenario.evaders) > 1:

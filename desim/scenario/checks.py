@@ -116,7 +116,7 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     """
     known = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in known)
-    reported = any(scenario.sensing.limited for scenario in scenarios)  # limited sensing: sightings are sent
+    reported = any(not scenario.sensing.is_perfect for scenario in scenarios)  # limited sensing: sightings are sent
     tables = ("announce.",) if reported else ("network.", "announce.")
     unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
     if unread and all(map(_senses_instead, scenarios)):
@@ -144,7 +144,11 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about times that round to 0, and about periods that are longer than the horizon."""
-    used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
+    used = {
+        "announce.heartbeat": _has_heartbeats(scenario),
+        "sensing.period": not scenario.sensing.is_perfect,
+        "sensing.interval": scenario.sensing.is_noisy,
+    }
     for key, time, markers in _numbers(scenario):
         if Counted in markers and 0.0 < time <= RESOLUTION / 2:
             yield key, f"{time:g} s {ROUNDS_TO_0}"
@@ -171,7 +175,7 @@ def _has_heartbeats(scenario: Scenario) -> bool:
 def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about keys of sensing without effect, and about a sensing radius within the capture radius."""
     sensing = scenario.sensing
-    if not sensing.limited:
+    if sensing.is_perfect:
         default = dict(Sensing())
         others = [key for key, value in sensing if value != default[key]]
         yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
@@ -285,7 +289,7 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 f"{key}.window",
                 f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
             )
-    sends = scenario.schedule_traits.spreads_to is not None or scenario.sensing.limited
+    sends = scenario.schedule_traits.spreads_to is not None or not scenario.sensing.is_perfect
     if transport != BestEffort() and scenario.announces and not sends and PROTOCOLS.holds(scenario.protocol):
         if isinstance(announce.dissemination, Reliable | Coded):
             yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"

@@ -22,6 +22,7 @@ from desim.pursuit.events import Captured, Ended, Sampled
 from desim.pursuit.evidence import Witness
 from desim.pursuit.lies import draw_lies
 from desim.pursuit.lying import LyingTeam
+from desim.pursuit.noisy_sensing import NoisySensor, Sensor
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import coordinates
 from desim.pursuit.views import GlobalState, View
@@ -179,8 +180,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     )
     if scenario.protocol_traits.embodied:
         synchronise(env, network, clocks, scenario.clocks.sync, seed, trace)
-    sensor = _sensor(scenario, state, network, clocks)
-    views = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
+    sensor = _sensor(scenario, state, network, clocks, env, seed)
+    views: Sequence[View] = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)
     if world.eavesdropper is not None:
         network.overhear(world.eavesdropper)
@@ -243,11 +244,18 @@ class _PursuerPositions(PositionSource):
 
 
 def _sensor(
-    scenario: Scenario, state: WorldState, network: Network, clocks: "Sequence[NodeClock]"
-) -> TeamSensor | None:
-    """Create the sensors of the team; return None if sensing is unlimited or the protocol is omniscient."""
-    if not scenario.sensing.limited or scenario.protocol_traits.omniscient:
+    scenario: Scenario,
+    state: WorldState,
+    network: Network,
+    clocks: "Sequence[NodeClock]",
+    env: Clock,
+    seed: int,
+) -> Sensor | None:
+    """Create the sensors of the team; return None if sensing is perfect or the protocol is omniscient."""
+    if scenario.sensing.is_perfect or scenario.protocol_traits.omniscient:
         return None
+    if scenario.sensing.is_noisy:
+        return NoisySensor(scenario.sensing, state, scenario.prune, network, clocks, env, seed)
     return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
 
 
@@ -261,7 +269,7 @@ class _Team:
         world: World,
         agents: "Sequence[Agent]",
         judges: "Sequence[Judge | None]",
-        sensor: TeamSensor | None,
+        sensor: Sensor | None,
         liars: LyingTeam | None,
     ):
         self._env, self._scenario, self._world = env, scenario, world

@@ -15,7 +15,7 @@ from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Point, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.sensing import TeamSensor
+from desim.pursuit.noisy_sensing import Sensor
 from desim.pursuit.state import complex_points, coordinates
 from desim.pursuit.steering import Steering
 from desim.pursuit.views import View
@@ -59,7 +59,7 @@ class World:
         views: Sequence[View],
         trace: Trace,
         end: RunEnd,
-        sensor: TeamSensor | None = None,
+        sensor: Sensor | None = None,
     ):
         self._env, self._trace, self._end = env, trace, end
         self.state, self._views, self._sensor = state, views, sensor

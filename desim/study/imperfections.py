@@ -22,7 +22,9 @@ from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.pursuit.announcements import one_hop
 from desim.pursuit.lies import is_lie
+from desim.pursuit.noise import Noiseless
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.tracking import Unfiltered
 from desim.scenario.scenario import Scenario
 
 
@@ -125,8 +127,22 @@ def without_staleness(scenario: Scenario) -> Scenario:
 
 
 def without_sensing_limit(scenario: Scenario) -> Scenario:
-    """Return the scenario in which pursuers sense the evaders at any distance."""
-    return scenario.model_copy(update={"sensing": Sensing()}) if scenario.sensing.limited else scenario
+    """Return the scenario in which pursuers sense the evaders at any distance; noise and its filter are kept."""
+    if not scenario.sensing.limited:
+        return scenario
+    kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
+    sensing = scenario.sensing
+    perfect = Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
+    return scenario.model_copy(update={"sensing": perfect})
+
+
+def without_noise(scenario: Scenario) -> Scenario:
+    """Return the scenario in which sightings have no errors, and need no filter."""
+    if not scenario.sensing.is_noisy:
+        return scenario
+    plain = {"noise": Noiseless(), "estimator": Unfiltered(), "fusion": "by_stamp", "interval": Sensing().interval}
+    sensing = scenario.sensing.model_copy(update=plain)
+    return scenario.model_copy(update={"sensing": sensing if sensing.limited else Sensing()})
 
 
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
@@ -142,6 +158,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "serial decisions": without_serial_decisions,
         "stale knowledge": without_staleness,
         "limited sight": without_sensing_limit,
+        "noise": without_noise,
     }
 )
 """The name of each imperfection, and the function that removes it."""

@@ -27,7 +27,9 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.lies import Liar, Silent
+from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.tracking import Kalman
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read, validate
@@ -74,7 +76,7 @@ BAD = GOOD.model_copy(
         "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0), Silent(node=2, start=0.2)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
-        "sensing": Sensing(radius=4.0),
+        "sensing": Sensing(radius=4.0, noise=PositionNoise(deviation=0.5), estimator=Kalman()),
     }
 )
 OF = {"active_time": active_time, "end_time": end_time}
@@ -107,6 +109,7 @@ SPOILT = {
     "lies": {"fault": (Liar(node=0, start=0.0, action="chase", acts="stay"),)},
     "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
     "limited sight": {"sensing": Sensing(radius=3.0)},
+    "noise": {"sensing": Sensing(noise=PositionNoise(deviation=3.0), estimator=Kalman())},
 }
 TURNS = [SharedSeed(slot=0.1), TokenRing(holding_time=0.05), TokenWalk(holding_time=0.05), LocalMutex(rate=2.0)]
 ONLY = [
@@ -266,7 +269,7 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
         "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, stale knowledge,"
-        " limited sight\n"
+        " limited sight, noise\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"

@@ -23,7 +23,9 @@ from desim.kernel.transport import Coded
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Started
 from desim.pursuit.lies import Silent
+from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.tracking import Kalman
 from desim.pursuit.utility import Component
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
@@ -116,7 +118,9 @@ WORST = Scenario(
         RandomFaults(),
         LIE,
     ),
-    sensing=Sensing(radius=3.0, estimate="hold", track_timeout=1.0),
+    sensing=Sensing(
+        radius=3.0, estimate="hold", track_timeout=1.0, noise=PositionNoise(deviation=0.2), estimator=Kalman()
+    ),
     record=Recording(trajectory=0.0, messages=True),
     sweep=Sweep(reps=5),
 )
@@ -197,10 +201,12 @@ CHANGES = {
         "announce.belief_timeout": "auto",
         "announce.warm_start": True,
     },
-    "limited sight": {
-        "sensing.radius": "Infinity",
-        "sensing.estimate": "constant_velocity",
-        "sensing.track_timeout": 5.0,
+    "limited sight": {"sensing.radius": "Infinity", "sensing.track_timeout": 5.0},
+    "noise": {
+        "sensing.noise.kind": "none",
+        "sensing.noise.deviation": GONE,
+        "sensing.estimator.kind": "none",
+        "sensing.estimator.acceleration": GONE,
     },
 }
 """What each removal makes of the worst scenario: every key that changes, and what it is then."""
@@ -259,6 +265,7 @@ THERE = {
     "lora": "contention",
     "measured": "latency, loss",
     "netem": "latency, loss, duplicates",
+    "noisy": "latency, noise",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",

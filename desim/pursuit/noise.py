@@ -1,0 +1,96 @@
+"""Noise of the sight of pursuers: the measured position of an evader, and the covariance of its error."""
+
+from cmath import rect
+from math import exp, pi, sqrt
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from desim.config.choice import OneOf
+from desim.config.model import MAX_COORDINATE, Value
+
+Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
+
+
+class Covariance(NamedTuple):
+    """The covariance of the two coordinates of a position, m^2."""
+
+    xx: float
+    xy: float
+    yy: float
+
+
+class Noiseless(Value):
+    """A pursuer sees the true position and velocity of an evader."""
+
+    kind: Literal["none"] = "none"
+
+
+class PositionNoise(Value):
+    """Both coordinates have independent normal errors."""
+
+    kind: Literal["position"] = "position"
+    deviation: Deviation = 0.5
+    """Standard deviation of each coordinate, m."""
+
+    def __call__(self, offset: complex, first: float, second: float) -> complex:
+        """Return the measured vector to an evader, m, given the true one and two standard normal draws."""
+        return offset + self.deviation * complex(first, second)
+
+    def covariance(self, offset: complex) -> Covariance:
+        """Return the covariance of the error at a measured vector, m."""
+        return Covariance(self.deviation**2, 0.0, self.deviation**2)
+
+
+class RangeBearingNoise(Value):
+    """The range and the bearing have independent normal errors, as with a radar, a sonar or a camera with depth."""
+
+    kind: Literal["range_bearing"] = "range_bearing"
+    range: Deviation = 0.2
+    """Standard deviation of the range, m."""
+    bearing: Annotated[float, Field(ge=0, le=1, strict=True)] = 0.05
+    """Standard deviation of the bearing, rad."""
+
+    def __call__(self, offset: complex, first: float, second: float) -> complex:
+        """Return the measured vector to an evader, m, given the true one and two standard normal draws."""
+        away = abs(offset)
+        along = offset / away if away else 1.0 + 0j
+        return rect(1.0, self.bearing * second) * along * (away + self.range * first)
+
+    def covariance(self, offset: complex) -> Covariance:
+        """Return the covariance of the error at a measured vector, m, to first order in the errors."""
+        away = abs(offset)
+        c, s = (offset.real / away, offset.imag / away) if away else (1.0, 0.0)
+        along, across = self.range**2, (away * self.bearing) ** 2
+        return Covariance(along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c)
+
+
+Noise = Noiseless | PositionNoise | RangeBearingNoise
+NOISES = OneOf(Noiseless, PositionNoise, RangeBearingNoise, number=("position", "deviation"))
+
+
+def expected_distance(distance: float, deviation: float) -> float:
+    """Return the mean distance, m, to a point whose two coordinates have independent normal errors.
+
+    It is the mean of a Rice law, s sqrt(pi/2) L_1/2(-d^2 / (2 s^2)) with the Laguerre function L_1/2, or
+    1F1(-1/2; 1; -z) with z = d^2 / (2 s^2) (Rice 1945; Abramowitz & Stegun 1964, 13.1.2, 13.1.27 and 13.5.1).
+
+    Args:
+        distance: the distance d to the mean of the point, m.
+        deviation: the standard deviation s of each coordinate, m.
+    """
+    if deviation == 0.0:
+        return distance
+    z = (distance / deviation) ** 2 / 2.0
+    term, total = 1.0, 0.0
+    if z > 40.0:  # the asymptotic series, whose error is below the first term that is left out
+        for k in range(8):
+            total += term
+            term *= (k - 0.5) ** 2 / ((k + 1.0) * z)
+        return distance * total
+    for k in range(200):  # all terms are positive, so nothing cancels
+        total += term
+        term *= (k + 1.5) * z / (k + 1.0) ** 2
+        if term < 1e-17 * total:
+            break
+    return deviation * sqrt(pi / 2.0) * exp(-z) * total

@@ -1,0 +1,233 @@
+"""Tracking of an evader from noisy sightings: filters for a nearly constant velocity, and the fusion of their tracks.
+
+The state is (x, y, vx, vy), in m and m/s. Between sightings the velocity changes by a random acceleration that is
+constant for the time in between, with a standard deviation per axis (the discrete white noise acceleration of
+Bar-Shalom, Li & Kirubarajan 2001, section 6.3.2).
+"""
+
+from bisect import bisect_right
+from math import sqrt
+from operator import attrgetter
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from desim.config.choice import OneOf
+from desim.config.model import Value
+from desim.kernel.units import SECOND
+from desim.pursuit.noise import Covariance
+from desim.pursuit.small_matrices import Matrix, inverse, plus, product, scaled, times, trace, transpose
+
+Acceleration = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
+START_SPEED = 10.0
+"""Standard deviation, m/s, of each component of the velocity after the first sighting."""
+Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
+
+
+class Measurement(NamedTuple):
+    """A noisy sighting of an evader."""
+
+    stamp: int
+    """Time of the sighting by the clock of its observer, ns."""
+    observer: int
+    x: float
+    """m"""
+    y: float
+    """m"""
+    covariance: Covariance
+
+
+class Track(NamedTuple):
+    """The estimated state of an evader at one time."""
+
+    stamp: int
+    """ns"""
+    state: list[float]
+    """(x, y, vx, vy), m and m/s."""
+    covariance: Matrix | None = None
+    """(4, 4); None: the filter has none."""
+
+    @property
+    def position(self) -> complex:
+        """The position, m."""
+        return complex(*self.state[:2])
+
+    @property
+    def velocity(self) -> complex:
+        """The velocity, m/s."""
+        return complex(*self.state[2:])
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square of the standard deviations of both coordinates, m; 0 without a covariance."""
+        return 0.0 if self.covariance is None else sqrt((self.covariance[0][0] + self.covariance[1][1]) / 2.0)
+
+
+class Unfiltered(Value):
+    """The newest sighting is the estimate; see `sensing.estimate`."""
+
+    kind: Literal["none"] = "none"
+
+
+class AlphaBeta(Value):
+    """A filter with the stationary gains of a Kalman filter for sightings at equal intervals (Kalata 1984)."""
+
+    kind: Literal["alpha_beta"] = "alpha_beta"
+    acceleration: Acceleration = 1.0
+    """Standard deviation of the acceleration of the evader per axis, m/s^2."""
+
+    def start(self, seen: Measurement) -> Track:
+        """Return the track after the first sighting: at rest at the measured position."""
+        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0])
+
+    def predict(self, track: Track, stamp: int) -> Track:
+        """Return the track at another time, ns."""
+        return Track(stamp, _moved(track.state, (stamp - track.stamp) / SECOND))
+
+    def update(self, track: Track, seen: Measurement) -> Track:
+        """Return the track after a sighting."""
+        period = (seen.stamp - track.stamp) / SECOND
+        x, y, vx, vy = _moved(track.state, period)
+        deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
+        alpha, beta = gains(period**2 * self.acceleration / deviation) if deviation and period else (1.0, 0.0)
+        dx, dy = seen.x - x, seen.y - y
+        rate = beta / period if period else 0.0
+        return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
+
+
+class Kalman(Value):
+    """The Kalman filter (Kalman 1960)."""
+
+    kind: Literal["kalman"] = "kalman"
+    acceleration: Acceleration = 1.0
+    """Standard deviation of the acceleration of the evader per axis, m/s^2."""
+
+    def start(self, seen: Measurement) -> Track:
+        """Return the track after the first sighting: of unknown velocity at the measured position."""
+        xx, xy, yy = seen.covariance
+        speed = START_SPEED**2
+        covariance = [[xx, xy, 0.0, 0.0], [xy, yy, 0.0, 0.0], [0.0, 0.0, speed, 0.0], [0.0, 0.0, 0.0, speed]]
+        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0], covariance)
+
+    def predict(self, track: Track, stamp: int) -> Track:
+        """Return the track at another time, ns."""
+        assert track.covariance is not None
+        t = (stamp - track.stamp) / SECOND
+        f = [[1.0, 0.0, t, 0.0], [0.0, 1.0, 0.0, t], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+        a, b, c = (self.acceleration**2 * each for each in (t**4 / 4.0, t**3 / 2.0, t**2))
+        noise = [[a, 0.0, b, 0.0], [0.0, a, 0.0, b], [b, 0.0, c, 0.0], [0.0, b, 0.0, c]]
+        moved = product(product(f, track.covariance), transpose(f))
+        return Track(stamp, _moved(track.state, t), plus(moved, noise))
+
+    def update(self, track: Track, seen: Measurement) -> Track:
+        """Return the track after a sighting."""
+        _, state, covariance = self.predict(track, seen.stamp)
+        assert covariance is not None
+        gain, _ = self._gain(covariance, seen.covariance)
+        off = seen.x - state[0], seen.y - state[1]
+        corrected = [x + row[0] * off[0] + row[1] * off[1] for x, row in zip(state, gain, strict=True)]
+        taken = product(gain, covariance[:2])
+        shrunk = plus(covariance, taken, -1.0)
+        return Track(seen.stamp, corrected, scaled(plus(shrunk, transpose(shrunk)), 0.5))  # exactly symmetric
+
+    def innovation(self, track: Track, seen: Measurement) -> float:
+        """Return the normalised innovation squared of a sighting: chi-square with 2 degrees of freedom if all is right.
+
+        It is the squared difference between the measured and the predicted position, in units of its covariance.
+        """
+        _, state, covariance = self.predict(track, seen.stamp)
+        assert covariance is not None
+        _, inverted = self._gain(covariance, seen.covariance)
+        off = [seen.x - state[0], seen.y - state[1]]
+        return sum(x * y for x, y in zip(off, times(inverted, off), strict=True))
+
+    def _gain(self, covariance: Matrix, noise: Covariance) -> tuple[Matrix, Matrix]:
+        """Return the (4, 2) gain, and the (2, 2) inverse covariance of the innovation."""
+        (a, b), (_, c) = covariance[0][:2], covariance[1][:2]
+        inverted = inverse([[a + noise.xx, b + noise.xy], [b + noise.xy, c + noise.yy]])
+        return product([row[:2] for row in covariance], inverted), inverted
+
+
+Estimator = AlphaBeta | Kalman
+ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman)
+
+
+def gains(index: float) -> tuple[float, float]:
+    """Return the gains (alpha, beta) for a tracking index T^2 s_w / s_v > 0 (Kalata 1984, "The Tracking Index").
+
+    T is the time between two sightings, s_w the standard deviation of the acceleration and s_v that of a sighting.
+    """
+    r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0
+    alpha = 1.0 - r * r
+    return alpha, 2.0 * (2.0 - alpha) - 4.0 * sqrt(1.0 - alpha)
+
+
+def _moved(state: list[float], t: float) -> list[float]:
+    x, y, vx, vy = state
+    return [x + vx * t, y + vy * t, vx, vy]
+
+
+class Filter:
+    """The track of one evader from sightings that may arrive late and twice.
+
+    A late sighting is inserted at its time stamp, and the later ones are processed again, so the track is that of the
+    sightings in order. A sighting of the same observer and time counts once.
+
+    Args:
+        model: the filter.
+        window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
+    """
+
+    def __init__(self, model: Estimator, window: int):
+        self._model, self._window = model, window
+        self._seen: list[Measurement] = []
+        self._tracks: list[Track] = []
+
+    @property
+    def track(self) -> Track | None:
+        """The track at the newest sighting; None without sightings."""
+        return self._tracks[-1] if self._tracks else None
+
+    def at(self, stamp: int) -> Track | None:
+        """Return the track at a time, ns; None without sightings."""
+        return self._model.predict(self._tracks[-1], stamp) if self._tracks else None
+
+    def add(self, seen: Measurement) -> None:
+        """Process a sighting."""
+        place = bisect_right(self._seen, seen[:2], key=lambda each: each[:2])
+        if (place and self._seen[place - 1][:2] == seen[:2]) or self._is_too_old(seen):
+            return
+        self._seen.insert(place, seen)
+        del self._tracks[place:]
+        for each in self._seen[place:]:
+            before = self._tracks[-1] if self._tracks else None
+            self._tracks.append(self._model.start(each) if before is None else self._model.update(before, each))
+        self._forget_old()
+
+    def _is_too_old(self, seen: Measurement) -> bool:
+        """Return whether a sighting is older than all that are kept, and these are not all there were."""
+        return bool(self._seen) and seen.stamp < self._seen[-1].stamp - self._window
+
+    def _forget_old(self) -> None:
+        """Keep the sightings of the window, and one before it."""
+        old = bisect_right(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
+        if old > 1:
+            del self._seen[: old - 1], self._tracks[: old - 1]
+
+
+def fused(one: Track, other: Track, how: Fusion) -> Track:
+    """Return the fusion of two tracks of the same time, weighted by their inverse covariances.
+
+    naive: the inverse covariances are added, as if the errors were independent; information that both tracks contain
+    counts twice. covariance_intersection: they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2)) (Niehsen
+    2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
+    """
+    assert one.covariance is not None
+    assert other.covariance is not None
+    first, second = inverse(one.covariance), inverse(other.covariance)
+    if how == "covariance_intersection":
+        weight = trace(other.covariance) / (trace(one.covariance) + trace(other.covariance))
+        first, second = scaled(first, weight), scaled(second, 1.0 - weight)
+    covariance = inverse(plus(first, second))
+    mean = [x + y for x, y in zip(times(first, one.state), times(second, other.state), strict=True)]
+    return Track(one.stamp, times(covariance, mean), covariance)

@@ -1,0 +1,164 @@
+"""Filters of noisy sightings: gains, order, consistency, and the fusion of tracks that share information."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.kernel.units import SECOND
+from desim.pursuit.noise import Covariance
+from desim.pursuit.small_matrices import inverse, plus, product, scaled, times, trace, transpose
+from desim.pursuit.tracking import AlphaBeta, Filter, Kalman, Measurement, Track, fused, gains
+
+STEP = SECOND // 10
+ISOTROPIC = Covariance(0.25, 0.0, 0.25)
+BAND = 3.255, 4.821
+"""95 % interval of the mean of 50 chi-square variables with 4 degrees of freedom (Bar-Shalom et al. 2001, 5.4.2)."""
+
+
+@pytest.mark.parametrize(("index", "alpha", "beta"), [(0.1, 0.36, 0.08), (1.0, 0.75, 0.5)])
+def test_the_gains_follow_from_the_tracking_index(index, alpha, beta):
+    assert gains(index) == pytest.approx((alpha, beta), abs=1e-12)
+
+
+@given(st.integers(0, 2**32))
+def test_small_matrices_agree_with_numpy(seed):
+    rng = np.random.default_rng(seed)
+    a, b = (rng.normal(size=(4, 4)) for _ in range(2))
+    assert np.allclose(product(a.tolist(), b.tolist()), np.einsum("ij,jk", a, b))
+    assert np.allclose(times(a.tolist(), b[0].tolist()), np.einsum("ij,j", a, b[0]))
+    assert np.allclose(transpose(a.tolist()), a.T)
+    assert np.allclose(plus(a.tolist(), b.tolist(), -2.0), a - 2 * b)
+    assert np.allclose(scaled(a.tolist(), 3.0), 3 * a)
+    assert trace(a.tolist()) == pytest.approx(a.trace())
+    assert np.allclose(product(a.tolist(), inverse(a.tolist())), np.eye(4), atol=1e-6)
+
+
+def test_a_singular_matrix_has_no_inverse():
+    with pytest.raises(ZeroDivisionError):
+        inverse([[1.0, 2.0], [2.0, 4.0]])
+
+
+def sightings(seed, count, *, noise=ISOTROPIC, acceleration=1.0, observer=0):
+    """Return sightings of an evader whose acceleration is random in each interval, and its true states."""
+    rng = np.random.default_rng(seed)
+    state, t = np.array([5.0, -3.0, 1.0, 0.5]), STEP / SECOND
+    root = np.linalg.cholesky([[noise.xx, noise.xy], [noise.xy, noise.yy]])
+    found, states = [], []
+    for k in range(count):
+        if k:
+            push = acceleration * rng.standard_normal(2)
+            state = np.concatenate([state[:2] + t * state[2:] + t * t / 2 * push, state[2:] + t * push])
+        x, y = state[:2] + root @ rng.standard_normal(2)
+        found.append(Measurement(k * STEP, observer, x, y, noise))
+        states.append(state)
+    return found, states
+
+
+def filtered(model, seen, window=100 * SECOND):
+    made = Filter(model, window)
+    for each in seen:
+        made.add(each)
+    return made
+
+
+def nees(track, state):
+    """Return the normalised estimation error squared."""
+    error = np.array(track.state) - state
+    return float(error @ np.linalg.solve(np.array(track.covariance), error))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [ISOTROPIC, Covariance(0.5, 0.3, 0.4)])
+def test_the_errors_of_a_kalman_filter_are_as_large_as_it_says(noise):
+    """The mean of 50 runs of 4 squared errors is in its 95 % band; the control assumes a third of the noise."""
+    small = Covariance(*(each / 9 for each in noise))
+    errors, control, innovations = [], [], []
+    for seed in range(50):
+        seen, states = sightings(seed, 40, noise=noise)
+        errors.append(nees(filtered(Kalman(), seen).track, states[-1]))
+        sure = [each._replace(covariance=small) for each in seen]
+        control.append(nees(filtered(Kalman(), sure).track, states[-1]))
+        innovations.append(Kalman().innovation(filtered(Kalman(), seen[:-1]).track, seen[-1]))
+    assert BAND[0] < np.mean(errors) < BAND[1]
+    assert np.mean(control) > BAND[1]
+    assert abs(np.mean(innovations) - 2.0) < 3 * np.sqrt(4.0 / 50)
+
+
+@pytest.mark.slow
+def test_the_alpha_beta_filter_is_the_stationary_kalman_filter():
+    """After 200 sightings at equal intervals both have the same gains; with another acceleration they differ."""
+    seen, _ = sightings(3, 200)
+    tracks = [filtered(model, seen).track for model in (AlphaBeta(), Kalman(), AlphaBeta(acceleration=5.0))]
+    assert tracks[0].state == pytest.approx(tracks[1].state, abs=1e-6)
+    assert tracks[2].state != pytest.approx(tracks[1].state, abs=1e-2)
+
+
+@pytest.mark.parametrize("model", [AlphaBeta(), Kalman()])
+def test_sightings_in_any_order_and_twice_give_the_track_of_those_in_order(model):
+    seen, _ = sightings(1, 5)
+    in_order = filtered(model, seen).track
+    for order in permutations(seen):
+        assert filtered(model, [*order, order[0]]).track == in_order
+
+
+@given(st.lists(st.integers(0, 400), min_size=20, max_size=20), st.integers(0, 9))
+def test_a_filter_of_late_sightings_equals_one_without_latency_a_latency_ago(delays, seed):
+    """Sighting k arrives after up to 0.4 s: once all up to an instant have arrived, the track there is the same."""
+    seen, _ = sightings(seed, 20)
+    late = sorted(seen, key=lambda each: each.stamp + delays[each.stamp // STEP] * SECOND // 1000)
+    model, made, plain = Kalman(), Filter(Kalman(), 100 * SECOND), Filter(Kalman(), 100 * SECOND)
+    for each in late:
+        made.add(each)
+    for each in seen:
+        plain.add(each)
+    assert made.track == plain.track
+    assert made.at(25 * STEP) == model.predict(plain.track, 25 * STEP)
+
+
+def test_what_is_older_than_the_window_is_ignored():
+    seen, _ = sightings(1, 30)
+    made = filtered(Kalman(), seen[3:], window=5 * STEP)
+    before = made.track
+    made.add(seen[0])
+    assert made.track == before
+    assert len(made._seen) <= 7
+    assert before == filtered(Kalman(), seen[3:]).track
+
+
+def exchanged(seed, how, rounds=20):
+    """Return the track of the first of two observers that fuse each other's fused tracks, and the true state."""
+    one, states = sightings(seed, rounds)
+    rng = np.random.default_rng([seed, 1])
+    other = [
+        Measurement(each.stamp, 1, *(state[:2] + 0.5 * rng.standard_normal(2)), ISOTROPIC)
+        for each, state in zip(one, states, strict=True)
+    ]
+    model = Kalman()
+    tracks = [model.start(one[0]), model.start(other[0])]
+    for pair in zip(one[1:], other[1:], strict=True):
+        tracks = [model.update(track, each) for track, each in zip(tracks, pair, strict=True)]
+        tracks = [fused(*tracks, how), fused(*reversed(tracks), how)]
+    return tracks[0], states[-1]
+
+
+@pytest.mark.slow
+def test_naive_fusion_of_shared_information_is_overconfident_and_covariance_intersection_is_not():
+    """50 runs: the mean squared error is above its band, by far, and with the intersection not above it."""
+    ways = ("naive", "covariance_intersection")
+    mean = {how: np.mean([nees(*exchanged(seed, how)) for seed in range(50)]) for how in ways}
+    assert mean["naive"] > 2 * BAND[1]
+    assert mean["covariance_intersection"] < BAND[1]
+
+
+def test_the_fusion_of_independent_tracks_is_their_weighted_mean():
+    """Variances 1 and 4 give 0.8; the intersection, with weights 0.8 and 0.2, is no surer than the better track."""
+    eye = np.eye(4)
+    one, other = Track(0, [0.0] * 4, eye.tolist()), Track(0, [10.0] * 4, (4 * eye).tolist())
+    naive, safe = fused(one, other, "naive"), fused(one, other, "covariance_intersection")
+    assert naive.state == pytest.approx([2.0] * 4)
+    assert np.allclose(naive.covariance, 0.8 * eye)
+    assert safe.state == pytest.approx([10.0 * 0.05 / 0.85] * 4)
+    assert np.allclose(safe.covariance, eye / 0.85)
