@@ -22,6 +22,7 @@ from desim.kernel.units import SECOND
 from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
+from desim.pursuit.noise import NOISES
 from desim.pursuit.trust import TRUSTS
 from desim.pursuit.utility import UTILITIES
 from desim.pursuit.world_state import WorldState
@@ -126,6 +127,13 @@ def faults(dice, size, until):
     ]
 
 
+def sight(dice):
+    """Return the errors of the eyes, in most cases none, and what is made of them."""
+    noise = {"noise": dice.kind(NOISES, but=("none",)), "interval": dice.one([0.05, 0.2])}
+    tracks = {"estimator": "kalman", "fusion": dice.one(["by_stamp", "naive", "covariance_intersection"])}
+    return dice.one([{}, {}, noise | {"estimator": "alpha_beta"}, noise | tracks, noise | {"estimate": "hold"}])
+
+
 def transport(dice):
     """Return a transport, with all qualities or with none."""
     qualities = {"lifespan": dice.number(0.05, 1.0), "deadline": 0.2, "lease": dice.number(0.1, 0.5)}
@@ -159,7 +167,8 @@ def anything(seed):
             "relay": dice.chance(0.5),
             "track_timeout": dice.one([0.2, 5.0]),
             "on_lost": dice.one(["stay", "search"]),
-        },
+        }
+        | sight(dice),
         "capture": {
             "radius": dice.number(0.05, 0.5),
             "test": dice.one(["segment", "sample"]),
