@@ -21,6 +21,7 @@ from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.guidance import apollonius_disc
 from desim.pursuit.state import complex_points, lengths
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
@@ -159,6 +160,57 @@ class MotionWatcher:
                     f" most {bound[player]} m"
                 )
         self._last = event.t, places, moving
+
+
+class ApolloniusWatcher:
+    """A watcher that checks that a pursuer confines the evader that it chases; use it only under the assumptions below.
+
+    The Apollonius disc of a pursuer and an evader contains the points that the evader reaches first
+    (`desim.pursuit.guidance.apollonius_disc`). While a faster pursuer chases with the guidance `constant_bearing`, each
+    disc contains the next one, so the evader is captured in the first one whatever it does. This holds if the motion of
+    all players is simple, the evader moves first in each motion step (`motion.order`), and the pursuer sees it exactly.
+    The discs are compared at the samples of the trajectory.
+
+    Args:
+        scenario: the scenario of the run.
+
+    Attributes:
+        judged: the number of pairs of discs compared.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._evader_speeds = [evader.speed for evader in scenario.evaders]
+        self._speeds = scenario.team.all_speeds()
+        self._active = ActiveTimeWatcher()
+        self._discs: dict[int, tuple[int, complex, float]] = {}
+        """By pursuer: the evader that it has chased since the last sample, and the disc then."""
+        self.judged = 0
+
+    def __call__(self, event: Event) -> None:
+        """Process an event."""
+        self._active(event)
+        if isinstance(event, Decided | BrokeDown | Captured):
+            profile = self._active.profile
+            self._discs = {j: each for j, each in self._discs.items() if profile[j] == each[0]}
+        elif isinstance(event, Started | Sampled):
+            self._compare(event)
+
+    def _compare(self, event: Started | Sampled) -> None:
+        """Compare the disc of each chase with that at the last sample."""
+        for pursuer, evader in enumerate(self._active.profile):
+            if not evader or not self._speeds[pursuer] > self._evader_speeds[evader - 1]:
+                continue
+            places = complex(*event.evaders[evader - 1]), complex(*event.pursuers[pursuer])
+            centre, radius = apollonius_disc(*places, self._evader_speeds[evader - 1], self._speeds[pursuer])
+            if pursuer in self._discs:
+                _, before, most = self._discs[pursuer]
+                if not abs(centre - before) + radius <= most + ROUNDING * (1.0 + abs(centre)):
+                    raise AssertionError(
+                        f"a chase confines the evader: at {seconds(event.t)} s the Apollonius disc of pursuer {pursuer}"
+                        f" leaves the one before by {abs(centre - before) + radius - most} m"
+                    )
+                self.judged += 1
+            self._discs[pursuer] = evader, centre, radius
 
 
 class PotentialWatcher:

@@ -57,6 +57,10 @@ class ConstantBearing(Value):
     and w_across. The pursuer matches w_across and uses the rest of its speed along the line, so that its velocity is
     b (sqrt(v_i^2 - w_across^2) + 1j w_across). The closing speed is sqrt(v_i^2 - w_across^2) - w_along. There is no
     intercept point if the closing speed is not positive, or if |w_across| > v_i.
+
+    Against an evader of full speed v_e < v_i this point is on the Apollonius circle of the two players, in the
+    direction in which the evader moves (Isaacs 1965). The pursuer captures the evader inside the circle, whatever the
+    evader does: see `apollonius_disc` and `desim.analysis.invariants.ApolloniusWatcher`.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"
@@ -72,6 +76,27 @@ class ConstantBearing(Value):
         along = np.sqrt(np.maximum(rest, 0.0))
         meets = (rest >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
         return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
+
+
+def apollonius_disc(evader: complex, pursuer: complex, evader_speed: float, speed: float) -> tuple[complex, float]:
+    """Return the centre and the radius, m, of the disc of points that an evader reaches before a faster pursuer.
+
+    With m = v_e / v, the centre is x_e + m^2 / (1 - m^2) (x_e - x_i) and the radius m |x_e - x_i| / (1 - m^2).
+
+    Args:
+        evader: position x_e, m.
+        pursuer: position x_i, m.
+        evader_speed: v_e, m/s.
+        speed: v, m/s.
+
+    Raises:
+        ValueError: if the pursuer is not faster than the evader.
+    """
+    if not speed > evader_speed:
+        raise ValueError(f"the pursuer should be faster than the evader, got {speed:g} and {evader_speed:g} m/s")
+    ratio = evader_speed / speed
+    offset, rest = evader - pursuer, 1.0 - ratio * ratio
+    return evader + ratio * ratio / rest * offset, ratio * abs(offset) / rest
 
 
 def guided_velocities(

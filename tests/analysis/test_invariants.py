@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.analysis.invariants import ActiveTimeWatcher, MotionWatcher, PotentialWatcher, watched
+from desim.analysis.invariants import ActiveTimeWatcher, ApolloniusWatcher, MotionWatcher, PotentialWatcher, watched
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -16,6 +16,7 @@ from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
+from desim.pursuit.guidance import apollonius_disc
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.steering import Steering
 from desim.pursuit.utility import EdgePenalty
@@ -342,3 +343,34 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
 def test_the_assumptions_of_the_theorem_are_necessary(changes):
     """The controls: without any one of its conditions some decisions lower the potential."""
     assert falls(**changes) > 0
+
+
+@pytest.mark.parametrize("strategy", ["pure_evasion", "zigzag", "diffusion", "max_min", "still"])
+def test_with_constant_bearing_each_apollonius_disc_contains_the_next(strategy):
+    """Also while pursuers hand over, and against two evaders. The control: pure pursuit of an evader that turns."""
+    for guidance, holds in (("constant_bearing", True), ("pure_pursuit", False)):
+        scenario = Scenario(
+            team=Team(count=6, guidance=guidance, speeds=1.5),
+            evader=(Evader(strategy=strategy), Evader(strategy=strategy)),
+            protocol=SpatialAdaptivePlay(schedule=Poisson(rate=5.0)),
+            horizon=6.0,
+        )
+        watch = ApolloniusWatcher(scenario)
+        if holds:
+            run(scenario, 4, watch)
+            assert watch.judged > 50
+        elif strategy == "zigzag":
+            with pytest.raises(AssertionError, match="a chase confines the evader"):
+                run(scenario, 4, watch)
+
+
+def test_the_apollonius_disc_of_numbers():
+    """m = .5, d = 4: 4/3 m beyond the evader, radius 8/3 m; it contains the points that the evader reaches first."""
+    centre, radius = apollonius_disc(4.0, 0.0, 0.5, 1.0)
+    assert (centre, radius) == (pytest.approx(4.0 + 4.0 / 3.0), pytest.approx(8.0 / 3.0))
+    for angle in np.linspace(0.0, 6.0, 7):
+        for share, first in ((0.999, True), (1.001, False)):
+            point = centre + share * radius * np.exp(1j * angle)
+            assert bool(abs(point - 4.0) / 0.5 < abs(point) / 1.0) is first
+    with pytest.raises(ValueError, match="the pursuer should be faster than the evader, got 1 and 1 m/s"):
+        apollonius_disc(1.0, 0.0, 1.0, 1.0)
