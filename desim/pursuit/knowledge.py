@@ -113,8 +113,9 @@ class Knowledge:
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
-        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The capture
-        time is nan if neither it nor the position of the teammate is announced, and the position is not sensed.
+        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active, nor is one
+        that the pursuer does not trust (`announce.trust`). The capture time is nan if neither it nor the position of
+        the teammate is announced, and the position is not sensed.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -137,7 +138,10 @@ class Knowledge:
         return self._beliefs.about_teammates(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago."""
+        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago and is believed.
+
+        Which announcements are believed is determined by `announce.trust`.
+        """
         return self._beliefs.trusted()
 
     def team_estimate(self, evader: int = 1) -> TeamEstimate:

@@ -163,11 +163,11 @@ class LyingTeam:
 
         A message that is more than its records, such as a token, is withheld as a whole.
         """
-        dropped = [record for record in records if record.src != src and self._drops(src)]
-        kept = tuple(record for record in records if record not in dropped)
-        if not dropped:
-            return body
-        return body._replace(records=kept) if kept and isinstance(body, Forwarded) else None
+        if not isinstance(body, Forwarded):
+            relays = any(record.src != src for record in records)
+            return None if relays and self._drops(src) else body
+        kept = tuple(record for record in records if record.src == src or not self._drops(src))
+        return body._replace(records=kept) if kept else None
 
     def _forge(self, src: int, dst: int | None, name: int, body: Any, stamp: int | None) -> None:
         """Send an announcement as a message, with a record in the name of any pursuer."""

@@ -215,6 +215,22 @@ def test_a_selective_pursuer_forwards_nothing_but_its_own_announcements():
             assert {src for src, _ in said(result, 1)} == sources
 
 
+@pytest.mark.slow
+def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
+    """The protocol of pursuer 2 gets no receipt for it, and repeats it; a pursuer that swallows all forwards none."""
+    ring = LocalMin(schedule=TokenRing(holding_time=0.01))
+    shares = {}
+    for drop in (0.0, 0.3, 1.0):
+        case = team(Selective(node=2, start=0.0, drop=drop), protocol=ring, team=Team(count=4, speeds=0.1))
+        result = go(case, 1, 20.0)
+        held = sum(event.dst == 2 for event in result.trace.of(Sent) if type(event.body).__name__ == "Token")
+        sent = sum(event.src == 2 for event in result.trace.of(Sent) if type(event.body).__name__ == "Token")
+        shares[drop] = sent / held
+    assert shares[0.0] == pytest.approx(1.0, abs=0.01)
+    assert shares[1.0] == 0.0
+    assert shares[0.3] > 0.9
+
+
 def test_a_swallowed_token_is_missed_only_if_its_holder_falls_silent():
     """A pursuer that confirms the token, says that it has it and forwards it never keeps all others from deciding."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))
