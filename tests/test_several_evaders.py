@@ -12,6 +12,7 @@ from desim.kernel.faults import Crash
 from desim.kernel.trace_file import events_of, line_of
 from desim.kernel.units import SECOND, seconds
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dead_reckoning import MotionState
 from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import Sensing
@@ -248,10 +249,10 @@ def test_a_chaser_is_dead_reckoned_up_to_the_capture_and_no_farther(exact):
     assert state.at_large == (2,)
     for pursuer in (0, 1) if exact else (0,):
         for place, age in ((team.positions[pursuer], 8), ((told[pursuer].real, told[pursuer].imag), 7)):
-            reckoned = parts.view.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
+            reckoned = parts.view.reckoned(MotionState(complex(*place)), 2.0, age * SECOND, 1, exact=exact).position
             assert abs(reckoned - state.position(pursuer)) < 1e-9
         # A pursuer that announced it after the capture has not moved since.
-        assert parts.view.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
+        assert parts.view.reckoned(MotionState(3.0 + 4.0j), 2.0, SECOND, 1, exact=exact).position == 3.0 + 4.0j
 
 
 def test_a_trace_with_several_evaders_reads_back():

@@ -19,7 +19,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.transport import Transport
-from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
+from desim.pursuit.announcements import PAYLOADS, Announcements, Located, LocatedAssignment, MovingAssignment
 from desim.pursuit.beliefs import Beliefs
 from desim.pursuit.knowledge import Knowledge
 from desim.pursuit.timing import Timing
@@ -157,9 +157,10 @@ class Agent(Knowledge, Timing):
             return self._payload
         return PAYLOADS[self._announcements.payload].announced_by(self.id, self._view)
 
-    def located(self) -> LocatedAssignment:
-        """Return the body that it would announce now if the payload were "state"."""
-        return LocatedAssignment.announced_by(self.id, self._view)
+    def located(self) -> Located:
+        """Return the body that it would announce now if the payload were "state" or, with inertia, "course"."""
+        payload = LocatedAssignment if self._view.state.dynamics.is_simple else MovingAssignment
+        return payload.announced_by(self.id, self._view)
 
     def record(self, body: Any) -> Record:
         """Create its next record, with this body, for a dissemination model that does not use `publish`."""

@@ -1,5 +1,6 @@
 """Announcements of pursuers: their payload, when they are sent, and how long they are believed."""
 
+from cmath import phase, rect
 from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -15,6 +16,8 @@ from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
 from desim.kernel.transport_frames import carried
+from desim.pursuit.dead_reckoning import MotionState
+from desim.pursuit.dynamics import Course
 from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.trust import TRUSTS, Credulous, Trust
 from desim.pursuit.views import View
@@ -66,13 +69,48 @@ class LocatedAssignment(NamedTuple):
         state, place = view.state, view.state.position(pursuer)
         return cls(state.profile[pursuer], place.real, place.imag, state.speed(pursuer))
 
+    @property
+    def motion(self) -> MotionState:
+        """Its motion at sending, without a course."""
+        return MotionState(complex(self.x, self.y))
 
-Announcement = Assignment | TimedAssignment | LocatedAssignment
+
+class MovingAssignment(NamedTuple):
+    """Payload "course": as "state", and the velocity and the heading at sending. 64 bytes."""
+
+    active: int
+    x: float
+    """m"""
+    y: float
+    """m"""
+    speed: float
+    """Speed while it chases, m/s."""
+    pace: float
+    """Present speed, m/s."""
+    heading: float
+    """Present heading, rad from the x axis to the left."""
+
+    @classmethod
+    def announced_by(cls, pursuer: int, view: View) -> Self:
+        """Return the announcement of a pursuer now, given its view of the world."""
+        located, (velocity, heading) = LocatedAssignment.announced_by(pursuer, view), view.state.course(pursuer)
+        return cls(*located, abs(velocity), phase(heading))
+
+    @property
+    def motion(self) -> MotionState:
+        """Its motion at sending."""
+        return MotionState(complex(self.x, self.y), Course(rect(self.pace, self.heading), rect(1.0, self.heading)))
+
+
+Located = LocatedAssignment | MovingAssignment
+"""An announcement with a position."""
+Announcement = Assignment | TimedAssignment | Located
 """A standard announcement."""
 PAYLOADS: dict[str, type[Announcement]] = {
     "action": Assignment,
     "time": TimedAssignment,
     "state": LocatedAssignment,
+    "course": MovingAssignment,
 }
 """The class of each payload (`Announcements.payload`)."""
 
@@ -173,9 +211,10 @@ def _form_of_timeout(value: Any) -> str:
 class Announcements(Value):
     """The content of announcements, when they are sent, and how long they are believed."""
 
-    payload: Literal["action", "time", "state"] = "action"
+    payload: Literal["action", "time", "state", "course"] = "action"
     """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
-    sending; state: the action, the position and the speed at sending."""
+    sending; state: the action, the position and the speed at sending; course: as state, and the velocity and the
+    heading at sending, with which the motion of a teammate with inertia (`team.dynamics`) can be extrapolated."""
     reckoning: Literal["exact", "straight_line"] = "exact"
     """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit if sensing is
     unlimited, else as straight_line; straight_line: straight towards the present position of the evader."""
@@ -207,6 +246,11 @@ class Announcements(Value):
         A protocol with its own payload declares the size as `claim_size` instead.
         """
         return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
+
+    @property
+    def is_located(self) -> bool:
+        """Whether an announcement contains the position of its sender."""
+        return self.payload in {"state", "course"}
 
     @property
     def has_heartbeats(self) -> bool:

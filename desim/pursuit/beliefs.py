@@ -15,7 +15,8 @@ from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
+from desim.pursuit.announcements import Announcements, Located, TimedAssignment
+from desim.pursuit.dead_reckoning import MotionState
 from desim.pursuit.trust import Judge
 from desim.pursuit.views import View
 
@@ -142,14 +143,14 @@ class Beliefs:
             return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
         ids = sorted({*records, self._id})
-        places = [self._position(records[j]) if j in records else state.position(j) for j in ids]
+        motions = [self._motion(records[j]) if j in records else state.motion(j) for j in ids]
         phi = [
             self._capture_time(records[j], evader)
             if j in records and isinstance(records[j].body, TimedAssignment)
-            else view.capture_time_from(j, place, evader)
-            for j, place in zip(ids, places, strict=True)
+            else view.capture_time_from(j, motion, evader)
+            for j, motion in zip(ids, motions, strict=True)
         ]
-        return TeamEstimate(ids, np.array(places), state.speeds[ids], np.array(phi))
+        return TeamEstimate(ids, np.array([each.position for each in motions]), state.speeds[ids], np.array(phi))
 
     @cached_property
     def _everyone(self) -> list[int]:
@@ -179,22 +180,22 @@ class Beliefs:
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan
-        if not isinstance(body, LocatedAssignment):
+        if not isinstance(body, Located):
             return self._view.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._view.capture_time_from(record.src, self._position(record, orders), evader)
+        return self._view.capture_time_from(record.src, self._motion(record, orders), evader)
 
-    def _position(self, record: Record, orders: Orders = UNORDERED) -> complex:
-        """Return the position of a teammate, m: extrapolated from its record, or sensed; nan if neither is possible.
+    def _motion(self, record: Record, orders: Orders = UNORDERED) -> MotionState:
+        """Return the motion of a teammate: extrapolated from its record, or sensed; nan if neither is possible.
 
         The teammate is assumed to continue its announced action until an order changes it.
         """
         body = record.body
-        if not isinstance(body, LocatedAssignment):
-            return self._view.state.position(record.src) if self.senses_others else complex(nan, nan)
-        place = complex(body.x, body.y)
+        if not isinstance(body, Located):
+            return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
+        motion = body.motion
         ordered = orders.get(record.src, ())
         if not body.active and not any(action for _, action in ordered):
-            return place
+            return motion
         now = self._clock.stamp
         since = min(record.stamp, now)
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
@@ -202,5 +203,5 @@ class Beliefs:
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
             if action and begun < now:
                 ended = max(now - end, 0)
-                place = self._view.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)
-        return place
+                motion = self._view.reckoned(motion, body.speed, now - begun, action, exact=exact, ended=ended)
+        return motion

@@ -9,7 +9,9 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
-from desim.config.arrays import Floats
+from desim.config.arrays import Floats, Points
+from desim.pursuit.geometry import SMALLEST
+from desim.pursuit.state import lengths
 
 
 def capture_time(
@@ -62,6 +64,43 @@ class RadialTime:
         slow, closing = self._each[pursuer]
         gap = distance - self._radius
         return 0.0 if gap <= 0.0 else inf if slow else gap / closing
+
+
+def accelerated_capture_times(
+    offsets: Points, velocities: Points, speeds: Floats, evader_speed: float, radius: float, limit: float
+) -> Floats:
+    """Return the (k,) capture times, s, of pursuers of limited acceleration for an evader that flees straight.
+
+    The evader flees in the direction of `offsets`. A pursuer changes its velocity u along the straight line to v b,
+    with b the direction to the evader, and keeps it. With the component u_b along b, the distance falls by
+    (u_b - v_e) t + a_b t^2 / 2 until T = |v b - u| / a, where a_b = a (v - u_b) / |v b - u|. Afterwards it falls at the
+    rate v - v_e. Motion across the line of sight is neglected. From rest, phi is
+    (v_e + sqrt(v_e^2 + 2 a (d - eps))) / a up to v / a, and (d - eps + v^2 / (2 a)) / (v - v_e) beyond it.
+
+    Args:
+        offsets: (k,) vectors from each pursuer to the evader, m.
+        velocities: (k,) velocities u of the pursuers, m/s.
+        speeds: (k,) greatest speeds v of the pursuers, m/s.
+        evader_speed: speed v_e of the evader, m/s.
+        radius: capture radius eps, m.
+        limit: greatest acceleration a, m/s^2.
+    """
+    distances = lengths(offsets)
+    bearings = offsets / np.maximum(distances, SMALLEST)
+    gap = np.maximum(distances - radius, 0.0)
+    along = bearings.real * velocities.real + bearings.imag * velocities.imag
+    lag, missing = np.maximum(speeds - along, 0.0), lengths(speeds * bearings - velocities)
+    duration = missing / limit
+    gain = lag / np.maximum(duration, SMALLEST)  # a_b
+    closing = along - evader_speed
+    root = np.sqrt(closing**2 + 2.0 * gain * gap)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time = np.where(closing > 0.0, 2.0 * gap / (closing + root), (root - closing) / gain)
+        straight = (gap - (closing + lag / 2.0) * duration) / (speeds - evader_speed)
+        time = np.where(time <= duration, time, duration + straight)
+    time[speeds - evader_speed <= NO_SPEED] = inf
+    time[gap == 0.0] = 0.0
+    return time
 
 
 def least_capture_time(distance: float, radius: float, top_speed: float, evader_speed: float) -> float:

@@ -10,6 +10,7 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.units import seconds
+from desim.pursuit.dynamics import Course, Dynamics
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.guidance import Guidance, guided_velocity
 
@@ -34,10 +35,24 @@ class TrackSegment(NamedTuple):
         return self.evader + self.velocity * seconds(t - self.begun)
 
 
+class MotionState(NamedTuple):
+    """The position and the course of a pursuer at one instant."""
+
+    position: complex
+    """m"""
+    course: Course | None = None
+    """None: unknown; the motion of the pursuer is then assumed to be simple."""
+
+
 class EvaderTrack:
     """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
 
-    Calls of `see` must be in order of time, and so must calls of `position` for the same chase (see there).
+    Calls of `see` must be in order of time, and so must calls of `retrace` for the same chase (see there).
+
+    Args:
+        law: the guidance law of the pursuers.
+        dynamics: the dynamics of the pursuers.
+        remembers: whether paths can be retraced.
 
     Attributes:
         last: the present step.
@@ -45,10 +60,10 @@ class EvaderTrack:
 
     last: TrackSegment
 
-    def __init__(self, law: Guidance, *, remembers: bool = True):
-        self._law, self._remembers = law, remembers
+    def __init__(self, law: Guidance, dynamics: Dynamics, *, remembers: bool = True):
+        self._law, self._dynamics, self._remembers = law, dynamics, remembers
         self._segments: list[TrackSegment] = []
-        self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
+        self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
 
     def see(self, t: int, evader: complex, aim: complex, velocity: complex) -> None:
         """Append a motion step at its start; the arguments are those of `TrackSegment`."""
@@ -56,28 +71,37 @@ class EvaderTrack:
         if self._remembers:
             self._segments.append(self.last)
 
-    def position(self, position: complex, speed: float, since: int, now: int) -> complex:
-        """Return the position, m, at time `now` of a pursuer that began to chase at `position` (m) at time `since`.
+    def retrace(self, start: MotionState, speed: float, since: int, now: int) -> MotionState:
+        """Return the motion at time `now` of a pursuer that began to chase from `start` at time `since`.
 
-        Times are in ns. The first three arguments identify a chase. For each chase, the position at the start of the
-        last retraced motion step is cached, so the cost is O(motion steps since the previous call). A `since` before
-        time 0 counts as 0, because nothing moves before time 0.
+        Times are in ns. The first three arguments identify a chase. For each chase, the motion at the start of the last
+        retraced motion step is cached, so the cost is O(motion steps since the previous call). A `since` before time 0
+        counts as 0, because nothing moves before time 0.
         """
         assert self._remembers
-        known = (position, speed, since)
-        began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
+        known = (start, speed, since)
+        began, origin = t, motion = self._retracings.pop(known, (max(since, 0), start))
         first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
         last = bisect_left(self._segments, now, key=itemgetter(0))  # `now` is in the past if the chase has ended
         ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
         for segment, end in zip(self._segments[first:], ends, strict=False):  # at time 0 there may be no segment yet
-            began, origin = t, place
-            gap, aim = segment.at(t) - place, segment.aim - place
-            place += guided_velocity(self._law, gap, aim, segment.velocity, speed) * seconds(end - t)
+            began, origin = t, motion
+            motion = self._chase(motion, segment, speed, t, end)
             t = end
         self._retracings[known] = (began, origin)
         if len(self._retracings) > MAX_RETRACINGS:
             del self._retracings[next(iter(self._retracings))]  # the least recently used
-        return place
+        return motion
+
+    def _chase(self, motion: MotionState, segment: TrackSegment, speed: float, begin: int, end: int) -> MotionState:
+        """Return the motion at the end of an interval (ns) within a motion step."""
+        place, course = motion
+        command = guided_velocity(self._law, segment.at(begin) - place, segment.aim - place, segment.velocity, speed)
+        duration = seconds(end - begin)
+        if course is None:
+            return MotionState(place + command * duration)
+        piece = self._dynamics(place, course, command)
+        return MotionState(piece.at(duration), piece.course_at(duration))
 
 
 def moved_towards(position: complex, evader: complex, length: float) -> complex:

@@ -3,21 +3,20 @@
 from collections import deque
 from collections.abc import Collection, Iterable
 from math import inf
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
-from desim.config.model import MAX_COORDINATE
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.dead_reckoning import EvaderTrack
+from desim.pursuit.dynamics import Course, Courses, Dynamics
 from desim.pursuit.evasion import PureEvasion, Strategy, away
-from desim.pursuit.geometry import first_contact, within
-from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.geometry import SMALLEST
+from desim.pursuit.kinematics import CaptureTest, Kinematics
 from desim.pursuit.observation import EvaderObservation
-from desim.pursuit.state import State
+from desim.pursuit.state import State, lengths
 
 
 class EvaderController:
@@ -124,6 +123,7 @@ class EvaderBody:
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
         top_speed: the greatest speed of any pursuer, m/s.
+        dynamics: the dynamics of the pursuers.
 
     Attributes:
         slow: (N,) whether each pursuer is no faster than the evader.
@@ -142,9 +142,10 @@ class EvaderBody:
         speeds: Floats,
         radius: float,
         top_speed: float,
+        dynamics: Dynamics,
     ):
         self.number, self.speed, self.path = number, speed, path
-        self._size, self._radius = len(speeds), radius
+        self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
         self.player = self._size + number - 1
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
@@ -181,12 +182,12 @@ class EvaderBody:
             return (inf,) * self._size
         state = self.state(now)
         if self._times is None:
-            self._times = tuple(self._radial_time(state.distances).tolist())
+            self._times = self.capture_times_over(state.offsets, state.distances)
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
         """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured."""
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._dynamics.is_simple:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         if self._players.are_known:
@@ -195,13 +196,37 @@ class EvaderBody:
             distances = self._players.distances(self.player, pursuers)
         return list(map(self._radial_time.of, pursuers, distances))
 
-    def capture_time_over(self, pursuer: int, distance: float) -> float:
-        """Return the capture time, s, of a pursuer at a distance (m) from this evader, which must be at large."""
-        return self._radial_time.of(pursuer, distance)
+    def capture_times_over(self, offsets: Points, distances: Floats) -> tuple[float, ...]:
+        """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
 
-    def capture_times_over(self, distances: Floats) -> tuple[float, ...]:
-        """Return the (N,) capture times, s, at (N,) distances (m) from this evader, which must be at large."""
-        return tuple(self._radial_time(distances).tolist())
+        Args:
+            offsets: (N,) vectors from each pursuer to the assumed position, m.
+            distances: (N,) distances to allow for, m: at least the lengths of `offsets`, if the position is uncertain.
+        """
+        if self._dynamics.is_simple:
+            return tuple(self._radial_time(distances).tolist())
+        courses = self._players.courses(range(self._size))
+        return tuple(self._inertial_times(offsets, distances, courses, self._speeds).tolist())
+
+    def capture_time_over(self, pursuer: int, offset: complex, distance: float, course: Course | None) -> float:
+        """Return the capture time, s, of one pursuer; see `capture_times_over`.
+
+        Args:
+            pursuer: its id.
+            offset: the vector from the pursuer to the assumed position, m.
+            distance: the distance to allow for, m.
+            course: its course; None: unknown, its motion is assumed to be simple.
+        """
+        if self._dynamics.is_simple or course is None:
+            return self._radial_time.of(pursuer, distance)
+        courses = Courses(np.array([course.velocity]), np.array([course.heading]))
+        speeds = self._speeds[pursuer : pursuer + 1]
+        return float(self._inertial_times(np.array([offset]), np.array([distance]), courses, speeds)[0])
+
+    def _inertial_times(self, offsets: Points, distances: Floats, courses: Courses, speeds: Floats) -> Floats:
+        """Return the (k,) capture times, s, of pursuers with inertia; see `capture_times_over`."""
+        stretched = offsets * (distances / np.maximum(lengths(offsets), SMALLEST))
+        return self._dynamics.capture_times(stretched, courses, speeds, self.speed, self._radius)
 
     def choose_velocity(self, state: State, *, handover: bool) -> complex:
         """Return the velocity, m/s, that the evader chooses in the present state; 0 once it has been captured.
@@ -214,10 +239,8 @@ class EvaderBody:
             return 0j
         return self.speed * self._controller.heading(state, handover)
 
-    def contact(
-        self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]
-    ) -> tuple[float, int] | None:
-        """Return the first capture that `test` finds up to `until` if all velocities stay constant, or None.
+    def contact(self, now: int, until: int, broken: NDArray[np.bool_], test: CaptureTest) -> tuple[float, int] | None:
+        """Return the first capture that `test` finds up to `until` if no motion changes, or None.
 
         Args:
             now: the present, ns.
@@ -230,17 +253,11 @@ class EvaderBody:
         """
         if until <= self._safe_until:
             return None
-        state, duration = self.state(now), seconds(until - now)
+        state = self.state(now)
         gap = state.distances.item(state.nearest) - self._radius
         # Whatever the velocities, no capture is possible up to this time; the factor 0.999 is a margin for rounding.
         # The time is in the past if a pursuer is within the radius.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None
-        velocities = self._players.velocities
-        approach = velocities[self.player] - velocities[: self._size]
-        offsets = np.where(broken, MAX_COORDINATE, state.offsets) if broken.any() else state.offsets
-        if test == "segment":
-            return first_contact(offsets, approach, self._radius, duration)
-        row = within(offsets + approach * duration, self._radius)
-        return None if row is None else (duration, row)
+        return self._players.contact(self.player, state.offsets, broken, self._radius, seconds(until - now), test)

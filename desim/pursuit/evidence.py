@@ -10,7 +10,7 @@ from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import LocatedAssignment, TimedAssignment, announced_action
+from desim.pursuit.announcements import Located, TimedAssignment, announced_action
 from desim.pursuit.capture import least_capture_time
 from desim.pursuit.events import Distrusted
 from desim.pursuit.lies import Falsifiable
@@ -111,7 +111,7 @@ class Witness:
     def _refutes_position(self, record: Record) -> bool:
         """Return whether the sender cannot have come from the announced position to where it is now."""
         body, state = record.body, self._view.state
-        if not isinstance(body, LocatedAssignment):
+        if not isinstance(body, Located):
             return False
         age = max(self._clock.stamp - record.stamp, 0) / SECOND
         moved = abs(state.position(record.src) - complex(body.x, body.y))

@@ -20,7 +20,7 @@ from desim.kernel.faults import FAULTS, MIN_FAULT_DURATION, Misbehaviour, Window
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import pair_uniform, stream
 from desim.kernel.units import nanoseconds
-from desim.pursuit.announcements import Announcement, Assignment, LocatedAssignment, TimedAssignment
+from desim.pursuit.announcements import Announcement, Assignment, Located, TimedAssignment
 from desim.pursuit.capture import least_capture_time
 from desim.pursuit.falsehoods import FALSE_POSITIONS, FALSE_TIMES
 from desim.pursuit.trust import Accusation
@@ -172,7 +172,7 @@ class FalseAnnouncements(FaultOfWord):
         if isinstance(body, TimedAssignment):
             truth = body.capture_time if action == body.active else me.phi(action)
             return TimedAssignment(action, self._phi(me, action, truth))
-        if isinstance(body, LocatedAssignment):
+        if isinstance(body, Located):
             place = complex(body.x, body.y)
             place = place if self.position is None else self.position(place, me.rng)
             return body._replace(active=action, x=place.real, y=place.imag)

@@ -49,9 +49,9 @@ class Steering:
             state = target.state(now)
             evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
             if self._evader_first:
-                target.path.see(now, place, place + evader_velocity * duration, evader_velocity)
+                target.path.see(now, place, *players.advance(target.player, evader_velocity, duration))
             else:
-                target.path.see(now, place, place, players.velocities.item(target.player))
+                target.path.see(now, place, place, players.velocity(target.player))
             velocities[target.player] = evader_velocity
         if self._chases is None:
             velocities[: len(self._actions)] = self._all_velocities()
@@ -64,7 +64,7 @@ class Steering:
             velocities[pursuer] = self._blind_velocity(pursuer, duration)
         for relay, motion in self._relays.items():
             velocities[relay] = motion.velocity(now, players.position(relay))
-        players.set_velocities(velocities)
+        players.command(velocities)
 
     def redirect(self, pursuer: int, now: int, until: int) -> None:
         """Set the velocity of a pursuer whose action changes within a step.
@@ -74,7 +74,7 @@ class Steering:
             now: the present, ns.
             until: end of the step, ns.
         """
-        velocities, evader = self._players.velocities.copy(), self._actions.item(pursuer)
+        velocities, evader = self._players.commands.copy(), self._actions.item(pursuer)
         if not evader:
             velocities[pursuer] = 0j
         elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
@@ -83,7 +83,7 @@ class Steering:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
             gap, speed = segment.at(now) - here, self._speed[pursuer]
             velocities[pursuer] = guided_velocity(self._law, gap, segment.aim - here, segment.velocity, speed)
-        self._players.set_velocities(velocities)
+        self._players.command(velocities)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
 from desim.kernel.units import seconds
-from desim.pursuit.dead_reckoning import moved_towards
+from desim.pursuit.dead_reckoning import MotionState, moved_towards
 from desim.pursuit.noise import expected_distance
 from desim.pursuit.state import lengths
 from desim.pursuit.world_state import WorldState
@@ -88,7 +88,8 @@ class View:
         estimate = self.estimate(evader)
         if estimate is None:
             return (inf,) * state.size
-        return body.capture_times_over(estimate.distances(state.positions()))
+        places = state.positions()
+        return body.capture_times_over(estimate.position - places, estimate.distances(places))
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
@@ -101,15 +102,17 @@ class View:
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
-    def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the capture time, s, of a pursuer for an evader, from a hypothetical position (m) of the pursuer.
+    def capture_time_from(self, pursuer: int, motion: MotionState, evader: int) -> float:
+        """Return the capture time, s, of a pursuer for an evader, given a hypothetical motion of the pursuer.
 
         It is inf if the evader has been captured or is unknown.
         """
         estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
         if estimate is None:
             return inf
-        return self.state.body(evader).capture_time_over(pursuer, estimate.distance(position))
+        place, course = motion
+        offset, distance = estimate.position - place, estimate.distance(place)
+        return self.state.body(evader).capture_time_over(pursuer, offset, distance, course)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.
@@ -141,31 +144,32 @@ class View:
         return known
 
     def reckoned(
-        self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
-    ) -> complex:
-        """Return the present position, m, of a pursuer whose chase of an evader began at `position`, `age` ago.
+        self, start: MotionState, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
+    ) -> MotionState:
+        """Return the present motion of a pursuer whose chase of an evader began with `start`, `age` ago.
 
-        If nothing moves, or the position of the evader is unknown, this is `position`.
+        If nothing moves, or the position of the evader is unknown, this is `start`.
 
         Args:
-            position: its position at the start of the chase, m.
+            start: its motion at the start of the chase.
             speed: its speed, m/s.
             age: time since the start of the chase, ns.
             evader: the evader that it chased.
             exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
-                assumed to head straight for the evader's present position, as estimated.
+                assumed to head straight for the evader's present position, as estimated, and to have simple motion.
             ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
                 have stood still since then. A later call with the same start must not give an earlier end of the chase.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:
-            return position
+            return start
         now, captured = state.now, body.captured
         end = now - ended if captured is None else min(now - ended, max(captured, now - age))
         if exact and self.unlimited:
-            return body.path.position(position, speed, now - age, end)
+            return body.path.retrace(start, speed, now - age, end)
         there = body.position if captured is not None else self.evader(evader)
-        return position if isnan(there) else moved_towards(position, there, speed * seconds(end - now + age))
+        length = speed * seconds(end - now + age)
+        return start if isnan(there) else MotionState(moved_towards(start.position, there, length))
 
 
 class GlobalState(View):

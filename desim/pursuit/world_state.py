@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from desim.config.arrays import Floats, Points
 from desim.kernel.clock import Clock
 from desim.kernel.units import SECOND
+from desim.pursuit.dead_reckoning import MotionState
+from desim.pursuit.dynamics import Course, Dynamics
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.recorded import RecordedMotion
@@ -28,6 +30,7 @@ class WorldState:
         players: kinematics of the N pursuers, then the M evaders.
         bodies: the evaders, in order.
         speeds: (N,) speeds of the pursuers while they chase, m/s.
+        dynamics: the dynamics of the pursuers.
         actions: initial actions.
         radius: capture radius, m.
         horizon: latest end of the run, ns.
@@ -54,6 +57,7 @@ class WorldState:
         players: Kinematics,
         bodies: Sequence[EvaderBody],
         speeds: Floats,
+        dynamics: Dynamics,
         actions: Actions,
         *,
         radius: float,
@@ -62,7 +66,7 @@ class WorldState:
         relays: Mapping[int, RecordedMotion],
     ):
         self._env = env
-        self.players, self.bodies, self.speeds = players, bodies, speeds
+        self.players, self.bodies, self.speeds, self.dynamics = players, bodies, speeds, dynamics
         self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
         self.size, self.evader_count, self.top_speed = len(speeds), len(bodies), float(speeds.max(initial=0.0))
         self.at_large: Sequence[int] = range(1, len(bodies) + 1)
@@ -84,6 +88,14 @@ class WorldState:
         """Return the position of a pursuer, m."""
         return self.players.position(pursuer)
 
+    def course(self, pursuer: int) -> Course:
+        """Return the course of a pursuer."""
+        return self.players.course(pursuer)
+
+    def motion(self, pursuer: int) -> MotionState:
+        """Return the position and the course of a pursuer."""
+        return MotionState(self.players.position(pursuer), self.players.course(pursuer))
+
     def positions(self) -> Points:
         """Return the (N,) positions of the pursuers, m."""
         return self.players.positions()[: self.size]
@@ -94,7 +106,7 @@ class WorldState:
 
     def velocity(self, evader: int) -> complex:
         """Return the velocity of an evader, m/s."""
-        return self.players.velocities.item(self.body(evader).player)
+        return self.players.velocity(self.body(evader).player)
 
     def distances(self, evader: int) -> Floats:
         """Return the (N,) distances of the pursuers to an evader, m."""
@@ -118,8 +130,8 @@ class WorldState:
         chasing = self.actions == body.number
         for pursuer in chasing.nonzero()[0].tolist():
             self.acting_since[pursuer] = self.now
-        velocities = self.players.velocities.copy()
-        velocities[body.player] = 0.0
-        velocities[: self.size][chasing] = 0.0
+        commands = self.players.commands.copy()
+        commands[body.player] = 0.0
+        commands[: self.size][chasing] = 0.0
         self.set_actions(np.where(chasing, 0, self.actions))
-        self.players.set_velocities(velocities)
+        self.players.command(commands, self.players.drifts)

@@ -10,6 +10,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator,
 from desim.config.choice import OneOf
 from desim.config.model import Box, Coordinate, Limit, Probability, Speed, Time, Value
 from desim.kernel.seeds import stream
+from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple
 from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
@@ -34,6 +35,13 @@ def _form_of_speeds(value: Any) -> str:
     return "list" if isinstance(value, list | tuple) else "number"
 
 
+def _speeds_in(given: Any) -> tuple[float, ...]:
+    """Return the different speeds, m/s, that `team.speeds` contains."""
+    if isinstance(given, Speeds):
+        return given.default, given.last
+    return given if isinstance(given, tuple) else (given,)
+
+
 class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
@@ -54,6 +62,8 @@ class Team(Value):
         Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
     ] = PurePursuit()
     """Guidance law of active pursuers."""
+    dynamics: Annotated[Dynamics, DYNAMICS] = Simple()
+    """How a pursuer follows the velocity that the guidance commands."""
     relay: tuple[RelayNode, ...] = ()
     """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
 
@@ -83,6 +93,23 @@ class Team(Value):
         if isinstance(given, tuple) and count is not None and len(given) != count:
             raise ValueError(f"should be one per pursuer: count is {count}, there are {len(given)}")
         return given
+
+    @field_validator("dynamics")
+    @classmethod
+    def _can_move(cls, given: Dynamics, info: ValidationInfo) -> Dynamics:
+        speeds = info.data.get("speeds")
+        if not given.is_simple and speeds is not None and not max(_speeds_in(speeds), default=0.0):
+            raise ValueError("has no effect, because all speeds (team.speeds) are 0")
+        return given
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether the pursuers' motion is not simple."""
+        return not self.dynamics.is_simple
+
+    def headings(self, seed: int) -> list[complex]:
+        """Return the (N,) initial headings, of length 1."""
+        return self.dynamics.headings(stream(seed, "headings"), self.count)
 
     @property
     def relays(self) -> dict[int, RecordedMotion]:
@@ -136,6 +163,17 @@ class Evader(Value):
     """Distance up to which it senses pursuers, m."""
     reaction_delay: Time = 0.0
     """Delay of its observations of the pursuers' positions and actions, s."""
+    dynamics: Annotated[Dynamics, DYNAMICS] = Simple()
+    """How it follows the velocity that its strategy chooses."""
+
+    @field_validator("dynamics")
+    @classmethod
+    def _can_follow(cls, given: Dynamics, info: ValidationInfo) -> Dynamics:
+        if not given.is_simple and isinstance(info.data.get("strategy"), RecordedMotion):
+            raise ValueError("has no effect, because the record determines the motion")
+        if not given.is_simple and info.data.get("speed") == 0.0:
+            raise ValueError("has no effect, because the speed is 0")
+        return given
 
     @field_validator("strategy")
     @classmethod
@@ -160,6 +198,16 @@ class Evader(Value):
         if self.position is not None:
             return np.array(self.position)
         return stream(seed, "evader", index).uniform(*self.box, size=2)
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether its motion is not simple."""
+        return not self.dynamics.is_simple
+
+    def heading(self, seed: int, index: int = 0) -> complex:
+        """Return the initial heading, of length 1; `index` counts all evaders of the scenario from 0."""
+        (heading,) = self.dynamics.headings(stream(seed, "evader heading", index), 1)
+        return heading
 
     @property
     def listens(self) -> bool:

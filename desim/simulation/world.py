@@ -12,8 +12,10 @@ from desim.kernel.seeds import stream
 from desim.kernel.units import nanoseconds
 from desim.pursuit.announcements import Eavesdropper
 from desim.pursuit.dead_reckoning import EvaderTrack
+from desim.pursuit.dynamics import Simple
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Point, Sampled, Started
+from desim.pursuit.inertia import InertialKinematics
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.noisy_sensing import Sensor
 from desim.pursuit.state import complex_points, coordinates
@@ -194,19 +196,19 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
     A pursuer may be assigned an evader here that it may not chase; `World` makes such a pursuer inactive.
     """
     team, radius = scenario.team, scenario.capture.radius
-    starts = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]
-    players = Kinematics(env, complex_points(np.vstack([team.start(seed), *starts])), static=scenario.motion.static)
+    players = _kinematics(env, scenario, seed)
     speeds = np.array(team.all_speeds())
     bodies = [
         EvaderBody(
             number,
             evader.speed,
             evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius),
-            EvaderTrack(team.guidance, remembers=_needs_whole_paths(scenario)),
+            EvaderTrack(team.guidance, team.dynamics, remembers=_needs_whole_paths(scenario)),
             players=players,
             speeds=speeds,
             radius=radius,
             top_speed=team.top_speed,
+            dynamics=team.dynamics,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]
@@ -219,6 +221,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         players,
         bodies,
         speeds,
+        team.dynamics,
         chased,
         radius=radius,
         horizon=horizon,
@@ -227,7 +230,19 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
     )
 
 
+def _kinematics(env: Clock, scenario: Scenario, seed: int) -> Kinematics:
+    """Create the kinematics of all players, at their initial positions."""
+    team, evaders = scenario.team, scenario.evaders
+    starts = [evader.start(seed, index) for index, evader in enumerate(evaders)]
+    places, static = complex_points(np.vstack([team.start(seed), *starts])), scenario.motion.static
+    if static or not (team.has_inertia or any(evader.has_inertia for evader in evaders)):
+        return Kinematics(env, places, static=static)
+    dynamics = [Simple() if pursuer in team.relays else team.dynamics for pursuer in range(team.count)]
+    headings = [*team.headings(seed), *(evader.heading(seed, index) for index, evader in enumerate(evaders))]
+    return InertialKinematics(env, places, [*dynamics, *(each.dynamics for each in evaders)], np.array(headings))
+
+
 def _needs_whole_paths(scenario: Scenario) -> bool:
     """Return whether dead reckoning needs the whole paths of the evaders."""
-    located = scenario.announce.payload == "state" or scenario.protocol_traits.reckons
+    located = scenario.announce.is_located or scenario.protocol_traits.reckons
     return located and scenario.announce.reckoning == "exact"

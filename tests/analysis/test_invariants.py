@@ -197,9 +197,9 @@ def hurried(choose_velocity):
     return lambda self, state, *, handover: 1.001 * choose_velocity(self, state, handover=handover)
 
 
-def leaping(set_velocities):
-    def leap(self, velocities):
-        set_velocities(self, velocities)
+def leaping(command):
+    def leap(self, velocities, drifts=None):
+        command(self, velocities, drifts)
         self._origins = self._origins + 1e-6
 
     return leap
@@ -222,7 +222,7 @@ def inert(_):
     ("owner", "method", "break_it"),
     [
         (EvaderBody, "choose_velocity", hurried),
-        (Kinematics, "set_velocities", leaping),
+        (Kinematics, "command", leaping),
         (Steering, "redirect", deaf),
         (World, "crash", inert),
     ],

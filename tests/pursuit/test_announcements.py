@@ -199,7 +199,9 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
             chased_since = record.body.active and state.profile[j] and turned[j] <= record.stamp
             if chased_since and gap > 3.0 * step + 0.5:
                 age = nanoseconds(me.now) - record.stamp
-                place = view.reckoned(complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact")
+                place = view.reckoned(
+                    record.body.motion, record.body.speed, age, 1, exact=reckoning == "exact"
+                ).position
                 inside = turned[j] % h != 0 and turned[j] // h == record.stamp // h
                 rows.append((abs(place - state.position(j)), seconds(age), gap, inside))
 

@@ -53,18 +53,18 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
         assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
         assert [players.position(k) for k in range(4)] == players.positions_of(range(4)).tolist() == expected.tolist()
         if heading is not None:
-            players.set_velocities(heading)
+            players.command(heading)
             places, since, velocities = expected, now, heading
 
 
 def test_players_of_a_static_game_stay_and_positions_are_read_only():
     env, places = Clock(), np.array([1j, 2j])
     players = Kinematics(env, places, static=True)
-    players.set_velocities(np.array([1.0 + 0j, 1.0 + 0j]))
+    players.command(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=SECOND)
     assert players.positions().tolist() == [players.position(0), players.position(1)] == [1j, 2j]
     moving = Kinematics(env, np.array([1j, 2j]))
-    moving.set_velocities(np.array([1.0 + 0j, 1.0 + 0j]))
+    moving.command(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=2 * SECOND)
     for read_only in (players.positions(), moving.positions()):
         with pytest.raises(ValueError, match="read-only"):
@@ -174,10 +174,10 @@ def chase(me):
 def test_positions_at_times_of_the_present_piece_are_those_of_these_times():
     env, told = Clock(), []
     players = Kinematics(env, np.array([0j, 1 + 1j, 3j]))
-    players.before_change(lambda: told.append((env.now, players.velocities.tolist())))
+    players.before_change(lambda: told.append((env.now, players.commands.tolist())))
     for start, velocities in ((SECOND // 3, [1 / 3, 2j, -1 + 0.1j]), (SECOND, [0.7, 1j, 1 + 0.3j])):
         env.run(until=start)
-        players.set_velocities(np.array(velocities, dtype=complex))
+        players.command(np.array(velocities, dtype=complex))
     times = [SECOND, SECOND + 1, SECOND + 123_456_789, 2 * SECOND]
     seen = []
     for now in times:

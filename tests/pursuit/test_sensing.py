@@ -17,6 +17,7 @@ from desim.kernel.links import Links
 from desim.kernel.network import Network
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dead_reckoning import MotionState
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
@@ -398,20 +399,22 @@ def test_the_bound_is_of_any_position():
     """Reported 10 m away 2 s ago: (|10 - 4| + 0.9 x 2 - 0.1) / 0.1 s from 4 m on, (10 + 1.8 - 0.1) / 0.1 s from 0."""
     rig = Rig(Sensing(radius=3.0, estimate="worst_case"), evader=HIDDEN).until(2.0)
     rig.broadcast(sighting(10.0, 0.0))
-    assert rig.one.capture_time_from(0, 4.0 + 0j, 1) == pytest.approx(77.0)
-    assert rig.one.capture_time_from(0, 0j, 1) == rig.one.capture_times(1)[0] == pytest.approx(117.0)
-    assert rig.other.capture_time_from(0, 0j, 1) == inf
+    assert rig.one.capture_time_from(0, MotionState(4.0 + 0j), 1) == pytest.approx(77.0)
+    assert rig.one.capture_time_from(0, MotionState(0j), 1) == rig.one.capture_times(1)[0] == pytest.approx(117.0)
+    assert rig.other.capture_time_from(0, MotionState(0j), 1) == inf
 
 
 def test_a_chasing_teammate_is_dead_reckoned_towards_the_believed_position_of_the_evader():
     """It was at -3 m, at 1 m/s: after 2 s at -1 m, and never beyond the evader at 7 m."""
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(2.0)
     for exact in (True, False):
-        assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == -3.0  # it has no sighting
+        assert (
+            rig.other.reckoned(MotionState(-3.0 + 0j), 1.0, 2 * SECOND, 1, exact=exact).position == -3.0
+        )  # it has no sighting
     rig.broadcast(sighting(7.0, 1.0))
     for exact in (True, False):
-        assert rig.one.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == pytest.approx(-1.0)
-        assert rig.one.reckoned(-3.0 + 0j, 1.0, 90 * SECOND, 1, exact=exact) == pytest.approx(7.0)
+        assert rig.one.reckoned(MotionState(-3.0 + 0j), 1.0, 2 * SECOND, 1, exact=exact).position == pytest.approx(-1.0)
+        assert rig.one.reckoned(MotionState(-3.0 + 0j), 1.0, 90 * SECOND, 1, exact=exact).position == pytest.approx(7.0)
 
 
 @pytest.fixture
@@ -437,7 +440,9 @@ def test_a_chaser_is_dead_reckoned_up_to_the_capture(caught):
     """All know where that was: from the origin, where it set off, pursuer 0 came to 1.9 m."""
     for sight in (caught.one, caught.other):
         for exact in (True, False):
-            assert sight.reckoned(0j, 1.0, 5 * SECOND, 1, exact=exact) == pytest.approx(1.9, abs=1e-8)
+            assert sight.reckoned(MotionState(0j), 1.0, 5 * SECOND, 1, exact=exact).position == pytest.approx(
+                1.9, abs=1e-8
+            )
 
 
 # Chasers that do not see their evader.

@@ -1,0 +1,222 @@
+"""Dynamics: the motion of a player that has been commanded a velocity.
+
+A player with simple motion takes any commanded velocity at once. Robots with inertia need time to change their
+velocity: their acceleration or their turn rate is limited. In each case the motion is known in closed form, a curve and
+then a straight line. It is a `Piece`.
+"""
+
+from cmath import phase, rect
+from math import pi, sin
+from typing import Annotated, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Floats, Points
+from desim.config.choice import OneOf
+from desim.config.model import Value
+from desim.pursuit.capture import RadialTime, accelerated_capture_times
+from desim.pursuit.state import lengths
+from desim.pursuit.turning import turning_capture_times
+
+
+class Course(NamedTuple):
+    """The velocity and the heading of a player; a player that stands still also has a heading."""
+
+    velocity: complex = 0j
+    """m/s"""
+    heading: complex = 1.0 + 0j
+    """of length 1"""
+
+
+class Piece(NamedTuple):
+    """A piece of motion between two commands: a curve, and then a straight line at the velocity at its end.
+
+    The curve is a parabola, of constant acceleration, or an arc of a circle, of constant turn rate.
+    """
+
+    position: complex
+    """Position at the start, m."""
+    course: Course
+    """Course at the start."""
+    curved: float = 0.0
+    """Duration of the curve, s."""
+    acceleration: complex = 0j
+    """Acceleration in the curve, m/s^2."""
+    turn_rate: float = 0.0
+    """Turn rate in the curve, rad/s, positive to the left."""
+    drift: complex = 0j
+    """Velocity of the flow, m/s; the course is relative to it."""
+
+    def at(self, t: float) -> complex:
+        """Return the position, m, at a time t >= 0 after the start, s."""
+        bent = min(t, self.curved)
+        velocity = self.course.velocity
+        if self.turn_rate:
+            angle = self.turn_rate * bent
+            place = self.position + velocity * rect(2.0 * sin(angle / 2.0) / self.turn_rate, angle / 2.0)
+        else:
+            place = self.position + velocity * bent + self.acceleration * (0.5 * bent * bent)
+        if t > bent:
+            place += self.course_at(bent).velocity * (t - bent)
+        return place + self.drift * t
+
+    def course_at(self, t: float) -> Course:
+        """Return the course at a time t >= 0 after the start, s."""
+        bent = min(t, self.curved)
+        velocity, heading = self.course
+        if self.turn_rate:
+            turned = rect(1.0, self.turn_rate * bent)
+            return Course(velocity * turned, heading * turned)
+        velocity = velocity + self.acceleration * bent
+        return Course(velocity, velocity / abs(velocity) if velocity else heading)
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity over ground, m/s, at a time t >= 0 after the start, s."""
+        return self.course_at(t).velocity + self.drift
+
+    @property
+    def curvature(self) -> float:
+        """The magnitude of the acceleration in the curve, m/s^2."""
+        return abs(self.turn_rate * self.course.velocity) + abs(self.acceleration)
+
+
+class Dynamics(Protocol):
+    """The dynamics of a player: how it follows commanded velocities."""
+
+    is_simple: ClassVar[bool]
+    """Whether a commanded velocity is taken at once."""
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return the motion from a position (m) and a course on, if a velocity (m/s) is commanded."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return the initial headings, of length 1, of several players."""
+
+    def capture_times(
+        self, offsets: Points, courses: "Courses", speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s, of pursuers with these dynamics for an evader that flees straight.
+
+        The evader flees at its full speed in the direction of `offsets`.
+
+        Args:
+            offsets: (k,) vectors from each pursuer to the evader, m.
+            courses: the courses of the k pursuers.
+            speeds: (k,) speeds of the pursuers while they chase, m/s.
+            evader_speed: speed of the evader, m/s.
+            radius: capture radius, m.
+        """
+
+
+class Courses(NamedTuple):
+    """The courses of several players."""
+
+    velocities: Points
+    """(k,) m/s"""
+    headings: Points
+    """(k,) of length 1"""
+
+
+class _WithoutHeading(Value):
+    """Common part of dynamics for which the initial heading has no effect."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return equal headings."""
+        return [1.0 + 0j] * count
+
+
+class Simple(_WithoutHeading):
+    """Take each commanded velocity at once (Lee & Bakolas: simple motion, x' = u)."""
+
+    is_simple: ClassVar[bool] = True
+    kind: Literal["simple"] = "simple"
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return a straight line."""
+        return Piece(position, Course(command, command / abs(command) if command else course.heading))
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return RadialTime(speeds, evader_speed, radius)(lengths(offsets))
+
+
+class Acceleration(_WithoutHeading):
+    """Change the velocity with an acceleration of limited magnitude: x'' = a, |a| <= limit and |x'| <= v.
+
+    A player begins at rest. The acceleration has the limit as its magnitude and the direction of the missing velocity,
+    until the velocity is the commanded one. A player that is to stand still brakes.
+
+    A pursuer assumes that it and the evader move along the line of sight. The time of its capture is the root of the
+    parabola, or of the line that follows it: see `desim.pursuit.capture.accelerated_capture_times`.
+    """
+
+    is_simple: ClassVar[bool] = False
+    kind: Literal["acceleration"] = "acceleration"
+    limit: Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False, strict=True)] = 1.0
+    """Greatest acceleration, m/s^2."""
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return a parabola and a line."""
+        missing = command - course.velocity
+        if not missing:
+            return Piece(position, course)
+        return Piece(position, course, abs(missing) / self.limit, missing * (self.limit / abs(missing)))
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return accelerated_capture_times(offsets, courses.velocities, speeds, evader_speed, radius, self.limit)
+
+
+class TurnRate(Value):
+    """Turn at a limited rate, and move forwards only: a unicycle with the least turning radius v / limit.
+
+    A player that is commanded a velocity takes its speed at once, and turns to its direction along the shorter arc.
+    A player that is to stand still stops at once and keeps its heading.
+
+    A pursuer computes its capture time along the shortest path of bounded curvature with a free final heading
+    (Boissonnat & Bui 1994), towards an evader that flees straight along the present line of sight: see
+    `desim.pursuit.turning`. An evader that turns aside in time can escape a pursuer that turns too slowly, however fast
+    it is (Isaacs 1965, the homicidal chauffeur): see `desim.pursuit.turning.least_capture_radius`.
+    """
+
+    is_simple: ClassVar[bool] = False
+    kind: Literal["turn_rate"] = "turn_rate"
+    limit: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)] = 1.0
+    """Greatest turn rate, rad/s."""
+    heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | Literal["random"] = (
+        "random"
+    )
+    """Initial heading, rad from the x axis to the left; random: drawn per player and seed."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return the initial headings, of length 1, of several players."""
+        angles = rng.uniform(-pi, pi, count).tolist() if self.heading == "random" else [self.heading] * count
+        return [rect(1.0, angle) for angle in angles]
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return an arc and a line."""
+        speed, heading = abs(command), course.heading
+        if not speed:
+            return Piece(position, Course(0j, heading))
+        angle = phase(command / heading)
+        begun = Course(speed * heading, heading)
+        return Piece(position, begun, abs(angle) / self.limit, turn_rate=self.limit if angle > 0.0 else -self.limit)
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return turning_capture_times(offsets, courses.headings, speeds, evader_speed, radius, self.limit)
+
+
+DYNAMICS = OneOf(
+    *(Simple, Acceleration, TurnRate),
+    needs=("is_simple", "headings", "capture_times"),
+    takes=("position", "course", "command"),
+)
+"""The kinds of dynamics."""
