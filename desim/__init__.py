@@ -71,6 +71,8 @@ if TYPE_CHECKING:
     from desim.kernel.transport import Coded as Coded
     from desim.kernel.transport import Reliable as Reliable
     from desim.pursuit.announcements import Announcements as Announcements
+    from desim.pursuit.dynamics import Acceleration as Acceleration
+    from desim.pursuit.dynamics import TurnRate as TurnRate
     from desim.pursuit.evasion import ConstantHeading as ConstantHeading
     from desim.pursuit.evasion import Diffusion as Diffusion
     from desim.pursuit.evasion import Listener as Listener
@@ -144,6 +146,7 @@ _NAMES = {
     "desim.kernel.trace_file": ("TraceFile",),
     "desim.kernel.transport": ("BestEffort", "Coded", "Reliable"),
     "desim.pursuit.announcements": ("Announcements",),
+    "desim.pursuit.dynamics": ("Acceleration", "TurnRate"),
     "desim.pursuit.evasion": (
         "ConstantHeading",
         "Diffusion",

@@ -8,7 +8,8 @@ events of a finished trace. A new watcher is needed for each run. The invariants
 `desim.kernel.invariants`.
 """
 
-from math import fsum
+from cmath import phase
+from math import fsum, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
+from desim.pursuit.dynamics import Acceleration, Simple, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.guidance import apollonius_disc
 from desim.pursuit.state import complex_points, lengths
@@ -117,7 +119,12 @@ class MotionWatcher:
 
     The invariant is that positions are continuous and no player exceeds its speed. Between two samples a pursuer moves
     at most v_i times the time for which it was active, a relay at most the top speed of its record times the elapsed
-    time, and an evader at most v_e times the time for which it was at large. In a static game no player moves.
+    time, and an evader at most v_e times the time for which it was at large. A player that brakes with a limited
+    acceleration also moves when it is inactive or captured. In a static game no player moves.
+
+    With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
+    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time that
+    they take.
 
     Args:
         scenario: the scenario of the run.
@@ -130,6 +137,12 @@ class MotionWatcher:
         self._relays = scenario.team.relays
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
+        self._before_last: tuple[int, Points] | None = None
+        team, evaders = scenario.team, scenario.evaders
+        dynamics = [Simple() if j in self._relays else team.dynamics for j in range(team.count)]
+        dynamics += [evader.dynamics for evader in evaders]
+        self._limits = {j: each for j, each in enumerate(dynamics) if isinstance(each, Acceleration | TurnRate)}
+        self._brakes = [j for j, each in self._limits.items() if isinstance(each, Acceleration)]
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
@@ -146,8 +159,11 @@ class MotionWatcher:
     def _check_positions(self, event: Started | Sampled) -> None:
         places = complex_points([*event.pursuers, *event.evaders])
         moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
-        moving[[*self._relays]] = event.t
+        moving[[*self._relays, *self._brakes]] = event.t
         if self._last is not None:
+            if self._before_last is not None:
+                self._check_limits(event.t, places, self._last[:2], self._before_last)
+            self._before_last = self._last[:2]
             since, before, moved = self._last
             bound = self._moves * self._speeds * (moving - moved) / SECOND
             distance, slack = lengths(places - before), ROUNDING * (1.0 + bound) + 1e-12 * lengths(places)
@@ -160,6 +176,26 @@ class MotionWatcher:
                     f" most {bound[player]} m"
                 )
         self._last = event.t, places, moving
+
+    def _check_limits(self, t: int, places: "Points", last: tuple[int, "Points"], before: tuple[int, "Points"]) -> None:
+        """Check the accelerations and the turn rates of players with inertia at three successive samples."""
+        duration, shorter = seconds(t - before[0]), seconds(min(t - last[0], last[0] - before[0]))
+        for player, dynamics in self._limits.items():
+            first, second = last[1].item(player) - before[1].item(player), places.item(player) - last[1].item(player)
+            if isinstance(dynamics, TurnRate):
+                if min(abs(first), abs(second)) < ROUNDING**0.5 or dynamics.limit * duration >= pi:
+                    continue
+                what, found, most = (
+                    "turns faster than its limit, rad",
+                    abs(phase(second / first)),
+                    dynamics.limit * duration,
+                )
+            elif abs(duration - 2.0 * shorter) < ROUNDING:
+                what, found, most = "exceeds its acceleration, m", abs(second - first), dynamics.limit * shorter**2
+            else:
+                continue
+            if not found <= most + 10.0 * ROUNDING:
+                raise AssertionError(f"no player {what}: player {player} up to {seconds(t)} s, {found} > {most}")
 
 
 class ApolloniusWatcher:

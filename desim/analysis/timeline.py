@@ -4,21 +4,26 @@ A piece is the time between two successive breakpoints. The breakpoints are the 
 action, samples of positions, crashes and recoveries of robots, and captures. No action changes within a piece, so
 metrics of the actions alone are exact. The capture time phi of a pursuer is the time that it needs for a capture from
 now on (`desim.pursuit.capture`). It is evaluated in the middle of a piece, at positions interpolated between the
-samples. It is exact in a static game; for other games `desim.analysis.hindsight` gives examples of the error. Each
+samples, and for pursuers with inertia with the mean courses between the samples. It is exact in a static game; for
+other games `desim.analysis.hindsight` gives examples of the error. Each
 evader has its own timeline; the timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from desim.analysis.activity import changes, evader_pursuits
 from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Bools, Floats, Integers, Points
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.capture import RadialTime
+from desim.pursuit.dynamics import Courses
+from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
@@ -60,8 +65,15 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     start, end, scenario = started(result), ended(result).t, result.scenario
     speed, pursuit = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
     radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
+    dynamics = scenario.team.dynamics
     horizon, static = nanoseconds(scenario.horizon), scenario.motion.static
     path, size = _Path(result, evader), len(start.active)
+    inertial_time = partial(
+        dynamics.capture_times,
+        speeds=np.array(start.speeds),
+        evader_speed=speed,
+        radius=scenario.capture.radius,
+    )
     active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
     acts = [each.t for each in [*changes(result), *captures(result)]]
@@ -70,7 +82,10 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     for first in range(0, len(times) - 1, step):
         own = times[first : first + step + 1]
         middle = (own[:-1] + own[1:]) / 2
-        phi = radial_time(path.distances(middle))
+        if dynamics.is_simple:
+            phi = radial_time(lengths(path.gaps(middle)))
+        else:
+            phi = np.array([*map(inertial_time, path.gaps(middle), path.courses(middle))]).reshape(len(middle), size)
         phi[broken.during(own)] = np.inf
         phi[own[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
@@ -114,16 +129,36 @@ class _Path:
     """The positions of an evader relative to all pursuers, interpolated linearly; the first sample is the start."""
 
     def __init__(self, result: Result, evader: int):
-        known = samples(result)
+        self._result, known = result, samples(result)
         self.t = np.array([each.t for each in known])
-        gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - np.array(
-            [each.pursuers for each in known]
-        )
+        pursuers = np.array([each.pursuers for each in known])
+        gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - pursuers
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
+        self._pursuers: Points = pursuers[..., 0] + 1j * pursuers[..., 1]
 
-    def distances(self, t: Floats) -> Floats:
-        """Return the (k, N) distances to the evader at (k,) times (ns), m; constant after the last sample."""
-        before = np.searchsorted(self.t, t, side="right") - 1
-        after = np.minimum(before + 1, len(self.t) - 1)
+    def gaps(self, t: Floats) -> Points:
+        """Return the (k, N) vectors from each pursuer to the evader at (k,) times (ns), m; constant after the last."""
+        before, after = self._samples_around(t)
         share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)
-        return lengths(self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before]))
+        found: Points = self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before])
+        return found
+
+    def courses(self, t: Floats) -> list[Courses]:
+        """Return the mean courses of the pursuers between the samples around each of (k,) times (ns).
+
+        A pursuer that stands still keeps its heading.
+        """
+        moved = np.diff(self._pursuers, axis=0, append=self._pursuers[-1:])
+        headings = np.empty_like(moved)
+        last = np.array(self._result.scenario.team.headings(self._result.seed))
+        for row, step in enumerate(moved):
+            last = np.where(step == 0.0, last, step / np.maximum(lengths(step), SMALLEST))
+            headings[row] = last
+        durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND
+        before, _ = self._samples_around(t)
+        return [Courses(moved[row] / durations[row], headings[row]) for row in before.tolist()]
+
+    def _samples_around(self, t: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the indices of the samples before and after each of (k,) times (ns)."""
+        before = np.searchsorted(self.t, t, side="right") - 1
+        return before, np.minimum(before + 1, len(self.t) - 1)

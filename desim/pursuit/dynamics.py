@@ -16,6 +16,7 @@ from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.pursuit.capture import RadialTime, accelerated_capture_times
+from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 from desim.pursuit.turning import turning_capture_times
 
@@ -161,9 +162,9 @@ class Acceleration(_WithoutHeading):
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:
         """Return a parabola and a line."""
         missing = command - course.velocity
-        if not missing:
+        if abs(missing) < SMALLEST:
             return Piece(position, course)
-        return Piece(position, course, abs(missing) / self.limit, missing * (self.limit / abs(missing)))
+        return Piece(position, course, abs(missing) / self.limit, missing / abs(missing) * self.limit)
 
     def capture_times(
         self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float

@@ -18,7 +18,11 @@ from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 
 MAX_ITERATIONS = 100
-"""Number of iterations after which a root is known to rounding: each at least halves its bracket, or is Newton's."""
+"""Maximum number of iterations for a root; most roots take 5."""
+ROUNDING = 1e-14
+"""Relative rounding error of a length."""
+JUMP = 1e-12
+"""Relative distance from a discontinuity at which its sides are evaluated."""
 ANGLE_ROUNDING = 1e-9
 """An angle less than a full turn by at most this value, rad, is 0."""
 
@@ -119,11 +123,11 @@ class _Chase:
         low, high = np.zeros(len(end)), end
         found = self._missing(low)[0] <= 0.0
         for instant in self._crossings(end):
-            before, after = instant * (1.0 - 1e-12), instant * (1.0 + 1e-12)
+            before, after = instant * (1.0 - JUMP), instant * (1.0 + JUMP)
             falls = ~found & (self._missing(before)[0] <= 0.0)  # between `low` and the crossing
             high, found = np.where(falls, before, high), found | falls
             jumps = ~found & (self._missing(after)[0] <= 0.0)
-            low = np.where(falls | found, low, after)
+            low = np.where(found, low, np.where(jumps, before, after))
             high = np.where(jumps, after, high)
             found |= jumps
         return np.where(self._missing(low)[0] <= 0.0, low, self._root(low, high))
@@ -155,12 +159,12 @@ class _Chase:
         times = low
         for _ in range(MAX_ITERATIONS):
             missing, slopes = self._missing(times)
+            known = np.abs(missing) <= ROUNDING * (self._radii + self._speeds * times)
+            if (known | (high - low <= 4.0 * JUMP * high)).all():
+                break
             low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
             step = times - missing / slopes
-            step = np.where((step > low) & (step < high), step, (low + high) / 2.0)
-            if (np.abs(step - times) <= 1e-13 * (1.0 + times)).all():
-                return step
-            times = step
+            times = np.where((step >= low) & (step <= high), step, (low + high) / 2.0)
         return times
 
 

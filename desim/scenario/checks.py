@@ -48,6 +48,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     evader_speeds = [evader.speed for evader in scenario.evaders]
     if fastest <= max(evader_speeds):
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
+    yield from _inertia_warnings(scenario)
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
     yield from latency_warnings([scenario])
@@ -61,6 +62,19 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "motion.step",
             f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
             f" than 2 x radius = {2 * scenario.capture.radius:g} m",
+        )
+
+
+def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about pursuers with inertia: what has no effect, or is not announced."""
+    team = scenario.team
+    if team.has_inertia and scenario.motion.static:
+        yield "team.dynamics", "capture times follow simple motion, because nothing moves (`motion.static`)"
+    if team.has_inertia and scenario.announce.payload == "state" and scenario.announces:
+        yield (
+            "announce.payload",
+            "announcements have no velocity and heading, so the motion of a teammate with inertia is extrapolated as if"
+            ' it were simple ("course" contains them)',
         )
 
 
@@ -235,7 +249,8 @@ def _lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         if not scenario.announces and fault.acts == "protocol" and not isinstance(fault, Silent | FalseAnnouncements):
             yield f"fault.{k}", f"it has no effect, because pursuers announce nothing under {scenario.protocol_name!r}"
         if isinstance(fault, FalseAnnouncements):
-            contained = {"phi": payload in {"time", None}, "position": payload == "state" or not scenario.announces}
+            located = payload in {"state", "course"} or not scenario.announces
+            contained = {"phi": payload in {"time", None}, "position": located}
             unused = [key for key, is_said in contained.items() if dict(fault)[key] is not None and not is_said]
             yield from ((f"fault.{k}.{key}", "it has no effect: announcements do not contain it") for key in unused)
         if isinstance(fault, Liar) and (fault.action, fault.phi, fault.position) == ("truth", None, None):

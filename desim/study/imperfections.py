@@ -21,6 +21,7 @@ from desim.kernel.medium import LoRa, Medium, Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.pursuit.announcements import one_hop
+from desim.pursuit.dynamics import Simple
 from desim.pursuit.lies import is_lie
 from desim.pursuit.noise import Noiseless
 from desim.pursuit.sensing import Sensing
@@ -145,6 +146,17 @@ def without_noise(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"sensing": sensing if sensing.limited else Sensing()})
 
 
+def without_inertia(scenario: Scenario) -> Scenario:
+    """Return the scenario in which all players take each commanded velocity at once."""
+    team, evader, simple = scenario.team, scenario.evader, {"dynamics": Simple()}
+    if not (team.has_inertia or any(each.has_inertia for each in scenario.evaders)):
+        return scenario
+    kinds: tuple[Any, ...] = evader if isinstance(evader, tuple) else (evader,)
+    free = tuple(each.model_copy(update=simple) for each in kinds)
+    evaders = free if isinstance(evader, tuple) else free[0]
+    return scenario.model_copy(update={"team": team.model_copy(update=simple), "evader": evaders})
+
+
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
     {
         "latency": without_latency,
@@ -159,6 +171,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "stale knowledge": without_staleness,
         "limited sight": without_sensing_limit,
         "noise": without_noise,
+        "inertia": without_inertia,
     }
 )
 """The name of each imperfection, and the function that removes it."""
