@@ -82,6 +82,12 @@ if TYPE_CHECKING:
     from desim.pursuit.evasion import VoronoiVertex as VoronoiVertex
     from desim.pursuit.evasion import WeightedFlee as WeightedFlee
     from desim.pursuit.evasion import Zigzag as Zigzag
+    from desim.pursuit.flow import AffineFlow as AffineFlow
+    from desim.pursuit.flow import Environment as Environment
+    from desim.pursuit.flow import GyreFlow as GyreFlow
+    from desim.pursuit.flow import HarmonicFlow as HarmonicFlow
+    from desim.pursuit.flow import RecordedFlow as RecordedFlow
+    from desim.pursuit.flow import SteadyFlow as SteadyFlow
     from desim.pursuit.guidance import ConstantBearing as ConstantBearing
     from desim.pursuit.guidance import PurePursuit as PurePursuit
     from desim.pursuit.lies import Equivocate as Equivocate
@@ -158,6 +164,7 @@ _NAMES = {
         "WeightedFlee",
         "Zigzag",
     ),
+    "desim.pursuit.flow": ("AffineFlow", "Environment", "GyreFlow", "HarmonicFlow", "RecordedFlow", "SteadyFlow"),
     "desim.pursuit.guidance": ("ConstantBearing", "PurePursuit"),
     "desim.pursuit.lies": (
         "Equivocate",

@@ -21,8 +21,9 @@ from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
-from desim.pursuit.dynamics import Acceleration, Simple, TurnRate
+from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.flow import UniformFlow
 from desim.pursuit.guidance import apollonius_disc
 from desim.pursuit.state import complex_points, lengths
 from desim.scenario.scenario import Scenario
@@ -40,14 +41,14 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher` and `MotionWatcher`; `watchers` are added to
-    them. Use this function in tests of a protocol or a model.
+    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher` and `InertiaWatcher`, and
+    `watchers` are added to them. Use this function in tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
     """
     stopwatches = ActiveTimeWatcher()
-    own = Conservation(), DeliveredOnce(), stopwatches, MotionWatcher(scenario)
+    own = Conservation(), DeliveredOnce(), stopwatches, MotionWatcher(scenario), InertiaWatcher(scenario)
     result = run(scenario, seed, *own, *watchers)
     stopwatches.judge(result)
     return result
@@ -120,11 +121,9 @@ class MotionWatcher:
     The invariant is that positions are continuous and no player exceeds its speed. Between two samples a pursuer moves
     at most v_i times the time for which it was active, a relay at most the top speed of its record times the elapsed
     time, and an evader at most v_e times the time for which it was at large. A player that brakes with a limited
-    acceleration also moves when it is inactive or captured. In a static game no player moves.
-
-    With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
-    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time that
-    they take.
+    acceleration also moves when it is inactive or captured. In a static game no player moves. In a flow that is the
+    same everywhere, this holds for the motion relative to the flow; in any other flow, its top speed is added to all
+    speeds.
 
     Args:
         scenario: the scenario of the run.
@@ -137,12 +136,9 @@ class MotionWatcher:
         self._relays = scenario.team.relays
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
-        self._before_last: tuple[int, Points] | None = None
-        team, evaders = scenario.team, scenario.evaders
-        dynamics = [Simple() if j in self._relays else team.dynamics for j in range(team.count)]
-        dynamics += [evader.dynamics for evader in evaders]
-        self._limits = {j: each for j, each in enumerate(dynamics) if isinstance(each, Acceleration | TurnRate)}
-        self._brakes = [j for j, each in self._limits.items() if isinstance(each, Acceleration)]
+        self._places, self._environment = _RelativePlaces(scenario), scenario.environment
+        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
+        self._brakes = [player for player, each in enumerate(dynamics) if isinstance(each, Acceleration)]
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
@@ -157,16 +153,16 @@ class MotionWatcher:
             self._at_large[event.evader - 1] = event.t
 
     def _check_positions(self, event: Started | Sampled) -> None:
-        places = complex_points([*event.pursuers, *event.evaders])
+        places = self._places(event)
         moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
         moving[[*self._relays, *self._brakes]] = event.t
         if self._last is not None:
-            if self._before_last is not None:
-                self._check_limits(event.t, places, self._last[:2], self._before_last)
-            self._before_last = self._last[:2]
             since, before, moved = self._last
             bound = self._moves * self._speeds * (moving - moved) / SECOND
-            distance, slack = lengths(places - before), ROUNDING * (1.0 + bound) + 1e-12 * lengths(places)
+            if not isinstance(self._environment.flow, UniformFlow) and event.t > since:
+                bound = bound + self._environment.top_speed * seconds(event.t - since)
+            distance = lengths(places - before)
+            slack = ROUNDING * (1.0 + bound) + 1e-12 * lengths(places) + 2.0 * self._places.error
             fast = np.flatnonzero(~(distance <= bound + slack))
             if len(fast):
                 player = fast[0]
@@ -177,25 +173,92 @@ class MotionWatcher:
                 )
         self._last = event.t, places, moving
 
-    def _check_limits(self, t: int, places: "Points", last: tuple[int, "Points"], before: tuple[int, "Points"]) -> None:
-        """Check the accelerations and the turn rates of players with inertia at three successive samples."""
-        duration, shorter = seconds(t - before[0]), seconds(min(t - last[0], last[0] - before[0]))
-        for player, dynamics in self._limits.items():
-            first, second = last[1].item(player) - before[1].item(player), places.item(player) - last[1].item(player)
-            if isinstance(dynamics, TurnRate):
-                if min(abs(first), abs(second)) < ROUNDING**0.5 or dynamics.limit * duration >= pi:
-                    continue
-                what, found, most = (
-                    "turns faster than its limit, rad",
-                    abs(phase(second / first)),
-                    dynamics.limit * duration,
-                )
-            elif abs(duration - 2.0 * shorter) < ROUNDING:
-                what, found, most = "exceeds its acceleration, m", abs(second - first), dynamics.limit * shorter**2
-            else:
-                continue
-            if not found <= most + 10.0 * ROUNDING:
-                raise AssertionError(f"no player {what}: player {player} up to {seconds(t)} s, {found} > {most}")
+
+class InertiaWatcher:
+    """A watcher of the accelerations and the turn rates of players with inertia, at the samples of the trajectory.
+
+    With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
+    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time that
+    they take. Positions are relative to the flow.
+
+    Args:
+        scenario: the scenario of the run.
+
+    Attributes:
+        judged: the number of pairs of displacements compared.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._places = _RelativePlaces(scenario)
+        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
+        self._limited = {
+            player: each
+            for player, each in enumerate(dynamics)
+            if isinstance(each, Acceleration | TurnRate) and player not in scenario.team.relays
+        }
+        self._samples: list[tuple[int, Points]] = []
+        self.judged = 0
+
+    def __call__(self, event: Event) -> None:
+        """Process an event."""
+        if not (self._limited and isinstance(event, Started | Sampled)):
+            return
+        self._samples = [*self._samples[-2:], (event.t, self._places(event))]
+        if len(self._samples) < 3 or not self._samples[0][0] < self._samples[1][0] < self._samples[2][0]:
+            return
+        (begin, p), (middle, q), (end, r) = self._samples
+        steps = seconds(middle - begin), seconds(end - middle)
+        for player, dynamics in self._limited.items():
+            self._check(player, dynamics, q.item(player) - p.item(player), r.item(player) - q.item(player), steps)
+
+    def _check(
+        self,
+        player: int,
+        dynamics: Acceleration | TurnRate,
+        first: complex,
+        second: complex,
+        steps: tuple[float, float],
+    ) -> None:
+        """Compare two successive displacements (m) of a player, and the times (s) that they take."""
+        slack = 10.0 * (ROUNDING + self._places.error)
+        if isinstance(dynamics, Acceleration):
+            what, found, most = "acceleration", abs(second - first) / steps[0] ** 2, dynamics.limit
+            slack /= steps[0] ** 2
+            applies = abs(steps[0] - steps[1]) < ROUNDING
+        else:
+            shortest = min(abs(first), abs(second))
+            applies = shortest > slack and dynamics.limit * sum(steps) < pi
+            what, found, most = "turn rate", abs(phase(second / first)) / sum(steps) if applies else 0.0, dynamics.limit
+            slack = slack / shortest / sum(steps) if applies else 0.0
+        if not applies:
+            return
+        self.judged += 1
+        if not found <= most + slack:
+            raise AssertionError(
+                f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {most}"
+            )
+
+
+class _RelativePlaces:
+    """The positions of all players relative to the medium, if its flow is the same everywhere.
+
+    Attributes:
+        error: upper bound of the error of a position, m: within a motion step, the simulated flow is constant.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._flow, on_all = scenario.environment.flow, scenario.environment.on == "all"
+        carried = [pursuer not in scenario.team.relays for pursuer in range(scenario.team.count)]
+        self._carried = np.array([*carried, *(on_all and evader.record is None for evader in scenario.evaders)])
+        change = self._flow.top_acceleration if isinstance(self._flow, UniformFlow) else 0.0  # m/s^2
+        self.error = change * scenario.motion.step**2
+
+    def __call__(self, event: Started | Sampled) -> "Points":
+        """Return the (N + M,) positions, m."""
+        places = complex_points([*event.pursuers, *event.evaders])
+        if isinstance(self._flow, UniformFlow):
+            places = places - self._carried * self._flow.displacement(0.0, seconds(event.t))
+        return places
 
 
 class ApolloniusWatcher:

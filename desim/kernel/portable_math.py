@@ -21,6 +21,21 @@ def log(values: Floats) -> Floats:
     return np.fromiter(map(math.log, values.tolist()), float, len(values))
 
 
+def log1p(values: Floats) -> Floats:
+    """Return the natural logarithm of 1 + x for each of (k,) values x > -1."""
+    return np.fromiter(map(math.log1p, values.tolist()), float, len(values))
+
+
+def sin(angles: Floats) -> Floats:
+    """Return the sine of each of (k,) angles, rad."""
+    return np.fromiter(map(math.sin, angles.tolist()), float, len(angles))
+
+
+def cos(angles: Floats) -> Floats:
+    """Return the cosine of each of (k,) angles, rad."""
+    return np.fromiter(map(math.cos, angles.tolist()), float, len(angles))
+
+
 def power(bases: Floats, exponent: float) -> Floats:
     """Return the (k,) powers x^p of bases x in [0, 1], for an exponent p >= 0; squares are as fast as in numpy."""
     if exponent == 2.0:

@@ -194,14 +194,18 @@ class Beliefs:
             return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
         motion = body.motion
         ordered = orders.get(record.src, ())
-        if not body.active and not any(action for _, action in ordered):
-            return motion
         now = self._clock.stamp
         since = min(record.stamp, now)
+        if not body.active and not any(action for _, action in ordered):
+            return self._view.carried(motion, now - since)
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
-            if action and begun < now:
-                ended = max(now - end, 0)
+            if begun >= now:
+                continue
+            ended = max(now - end, 0)
+            if action:
                 motion = self._view.reckoned(motion, body.speed, now - begun, action, exact=exact, ended=ended)
+            else:
+                motion = self._view.carried(motion, now - begun, ended)
         return motion

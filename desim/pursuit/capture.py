@@ -139,9 +139,22 @@ def intercept_time(
         ValueError: if shapes disagree or radius <= 0.
     """
     offsets, v = _checked(evader, pursuers, speeds, radius)
-    x, y = offsets.T
     w = np.asarray(evader_velocity, dtype=float)
-    w_x, w_y = w[..., :1], w[..., 1:]  # (1,) or (K, 1)
+    return intercept_times(offsets[:, 0] + 1j * offsets[:, 1], w[..., :1] + 1j * w[..., 1:], v, radius)
+
+
+def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius: float) -> Floats:
+    """Return the (N,) or (K, N) least times, s, in which each pursuer can capture a target of constant velocity.
+
+    See `intercept_time`.
+
+    Args:
+        offsets: (N,) vectors from each pursuer to its target, m.
+        velocities: velocities w of the targets, m/s: (N,), or (K, 1) for K velocities of one target.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: capture radius eps, m.
+    """
+    x, y, w_x, w_y, v = offsets.real, offsets.imag, velocities.real, velocities.imag, speeds
     a = w_x**2 + w_y**2 - v**2
     b = w_x * x + w_y * y - radius * v
     c = x**2 + y**2 - radius**2

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from desim.kernel.units import seconds
 from desim.pursuit.dynamics import Course, Dynamics
+from desim.pursuit.flow import Environment
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.guidance import Guidance, guided_velocity
 
@@ -29,6 +30,8 @@ class TrackSegment(NamedTuple):
     """The point that pursuers aim at, m."""
     velocity: complex
     """The observed velocity of the evader, m/s."""
+    end: int
+    """End of the step, ns."""
 
     def at(self, t: int) -> complex:
         """Return the observed position, m, of the evader at an instant, ns."""
@@ -52,6 +55,7 @@ class EvaderTrack:
     Args:
         law: the guidance law of the pursuers.
         dynamics: the dynamics of the pursuers.
+        environment: the medium.
         remembers: whether paths can be retraced.
 
     Attributes:
@@ -60,14 +64,14 @@ class EvaderTrack:
 
     last: TrackSegment
 
-    def __init__(self, law: Guidance, dynamics: Dynamics, *, remembers: bool = True):
-        self._law, self._dynamics, self._remembers = law, dynamics, remembers
+    def __init__(self, law: Guidance, dynamics: Dynamics, environment: Environment, *, remembers: bool = True):
+        self._law, self._dynamics, self._remembers, self._environment = law, dynamics, remembers, environment
         self._segments: list[TrackSegment] = []
         self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
 
-    def see(self, t: int, evader: complex, aim: complex, velocity: complex) -> None:
+    def see(self, t: int, evader: complex, aim: complex, velocity: complex, end: int) -> None:
         """Append a motion step at its start; the arguments are those of `TrackSegment`."""
-        self.last = TrackSegment(t, evader, aim, velocity)
+        self.last = TrackSegment(t, evader, aim, velocity, end)
         if self._remembers:
             self._segments.append(self.last)
 
@@ -96,11 +100,14 @@ class EvaderTrack:
     def _chase(self, motion: MotionState, segment: TrackSegment, speed: float, begin: int, end: int) -> MotionState:
         """Return the motion at the end of an interval (ns) within a motion step."""
         place, course = motion
-        command = guided_velocity(self._law, segment.at(begin) - place, segment.aim - place, segment.velocity, speed)
-        duration = seconds(end - begin)
+        step, duration = seconds(segment.end - begin), seconds(end - begin)
+        wind = self._environment.drift(place, 0j, begin, step)
+        gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
+        command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
+        drift = self._environment.drift(place, command, begin, step)
         if course is None:
-            return MotionState(place + command * duration)
-        piece = self._dynamics(place, course, command)
+            return MotionState(place + (command + drift) * duration)
+        piece = self._dynamics(place, course, command)._replace(drift=drift)
         return MotionState(piece.at(duration), piece.course_at(duration))
 
 

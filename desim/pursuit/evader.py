@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from desim.config.arrays import Floats, Points
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.capture import RadialTime
-from desim.pursuit.dead_reckoning import EvaderTrack
-from desim.pursuit.dynamics import Course, Courses, Dynamics
+from desim.pursuit.dead_reckoning import EvaderTrack, MotionState
+from desim.pursuit.dynamics import Courses, Dynamics
 from desim.pursuit.evasion import PureEvasion, Strategy, away
+from desim.pursuit.flow import Environment
+from desim.pursuit.flow_capture import capture_times_in_flow
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.kinematics import CaptureTest, Kinematics
 from desim.pursuit.observation import EvaderObservation
@@ -124,9 +126,11 @@ class EvaderBody:
         radius: capture radius, m.
         top_speed: the greatest speed of any pursuer, m/s.
         dynamics: the dynamics of the pursuers.
+        environment: the medium.
 
     Attributes:
         slow: (N,) whether each pursuer is no faster than the evader.
+        is_radial: whether capture times are functions of the distances alone.
         captured: time of its capture, ns; None while it is at large.
         player: its index among the players.
     """
@@ -143,9 +147,11 @@ class EvaderBody:
         radius: float,
         top_speed: float,
         dynamics: Dynamics,
+        environment: Environment,
     ):
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
+        self._environment, self.is_radial = environment, dynamics.is_simple and environment.keeps_distances
         self.player = self._size + number - 1
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
@@ -182,12 +188,12 @@ class EvaderBody:
             return (inf,) * self._size
         state = self.state(now)
         if self._times is None:
-            self._times = self.capture_times_over(state.offsets, state.distances)
+            self._times = self.capture_times_at(state.evader, state.pursuers, state.distances)
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
         """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured."""
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._dynamics.is_simple:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         if self._players.are_known:
@@ -196,35 +202,37 @@ class EvaderBody:
             distances = self._players.distances(self.player, pursuers)
         return list(map(self._radial_time.of, pursuers, distances))
 
-    def capture_times_over(self, offsets: Points, distances: Floats) -> tuple[float, ...]:
+    def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
 
         Args:
-            offsets: (N,) vectors from each pursuer to the assumed position, m.
-            distances: (N,) distances to allow for, m: at least the lengths of `offsets`, if the position is uncertain.
+            place: the assumed position, m.
+            pursuers: (N,) positions of the pursuers, m.
+            distances: (N,) distances to allow for, m: at least the actual ones, if the position is uncertain.
         """
-        if self._dynamics.is_simple:
+        if self.is_radial:
             return tuple(self._radial_time(distances).tolist())
-        courses = self._players.courses(range(self._size))
-        return tuple(self._inertial_times(offsets, distances, courses, self._speeds).tolist())
+        courses = None if self._dynamics.is_simple else self._players.courses(range(self._size))
+        return tuple(self._planar_times(place, pursuers, distances, courses, self._speeds).tolist())
 
-    def capture_time_over(self, pursuer: int, offset: complex, distance: float, course: Course | None) -> float:
-        """Return the capture time, s, of one pursuer; see `capture_times_over`.
-
-        Args:
-            pursuer: its id.
-            offset: the vector from the pursuer to the assumed position, m.
-            distance: the distance to allow for, m.
-            course: its course; None: unknown, its motion is assumed to be simple.
-        """
-        if self._dynamics.is_simple or course is None:
+    def capture_time_from(self, pursuer: int, motion: MotionState, place: complex, distance: float) -> float:
+        """Return the capture time, s, of one pursuer with an assumed motion; see `capture_times_at`."""
+        course = motion.course
+        if self.is_radial or (course is None and not self._dynamics.is_simple):
             return self._radial_time.of(pursuer, distance)
-        courses = Courses(np.array([course.velocity]), np.array([course.heading]))
-        speeds = self._speeds[pursuer : pursuer + 1]
-        return float(self._inertial_times(np.array([offset]), np.array([distance]), courses, speeds)[0])
+        courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
+        own = np.array([motion.position]), np.array([distance])
+        return float(self._planar_times(place, *own, courses, self._speeds[pursuer : pursuer + 1])[0])
 
-    def _inertial_times(self, offsets: Points, distances: Floats, courses: Courses, speeds: Floats) -> Floats:
-        """Return the (k,) capture times, s, of pursuers with inertia; see `capture_times_over`."""
+    def _planar_times(
+        self, place: complex, pursuers: Points, distances: Floats, courses: Courses | None, speeds: Floats
+    ) -> Floats:
+        """Return the (k,) capture times, s, of pursuers with inertia, or in a flow; see `capture_times_at`."""
+        if self._dynamics.is_simple or courses is None:
+            return capture_times_in_flow(
+                self._environment, place, pursuers, distances, speeds, self.speed, self._radius, self._players.now
+            )
+        offsets = place - pursuers
         stretched = offsets * (distances / np.maximum(lengths(offsets), SMALLEST))
         return self._dynamics.capture_times(stretched, courses, speeds, self.speed, self._radius)
 

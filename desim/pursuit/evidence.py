@@ -115,4 +115,5 @@ class Witness:
             return False
         age = max(self._clock.stamp - record.stamp, 0) / SECOND
         moved = abs(state.position(record.src) - complex(body.x, body.y))
-        return moved > state.speed(record.src) * age * (1.0 + MARGIN) + MARGIN
+        speed = state.speed(record.src) + state.environment.top_speed
+        return moved > speed * age * (1.0 + MARGIN) + MARGIN

@@ -50,6 +50,11 @@ class Kinematics:
         """Whether all positions of this instant are cached."""
         return self._cached_at == self._env.now or self._static
 
+    @property
+    def now(self) -> int:
+        """The present, ns."""
+        return self._env.now
+
     def positions(self) -> Points:
         """Return the (K,) positions now, m; read-only."""
         now = self._env.now

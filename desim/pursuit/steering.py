@@ -1,6 +1,7 @@
 """Steering: the velocities of all players, set at each motion step and when an action changes within a step."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from desim.config.arrays import Points
 from desim.kernel.units import seconds
@@ -17,14 +18,24 @@ class Steering:
         state: the true state of the world.
         law: the guidance law.
         sensor: the sensors of the team; None if sensing is unlimited.
+        carried: (N + M,) whether the flow carries each player: the pursuers, then the evaders.
         evader_first: whether pursuers aim at the evader's position at the end of the motion step; if not, at its
             position at the start.
     """
 
-    def __init__(self, state: WorldState, law: Guidance, sensor: Sensor | None, *, evader_first: bool):
+    def __init__(
+        self,
+        state: WorldState,
+        law: Guidance,
+        sensor: Sensor | None,
+        carried: NDArray[np.bool_],
+        *,
+        evader_first: bool,
+    ):
         self._players, self._targets, self._law = state.players, state.bodies, law
         self._speeds, self._speed = state.speeds, state.speeds.tolist()
         self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
+        self._environment, self._carried, self._has_flow = state.environment, carried, not state.environment.is_still
         self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
@@ -32,7 +43,7 @@ class Steering:
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
         self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
-        if len(moving) <= MAX_SCALAR_SIZE:
+        if len(moving) <= MAX_SCALAR_SIZE or self._has_flow:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
@@ -48,23 +59,30 @@ class Steering:
         for target in self._targets:
             state = target.state(now)
             evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
+            drift = self._drift(target.player, evader_velocity, now, duration)
             if self._evader_first:
-                target.path.see(now, place, *players.advance(target.player, evader_velocity, duration))
+                aim, seen = players.advance(target.player, evader_velocity, duration, drift)
             else:
-                target.path.see(now, place, place, players.velocity(target.player))
+                aim, seen = place + drift * duration, players.course(target.player).velocity + drift
+            target.path.see(now, place, aim, seen, until)
             velocities[target.player] = evader_velocity
         if self._chases is None:
             velocities[: len(self._actions)] = self._all_velocities()
         else:
             where, speed = players.positions().item, self._speed
             for pursuer, target in self._chases:
-                here, (_, place, aim, evader_velocity) = where(pursuer), target.path.last
-                velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
+                here, (_, place, aim, evader_velocity, _) = where(pursuer), target.path.last
+                wind = self._drift(pursuer, 0j, now, duration) if self._has_flow else 0j
+                aim, evader_velocity = aim - here - wind * duration, evader_velocity - wind
+                velocities[pursuer] = guided_velocity(law, place - here, aim, evader_velocity, speed[pursuer])
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
-            velocities[pursuer] = self._blind_velocity(pursuer, duration)
+            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         for relay, motion in self._relays.items():
             velocities[relay] = motion.velocity(now, players.position(relay))
-        players.command(velocities)
+        drifts = None
+        if self._has_flow:
+            drifts = self._environment.drifts(players.positions(), velocities, now, duration) * self._carried
+        players.command(velocities, drifts)
 
     def redirect(self, pursuer: int, now: int, until: int) -> None:
         """Set the velocity of a pursuer whose action changes within a step.
@@ -74,37 +92,51 @@ class Steering:
             now: the present, ns.
             until: end of the step, ns.
         """
-        velocities, evader = self._players.commands.copy(), self._actions.item(pursuer)
+        velocities, evader, duration = self._players.commands.copy(), self._actions.item(pursuer), seconds(until - now)
         if not evader:
             velocities[pursuer] = 0j
         elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
-            velocities[pursuer] = self._blind_velocity(pursuer, seconds(until - now))
+            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         else:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
-            gap, speed = segment.at(now) - here, self._speed[pursuer]
-            velocities[pursuer] = guided_velocity(self._law, gap, segment.aim - here, segment.velocity, speed)
-        self._players.command(velocities)
+            gap, speed, wind = segment.at(now) - here, self._speed[pursuer], self._drift(pursuer, 0j, now, duration)
+            aim, evader_velocity = segment.aim - here - wind * duration, segment.velocity - wind
+            velocities[pursuer] = guided_velocity(self._law, gap, aim, evader_velocity, speed)
+        drifts = self._players.drifts
+        if drifts is not None:
+            drifts = drifts.copy()
+            drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
+        self._players.command(velocities, drifts)
+
+    def _drift(self, player: int, command: complex, now: int, duration: float) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of a player from now (ns) for a duration (s)."""
+        if not (self._has_flow and self._carried[player]):
+            return 0j
+        return self._environment.drift(self._players.position(player), command, now, duration)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.positions()[: len(actions)], self._paces
         if len(segments) == 1:
-            _, place, aim, evader_velocity = segments[0]
+            _, place, aim, evader_velocity, _ = segments[0]
             return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, paces)
         chased = np.maximum(actions, 1) - 1
         places, aims, evader_velocities = (np.array([segment[k] for segment in segments])[chased] for k in (1, 2, 3))
         return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
 
-    def _blind_velocity(self, pursuer: int, duration: float) -> complex:
+    def _blind_velocity(self, pursuer: int, now: int, duration: float) -> complex:
         """Return the velocity, m/s, of a pursuer whose evader is out of sensing range; 0 without an estimate.
 
-        The speed is limited so that in `duration` s the pursuer does not overshoot the evader's estimated position.
+        The speed is limited so that in `duration` s from now (ns) the pursuer does not overshoot the estimated position
+        of the evader.
         """
         assert self._sensor is not None
         estimate = self._sensor.views[pursuer].estimate(self._actions.item(pursuer))
         if estimate is None:
             return 0j
         gap = estimate.position - self._players.position(pursuer)
-        aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
-        return guided_velocity(self._law, gap, aim, estimate.velocity, min(self._speed[pursuer], abs(aim) / duration))
+        wind = self._drift(pursuer, 0j, now, duration)
+        aim = gap + (estimate.velocity * duration if self._evader_first else 0j) - wind * duration
+        speed = min(self._speed[pursuer], abs(aim) / duration)
+        return guided_velocity(self._law, gap, aim, estimate.velocity - wind, speed)

@@ -61,6 +61,9 @@ class View:
 
     def __init__(self, state: WorldState, prune: Prune):
         self.state, self._prune = state, prune
+        keeps = state.environment.keeps_distances
+        self._knows_slow = prune == "inf" and keeps  # whether the speeds alone decide who may chase
+        self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
 
@@ -89,7 +92,7 @@ class View:
         if estimate is None:
             return (inf,) * state.size
         places = state.positions()
-        return body.capture_times_over(estimate.position - places, estimate.distances(places))
+        return body.capture_times_at(estimate.position, places, estimate.distances(places))
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
@@ -110,9 +113,8 @@ class View:
         estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
         if estimate is None:
             return inf
-        place, course = motion
-        offset, distance = estimate.position - place, estimate.distance(place)
-        return self.state.body(evader).capture_time_over(pursuer, offset, distance, course)
+        distance = estimate.distance(motion.position)
+        return self.state.body(evader).capture_time_from(pursuer, motion, estimate.position, distance)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.
@@ -127,16 +129,16 @@ class View:
             or not (self.unlimited or self.estimate(evader) is not None)
         ):
             return False
-        if self._prune == "infeasible":
-            (time,) = self.capture_times_of([pursuer], evader)
-            return time < self.state.time_left(self.state.now)
-        return self._prune == "none" or not body.slow[pursuer]
+        if self._knows_slow or self._prune == "none":
+            return self._prune == "none" or not body.slow[pursuer]
+        (time,) = self.capture_times_of([pursuer], evader)
+        return time < (inf if self._prune == "inf" else self.state.time_left(self.state.now))
 
     def options(self, pursuer: int) -> Sequence[int]:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         at_large = self.state.at_large
-        if not self.unlimited or self._prune == "infeasible" or self._options_at is not at_large:
-            self._options, self._options_at = {}, at_large  # otherwise options change with captures only
+        if not self._options_last or self._options_at is not at_large:
+            self._options, self._options_at = {}, at_large
         known = self._options.get(pursuer)
         if known is None:
             known = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
@@ -166,10 +168,19 @@ class View:
         now, captured = state.now, body.captured
         end = now - ended if captured is None else min(now - ended, max(captured, now - age))
         if exact and self.unlimited:
-            return body.path.retrace(start, speed, now - age, end)
-        there = body.position if captured is not None else self.evader(evader)
-        length = speed * seconds(end - now + age)
-        return start if isnan(there) else MotionState(moved_towards(start.position, there, length))
+            reached = body.path.retrace(start, speed, now - age, end)
+        else:
+            there = body.position if captured is not None else self.evader(evader)
+            begin, length = self.carried(start, age, now - end).position, speed * seconds(end - now + age)
+            reached = start if isnan(there) else MotionState(moved_towards(begin, there, length))
+        return self.carried(reached, now - end, ended)
+
+    def carried(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
+        """Return the motion of a pursuer that did not move by itself from `age` to `until` (both in ns) ago."""
+        environment, now = self.state.environment, self.state.now
+        if environment.is_still or age == until:
+            return motion
+        return motion._replace(position=environment.carried(motion.position, now - age, now - until))
 
 
 class GlobalState(View):

@@ -15,6 +15,7 @@ from desim.kernel.units import SECOND
 from desim.pursuit.dead_reckoning import MotionState
 from desim.pursuit.dynamics import Course, Dynamics
 from desim.pursuit.evader import EvaderBody
+from desim.pursuit.flow import Environment
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.recorded import RecordedMotion
 
@@ -31,6 +32,7 @@ class WorldState:
         bodies: the evaders, in order.
         speeds: (N,) speeds of the pursuers while they chase, m/s.
         dynamics: the dynamics of the pursuers.
+        environment: the medium.
         actions: initial actions.
         radius: capture radius, m.
         horizon: latest end of the run, ns.
@@ -40,7 +42,7 @@ class WorldState:
     Attributes:
         size: number of pursuers, N.
         evader_count: number of evaders at the start, M.
-        top_speed: the greatest speed of a pursuer while it chases, m/s.
+        top_speed: upper bound of the speed of a chasing pursuer, relative to the medium in which the evaders move, m/s.
         at_large: numbers of the evaders that have not been captured, ascending.
         actions: see `Actions`; replaced by `set_actions`, never changed in place.
         profile: `actions` as a list.
@@ -58,6 +60,7 @@ class WorldState:
         bodies: Sequence[EvaderBody],
         speeds: Floats,
         dynamics: Dynamics,
+        environment: Environment,
         actions: Actions,
         *,
         radius: float,
@@ -67,8 +70,10 @@ class WorldState:
     ):
         self._env = env
         self.players, self.bodies, self.speeds, self.dynamics = players, bodies, speeds, dynamics
+        self.environment = environment
         self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
-        self.size, self.evader_count, self.top_speed = len(speeds), len(bodies), float(speeds.max(initial=0.0))
+        self.size, self.evader_count = len(speeds), len(bodies)
+        self.top_speed = float(speeds.max(initial=0.0)) + environment.relative_speed
         self.at_large: Sequence[int] = range(1, len(bodies) + 1)
         self.broken: NDArray[np.bool_] = np.zeros(self.size, dtype=bool)
         self.acting_since, self.step_end = [0] * self.size, 0

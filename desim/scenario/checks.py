@@ -49,6 +49,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if fastest <= max(evader_speeds):
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _inertia_warnings(scenario)
+    yield from _flow_warnings(scenario)
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
     yield from latency_warnings([scenario])
@@ -76,6 +77,15 @@ def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "announcements have no velocity and heading, so the motion of a teammate with inertia is extrapolated as if"
             ' it were simple ("course" contains them)',
         )
+
+
+def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about a flow without an effect."""
+    environment = scenario.environment
+    if environment.is_still and environment.on != "all":
+        yield "environment.on", "it has no effect without a flow"
+    if not environment.is_still and scenario.motion.static:
+        yield "environment.flow", "it moves nobody, because nothing moves (`motion.static`)"
 
 
 def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:

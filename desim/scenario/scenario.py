@@ -37,6 +37,7 @@ from desim.kernel.topology import Topology
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.flow import Environment
 from desim.pursuit.lies import PURSUER_FAULTS, FaultOfWord, is_lie
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
@@ -152,6 +153,7 @@ class Scenario(Value):
     """Sensing of the evaders by the pursuers."""
     capture: Capture = Capture()
     motion: Motion = Motion()
+    environment: Environment = Environment()
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
     """Negotiation protocol of the pursuers; `desim protocols` lists the kinds."""
     announce: Announcements = Field(default_factory=Announcements)
@@ -259,6 +261,7 @@ class Scenario(Value):
         if graph is not None:
             yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
         yield from self._channel_misfits()
+        yield from self._flow_misfits()
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
                 ("capture", "captures_to_end"),
@@ -283,6 +286,18 @@ class Scenario(Value):
                 yield from ((("fault", k, key), no_pursuer.format(each)) for key, each in named if each >= count)
             key = "groups" if isinstance(fault, Partition) else "node"
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
+
+    def _flow_misfits(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield the key and the text of each model that does not allow for the flow."""
+        environment = self.environment
+        if self.team.has_inertia and not environment.keeps_distances:
+            yield (
+                ("team", "dynamics"),
+                "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
+                ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
+            )
+        if self.sensing.estimate == "worst_case" and not environment.is_still and environment.on == "all":
+            yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
 
     def _channel_misfits(self) -> Iterator[tuple[tuple[str, ...], str]]:
         """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""

@@ -164,7 +164,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-    positions = _PursuerPositions(state, scenario.team.top_speed)
+    positions = _PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(

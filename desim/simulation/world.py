@@ -71,7 +71,10 @@ class World:
         self._needed = scenario.capture.captures_to_end or state.evader_count
         self._choices = range(state.evader_count + 1)
         first = scenario.motion.order == "evader_first"
-        self._steering = Steering(state, scenario.team.guidance, sensor, evader_first=first)
+        on_all, evaders = scenario.environment.on == "all", scenario.evaders
+        carried = [pursuer not in state.relays for pursuer in range(state.size)]
+        carried += [on_all and evader.record is None for evader in evaders]
+        self._steering = Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=first)
         self._forecast = CaptureForecast(env, state, scenario.capture.test, self._capture)
         able = [action and views[j].may_chase(j, action) for j, action in enumerate(state.profile)]
         self._set_actions(state.actions * np.array(able, dtype=bool))
@@ -203,12 +206,13 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             number,
             evader.speed,
             evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius),
-            EvaderTrack(team.guidance, team.dynamics, remembers=_needs_whole_paths(scenario)),
+            EvaderTrack(team.guidance, team.dynamics, scenario.environment, remembers=_needs_whole_paths(scenario)),
             players=players,
             speeds=speeds,
             radius=radius,
-            top_speed=team.top_speed,
+            top_speed=team.top_speed + scenario.environment.relative_speed,
             dynamics=team.dynamics,
+            environment=scenario.environment,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]
@@ -222,6 +226,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         bodies,
         speeds,
         team.dynamics,
+        scenario.environment,
         chased,
         radius=radius,
         horizon=horizon,

@@ -22,6 +22,7 @@ from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.pursuit.announcements import one_hop
 from desim.pursuit.dynamics import Simple
+from desim.pursuit.flow import Environment
 from desim.pursuit.lies import is_lie
 from desim.pursuit.noise import Noiseless
 from desim.pursuit.sensing import Sensing
@@ -157,6 +158,11 @@ def without_inertia(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"team": team.model_copy(update=simple), "evader": evaders})
 
 
+def without_flow(scenario: Scenario) -> Scenario:
+    """Return the scenario in which the medium is at rest."""
+    return scenario.model_copy(update={"environment": Environment()})
+
+
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
     {
         "latency": without_latency,
@@ -172,6 +178,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "limited sight": without_sensing_limit,
         "noise": without_noise,
         "inertia": without_inertia,
+        "flow": without_flow,
     }
 )
 """The name of each imperfection, and the function that removes it."""
