@@ -22,6 +22,7 @@ from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
 from desim.kernel.netem import Netem
+from desim.pursuit.flow import RecordedFlow
 from desim.pursuit.recorded import RecordedMotion
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
@@ -169,7 +170,7 @@ def _headers(table: Table) -> list[str]:
 
 TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES}
-BY_HAND |= {(each, "file") for each in (Empirical, Edges, Netem, RecordedMotion)}
+BY_HAND |= {(each, "file") for each in (Empirical, Edges, Netem, RecordedFlow, RecordedMotion)}
 """Keys whose refusals are written out below: the value of another key decides what they take."""
 
 

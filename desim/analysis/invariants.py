@@ -9,7 +9,7 @@ events of a finished trace. A new watcher is needed for each run. The invariants
 """
 
 from cmath import phase
-from math import fsum, pi
+from math import fsum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -178,8 +178,8 @@ class InertiaWatcher:
     """A watcher of the accelerations and the turn rates of players with inertia, at the samples of the trajectory.
 
     With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
-    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time that
-    they take. Positions are relative to the flow.
+    limited turn rate omega, the directions of two successive displacements differ by at most omega times the mean of
+    the times that they take, up to a share of the square of this angle. Positions are relative to the flow.
 
     Args:
         scenario: the scenario of the run.
@@ -220,22 +220,21 @@ class InertiaWatcher:
         steps: tuple[float, float],
     ) -> None:
         """Compare two successive displacements (m) of a player, and the times (s) that they take."""
-        slack = 10.0 * (ROUNDING + self._places.error)
+        slack, duration = 10.0 * (ROUNDING + self._places.error), sum(steps) / 2.0
         if isinstance(dynamics, Acceleration):
-            what, found, most = "acceleration", abs(second - first) / steps[0] ** 2, dynamics.limit
-            slack /= steps[0] ** 2
-            applies = abs(steps[0] - steps[1]) < ROUNDING
+            if abs(steps[0] - steps[1]) > ROUNDING:
+                return
+            what, found, slack = "acceleration", abs(second - first) / duration**2, slack / duration**2
         else:
             shortest = min(abs(first), abs(second))
-            applies = shortest > slack and dynamics.limit * sum(steps) < pi
-            what, found, most = "turn rate", abs(phase(second / first)) / sum(steps) if applies else 0.0, dynamics.limit
-            slack = slack / shortest / sum(steps) if applies else 0.0
-        if not applies:
-            return
+            if shortest <= slack or dynamics.limit * duration >= 1.0:
+                return
+            what, found = "turn rate", abs(phase(second / first)) / duration
+            slack = slack / shortest / duration + dynamics.limit * (dynamics.limit * duration) ** 2
         self.judged += 1
-        if not found <= most + slack:
+        if not found <= dynamics.limit + slack:
             raise AssertionError(
-                f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {most}"
+                f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {dynamics.limit}"
             )
 
 

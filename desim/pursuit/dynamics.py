@@ -189,14 +189,12 @@ class TurnRate(Value):
     kind: Literal["turn_rate"] = "turn_rate"
     limit: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)] = 1.0
     """Greatest turn rate, rad/s."""
-    heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | Literal["random"] = (
-        "random"
-    )
-    """Initial heading, rad from the x axis to the left; random: drawn per player and seed."""
+    heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | None = None
+    """Initial heading, rad from the x axis to the left; if absent, a uniform random draw per player and seed."""
 
     def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
         """Return the initial headings, of length 1, of several players."""
-        angles = rng.uniform(-pi, pi, count).tolist() if self.heading == "random" else [self.heading] * count
+        angles = rng.uniform(-pi, pi, count).tolist() if self.heading is None else [self.heading] * count
         return [rect(1.0, angle) for angle in angles]
 
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:

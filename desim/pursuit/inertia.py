@@ -14,6 +14,8 @@ from desim.pursuit.kinematics import CaptureTest, Kinematics
 
 MAX_STEPS = 1_000
 """Maximum number of steps towards a contact; a head-on contact takes some 5 steps, a grazing one some 30."""
+ROUNDING = 1e-12
+"""Gap that counts as a contact, in m and as a share of the distance."""
 
 
 class InertialKinematics(Kinematics):
@@ -112,9 +114,10 @@ class InertialKinematics(Kinematics):
 def first_contact(target: Piece, player: Piece, radius: float, begin: float, end: float) -> float | None:
     """Return the time from `begin` to the first contact of two players on their pieces up to `end`, s, or None.
 
-    The second derivative of their distance is at least -A, where A is the sum of their greatest accelerations. From a
-    gap f and its derivative f', the contact is therefore not before the root of f + f' t - A t^2 / 2. Steps from root
-    to root approach the contact from before, quadratically if the gap closes.
+    While the curves of both pieces last, the second derivative of the distance is at least -A, where A is the sum of
+    their accelerations. From a gap f and its derivative f', the contact is therefore not before the root of
+    f + f' t - A t^2 / 2. Steps from root to root approach the contact from before, quadratically if the gap closes. No
+    step leads beyond the end of a curve, where A falls.
 
     Args:
         target: the piece of one player.
@@ -123,17 +126,19 @@ def first_contact(target: Piece, player: Piece, radius: float, begin: float, end
         begin: start of the interval, s after the start of the pieces.
         end: end of the interval, s after the start of the pieces.
     """
-    bound, t = target.curvature + player.curvature, begin
+    t = begin
     for _ in range(MAX_STEPS):
         offset = target.at(t) - player.at(t)
         distance = abs(offset)
         gap = distance - radius
-        if gap <= 1e-12 * (1.0 + distance):
+        if gap <= ROUNDING * (1.0 + distance):
             return t - begin
+        curves = [each for each in (target, player) if t < each.curved]
+        bound, stop = sum(each.curvature for each in curves), min((each.curved for each in curves), default=inf)
         velocity = target.velocity_at(t) - player.velocity_at(t)
         rate = (offset.real * velocity.real + offset.imag * velocity.imag) / distance
         closing = sqrt(rate * rate + 2.0 * bound * gap) - rate
-        if closing <= 0.0 or t + 2.0 * gap / closing > end:
+        t = min(t + 2.0 * gap / closing, stop) if closing > 0.0 else stop
+        if t > end:
             return None
-        t += 2.0 * gap / closing
     return t - begin

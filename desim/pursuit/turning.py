@@ -14,15 +14,12 @@ import numpy as np
 
 from desim.config.arrays import Floats, Points
 from desim.pursuit.capture import NO_SPEED
-from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 
 MAX_ITERATIONS = 100
 """Maximum number of iterations for a root; most roots take 5."""
 ROUNDING = 1e-14
 """Relative rounding error of a length."""
-JUMP = 1e-12
-"""Relative distance from a discontinuity at which its sides are evaluated."""
 ANGLE_ROUNDING = 1e-9
 """An angle less than a full turn by at most this value, rad, is 0."""
 
@@ -69,103 +66,47 @@ def turning_capture_times(
 ) -> Floats:
     """Return the (k,) capture times, s, of pursuers of limited turn rate for an evader that flees straight.
 
-    The evader flees in the direction of `offsets`; see `turning_intercept_times`.
+    This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
+    velocity of the evader, in the direction of `offsets`. It is 0 within the capture radius. Beyond it, it is inf for a
+    pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its distance, and falls
+    where it leaves a turning circle. L - v t therefore falls strictly, and has one root.
 
     Args:
         offsets: (k,) vectors from each pursuer to the evader, m.
         headings: (k,) headings of the pursuers, of length 1.
-        speeds: (k,) speeds of the pursuers, m/s.
-        evader_speed: speed of the evader, m/s.
-        radius: capture radius, m.
-        limit: greatest turn rate, rad/s.
-    """
-    distances = lengths(offsets)
-    flight = offsets * (evader_speed / np.maximum(distances, SMALLEST))
-    return turning_intercept_times(offsets, flight, headings, speeds, radius, limit)
-
-
-def turning_intercept_times(
-    offsets: Points, velocities: Points, headings: Points, speeds: Floats, radius: float, limit: float
-) -> Floats:
-    """Return the (k,) least times t, s, with L(x_e + w t) - eps <= v t, where L is the length of the shortest path.
-
-    The time is 0 within the capture radius. Beyond it, it is inf for a pursuer no faster than its target. Where the
-    target crosses a turning circle, L is discontinuous; between these instants, L - v t falls strictly, so the root is
-    found by Newton's method within a bracket.
-
-    Args:
-        offsets: (k,) vectors from each pursuer to its target, m.
-        velocities: (k,) velocities w of the targets, m/s.
-        headings: (k,) headings of the pursuers, of length 1.
         speeds: (k,) speeds v of the pursuers, m/s.
+        evader_speed: speed of the evader, m/s.
         radius: capture radius eps, m.
         limit: greatest turn rate, rad/s.
     """
     times = np.where(lengths(offsets) <= radius, 0.0, inf)
-    able = (times > 0.0) & (speeds - lengths(velocities) > NO_SPEED)
+    able = (times > 0.0) & (speeds - evader_speed > NO_SPEED)
     if able.any():
-        back = headings[able].conj()
-        chase = _Chase(offsets[able] * back, velocities[able] * back, speeds[able], speeds[able] / limit, radius)
-        times[able] = chase.first_times()
+        targets, v = offsets[able] * headings[able].conj(), speeds[able]
+        times[able] = _roots(targets, v, v / limit, evader_speed, radius)
     return times
 
 
-class _Chase:
-    """Several pursuers, each at the origin of its own plane and heading along the x axis, and their targets."""
-
-    def __init__(self, targets: Points, velocities: Points, speeds: Floats, radii: Floats, radius: float):
-        self._targets, self._velocities, self._speeds = targets, velocities, speeds
-        self._radii, self._radius = radii, radius
-
-    def first_times(self) -> Floats:
-        """Return the (k,) least times t with L - eps <= v t, s."""
-        end = (lengths(self._targets) + 4.0 * pi * self._radii) / (self._speeds - lengths(self._velocities))
-        low, high = np.zeros(len(end)), end
-        found = self._missing(low)[0] <= 0.0
-        for instant in self._crossings(end):
-            before, after = instant * (1.0 - JUMP), instant * (1.0 + JUMP)
-            falls = ~found & (self._missing(before)[0] <= 0.0)  # between `low` and the crossing
-            high, found = np.where(falls, before, high), found | falls
-            jumps = ~found & (self._missing(after)[0] <= 0.0)
-            low = np.where(found, low, np.where(jumps, before, after))
-            high = np.where(jumps, after, high)
-            found |= jumps
-        return np.where(self._missing(low)[0] <= 0.0, low, self._root(low, high))
-
-    def _missing(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return L - eps - v t, m, and its derivative, m/s, at (k,) times, s."""
-        paths, headings = shortest_paths(self._targets + self._velocities * times, self._radii)
-        w = self._velocities
-        slopes = w.real * headings.real + w.imag * headings.imag - self._speeds
-        return paths - self._radius - self._speeds * times, slopes
-
-    def _crossings(self, end: Floats) -> Floats:
-        """Return the instants, s, at which the targets cross a turning circle, as rows in ascending order; or `end`."""
-        rows = []
-        a = np.maximum(lengths(self._velocities) ** 2, SMALLEST)
-        for side in (1j, -1j):
-            from_centre = self._targets - side * self._radii
-            b = from_centre.real * self._velocities.real + from_centre.imag * self._velocities.imag
-            c = lengths(from_centre) ** 2 - self._radii**2
-            root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-            for instant in ((-b - root) / a, (-b + root) / a):
-                crosses = (b * b > a * c) & (instant > 0.0) & (instant < end)
-                rows += [np.where(crosses, instant, end)]
-        ordered = np.sort(np.array(rows), axis=0)
-        return ordered[(ordered < end).any(axis=1)]
-
-    def _root(self, low: Floats, high: Floats) -> Floats:
-        """Return the (k,) roots of `_missing`, s, each within its bracket."""
-        times = low
-        for _ in range(MAX_ITERATIONS):
-            missing, slopes = self._missing(times)
-            known = np.abs(missing) <= ROUNDING * (self._radii + self._speeds * times)
-            if (known | (high - low <= 4.0 * JUMP * high)).all():
-                break
-            low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
-            step = times - missing / slopes
-            times = np.where((step >= low) & (step <= high), step, (low + high) / 2.0)
-        return times
+def _roots(targets: Points, speeds: Floats, radii: Floats, evader_speed: float, radius: float) -> Floats:
+    """Return the (k,) times t, s, at which L - eps - v t changes its sign, by Newton's method within a bracket."""
+    distances = lengths(targets)
+    bearings = targets / distances
+    low, high = np.zeros(len(targets)), (distances + 4.0 * pi * radii) / (speeds - evader_speed)
+    times, before = low, np.full(len(targets), inf)
+    for _ in range(MAX_ITERATIONS):
+        paths, headings = shortest_paths(targets + bearings * (evader_speed * times), radii)
+        missing = paths - radius - speeds * times
+        known = (np.abs(missing) <= ROUNDING * (radii + speeds * times)) | (high - low <= ROUNDING * high)
+        if known.all():
+            break
+        low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
+        away = bearings.real * headings.real + bearings.imag * headings.imag
+        step = times + missing / (speeds - evader_speed * away)
+        improves = np.abs(missing) < before / 2.0  # else Newton's method may alternate across the discontinuity
+        before = np.abs(missing)
+        step = np.where(improves & (step >= low) & (step <= high), step, (low + high) / 2.0)
+        times = np.where(known, times, step)
+    return times
 
 
 def least_capture_radius(turning_radius: float, speed_ratio: float) -> float:

@@ -300,6 +300,7 @@ OTHERS = {
     "sensing": {"sensing": {"radius": 5.0}},
     "capture": {"capture": {"radius": 0.2}},
     "motion": {"motion": {"step": 0.02}},
+    "environment": {"environment": {"flow": {"kind": "uniform", "velocity": [0.1, 0.0]}}},
     "clocks": {"clocks": {"sync": {"kind": "two_way"}}},
     "protocol": {"protocol": BestResponse()},
     "protocol's parameter": {"protocol": SpatialAdaptivePlay(tau=ConstantTau(value=0.3))},

@@ -269,7 +269,7 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
         "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, stale knowledge,"
-        " limited sight, noise\n"
+        " limited sight, noise, inertia, flow\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"

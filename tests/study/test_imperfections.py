@@ -21,13 +21,15 @@ from desim.kernel.medium import Bitrate, LoRa, Unlimited
 from desim.kernel.reception import Disk, QuasiUnitDisk
 from desim.kernel.transport import Coded
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import Started
+from desim.pursuit.flow import Environment, SteadyFlow
 from desim.pursuit.lies import Silent
 from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.tracking import Kalman
 from desim.pursuit.utility import Component
-from desim.scenario.players import Team
+from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from desim.scenario.sweep_table import Sweep
 from desim.study.imperfections import (
@@ -63,8 +65,10 @@ WORST = Scenario(
     seed=7,
     horizon=9.0,
     prune="infeasible",
-    team=Team(count=4),
+    team=Team(count=4, dynamics=TurnRate(limit=0.5)),
+    evader=(Evader(count=2, dynamics=Acceleration(limit=0.5)), Evader(speed=0.5)),
     motion=Motion(step=0.05),
+    environment=Environment(flow=SteadyFlow(velocity=(0.5, 0.0))),
     protocol=SpatialAdaptivePlay(schedule=RING, utility=Component()),
     network=Links(
         preset="acoustic",
@@ -208,6 +212,13 @@ CHANGES = {
         "sensing.estimator.kind": "none",
         "sensing.estimator.acceleration": GONE,
     },
+    "inertia": {
+        "team.dynamics.kind": "simple",
+        "evader.0.dynamics.kind": "simple",
+        **below("team.dynamics", "limit", "heading"),
+        **below("evader.0.dynamics", "limit"),
+    },
+    "flow": {"environment.flow.kind": "none", **below("environment.flow", "velocity")},
 }
 """What each removal makes of the worst scenario: every key that changes, and what it is then."""
 
@@ -258,6 +269,7 @@ THERE = {
     "evasive": "latency",
     "flooding": "latency, range limit, stale knowledge",
     "recorded": "latency, range limit, stale knowledge",
+    "inertia": "latency, stale knowledge, inertia",
     "imperfect": "latency, loss, range limit, faults, serial decisions, stale knowledge",
     "learning": "latency, loss",
     "liars": "latency, loss, lies, stale knowledge",
@@ -277,6 +289,7 @@ THERE = {
     "table1_40": "serial decisions",
     "token_ring": "latency, loss, serial decisions, stale knowledge",
     "voronoi": "latency, stale knowledge",
+    "wind": "latency, flow",
     "wired": "latency, loss",
 }
 """The imperfections of each file, as one reads it."""
