@@ -54,7 +54,7 @@ def capture_times_in_flow(
     offsets = target - places
     bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
     offsets, flight = bearings * distances, bearings * evader_speed
-    if isinstance(flow, UniformFlow) and flow.top_acceleration > 0.0:
+    if isinstance(flow, UniformFlow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
         return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
     relative = -flow(places, now / SECOND)
     if environment.on == "all":

@@ -47,6 +47,7 @@ def integrated(dynamics, course, command, duration):
     return complex(*found[:2]), rect(abs(command), found[2]) if rotates else complex(*found[2:])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("dynamics", LIMITED, ids=["acceleration", "turn rate"])
 @pytest.mark.parametrize("command", [1.5 + 0.5j, -1.0 - 1.0j, 0.3j, -2.0 + 0.1j])
 @pytest.mark.parametrize("duration", [0.4, 2.0, 6.0])
@@ -188,6 +189,7 @@ def test_a_run_with_hardly_any_inertia_is_one_without(dynamics):
         assert own.active_time == pytest.approx(simple.active_time, abs=1e-3)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("dynamics", LIMITED, ids=["acceleration", "turn rate"])
 def test_results_converge_in_the_motion_step(dynamics):
     times = [summary(run(having(dynamics, motion=Motion(step=h)), 3)).capture_time for h in (0.04, 0.01, 0.0025)]
@@ -199,6 +201,7 @@ def decisions(result):
     return [(event.t, event.pursuer, event.active) for event in result.trace.of(Decided)]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("dynamics", LIMITED, ids=["acceleration", "turn rate"])
 def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dynamics):
     """Positions and courses of teammates are extrapolated exactly; without courses, decisions differ."""
@@ -211,6 +214,7 @@ def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dyn
     assert placed != seen
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("dynamics", LIMITED, ids=["acceleration", "turn rate"])
 @pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
 @pytest.mark.parametrize("strategy", ["diffusion", "zigzag", "still"])

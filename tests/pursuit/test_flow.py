@@ -1,0 +1,312 @@
+"""Flow: carried players against integration, capture times against a scan, and runs that a flow does not change."""
+
+from math import cos, inf, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from scipy.integrate import quad, solve_ivp
+
+from desim import (
+    AffineFlow,
+    Announcements,
+    Environment,
+    Evader,
+    GyreFlow,
+    HarmonicFlow,
+    Links,
+    Motion,
+    RecordedFlow,
+    Scenario,
+    SteadyFlow,
+    Team,
+    TurnRate,
+    run,
+    summary,
+)
+from desim.analysis.invariants import watched
+from desim.kernel.units import SECOND
+from desim.pursuit.capture import RadialTime, intercept_times
+from desim.pursuit.events import Captured, Decided, Sampled, Started
+from desim.pursuit.flow import NoFlow
+from desim.pursuit.flow_capture import capture_times_in_flow, expanding_capture_times
+from desim.study.imperfections import without_flow
+
+STEADY = SteadyFlow(velocity=(0.3, -0.2))
+TIDE = HarmonicFlow(velocity=(0.1, 0.2), amplitude=(0.5, -0.4), period=3.0, phase=0.3)
+GUST = RecordedFlow(velocities=((1.0, 0.4, 0.0), (3.0, 0.0, -0.5), (4.0, 0.1, 0.2)))
+SPIN = AffineFlow(velocity=(0.1, 0.0), expansion=-0.05, rotation=0.3, centre=(10.0, 9.0))
+CELLS = GyreFlow(speed=0.5, size=4.0, shift=1.0, period=5.0)
+UNIFORM, UNEVEN = [STEADY, TIDE, GUST], [SPIN, CELLS]
+
+
+def name(value):
+    return getattr(value, "kind", str(value))
+
+
+def phi(environment, target=5.0 + 0j, place=0j, speed=2.0, evader_speed=0.9, radius=0.1, now=0.0):
+    """Return one capture time, s; the defaults are those of the specification."""
+    distance = np.array([abs(target - place)])
+    found = capture_times_in_flow(
+        environment, target, np.array([place]), distance, np.array([speed]), evader_speed, radius, round(now * SECOND)
+    )
+    return float(found[0])
+
+
+@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 0.7), (-1.0, 6.0), (2.5, 3.5), (3.9, 40.0)])
+def test_a_displacement_is_the_integral_of_the_velocity(flow, begin, end):
+    corners = [t for t in (1.0, 3.0, 4.0) if begin < t < end]
+    x, y = (
+        quad(lambda t, part=part: getattr(flow.velocity_at(t), part), begin, end, points=corners, limit=400)[0]
+        for part in ("real", "imag")
+    )
+    assert flow.displacement(begin, end) == pytest.approx(complex(x, y), abs=1e-6)
+
+
+@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+def test_speeds_accelerations_and_trends_are_bounds(flow):
+    times = np.linspace(0.0, 12.0, 4_001)
+    values = np.array([flow.velocity_at(t) for t in times.tolist()])
+    assert np.abs(values).max() <= flow.top_speed + 1e-12
+    assert (np.abs(np.diff(values)) / np.diff(times)).max(initial=0.0) <= flow.top_acceleration * (1.0 + 1e-6) + 1e-12
+    for begin in (0.0, 1.7, 5.0):
+        mean, most = flow.trend(begin)
+        off = [abs(flow.displacement(begin, begin + t) - mean * t) for t in times.tolist()]
+        assert max(off) <= most + 1e-9
+
+
+@pytest.mark.parametrize("flow", [*UNIFORM, *UNEVEN], ids=name)
+def test_a_player_is_carried_as_by_integration(flow):
+    """Steps of .05 s for a player with a velocity of its own, and without."""
+    environment, own = Environment(flow=flow), 0.7 - 0.4j
+
+    def path(command, until):
+        def slope(t, state):
+            velocity = command + complex(flow(np.array([complex(*state)]), t)[0])
+            return [velocity.real, velocity.imag]
+
+        return complex(*solve_ivp(slope, (0.0, until), [3.0, 4.0], rtol=1e-10, atol=1e-10, max_step=0.05).y[:, -1])
+
+    place, step = 3.0 + 4.0j, SECOND // 20
+    for k in range(60):
+        place += (own + environment.drift(place, own, k * step, 0.05)) * 0.05
+    assert place == pytest.approx(path(own, 3.0), abs=1e-6)
+    assert environment.carried(3.0 + 4.0j, 0, 3 * SECOND) == pytest.approx(path(0j, 3.0), abs=1e-6)
+
+
+def test_the_cells_of_a_gyre_keep_their_area_and_rotate():
+    """u = U (-sin x cos y, cos x sin y) pi/L: no divergence, no flow through the edges, speed U at most."""
+    flow = GyreFlow(speed=0.5, size=4.0)
+    places = np.array([1.3 + 0.4j, 2.0 + 0j, 4.0 + 1.0j, 1.0 + 4.0j])
+    x, y = pi / 4.0 * 1.3, pi / 4.0 * 0.4
+    found = flow(places, 3.0)
+    assert found[0] == pytest.approx(0.5 * complex(-sin(x) * cos(y), cos(x) * sin(y)))
+    assert found[1:].tolist() == pytest.approx([-0.5 + 0j, -0.5j * sin(pi / 4), 0.5 * sin(pi / 4)], abs=1e-12)
+    ends = flow(1.3 + 0.4j + 1e-6 * np.array([1, -1, 1j, -1j]), 0.0)
+    assert (ends[0] - ends[1]).real + (ends[2] - ends[3]).imag == pytest.approx(0.0, abs=1e-12)
+
+
+# Capture times.
+
+
+@pytest.mark.parametrize(("towards", "expected"), [(-0.3, 3.5), (0.3, 6.125)])
+def test_wind_on_the_pursuers_alone(towards, expected):
+    """d = 5, eps = .1, v = 2, v_e = .9; wind of .3 m/s towards the evader, and against."""
+    wind = Environment(flow=SteadyFlow(velocity=(-towards, 0.0)), on="pursuers")
+    assert phi(wind) == pytest.approx(expected, abs=1e-9)
+    nearly = HarmonicFlow(velocity=(-towards, 0.0), amplitude=(1e-12, 0.0), period=1.0)
+    assert phi(Environment(flow=nearly, on="pursuers")) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rate", "expected"), [(-0.05, 4.00519), (0.05, 5.06547), (0.2, 11.89773), (0.22, inf), (0.0, 4.45455)]
+)
+def test_an_affine_flow_on_all(rate, expected):
+    assert phi(Environment(flow=AffineFlow(expansion=rate, rotation=0.7))) == pytest.approx(expected, abs=5e-6)
+
+
+@given(st.floats(-0.3, 0.3), st.floats(0.2, 9.0), st.floats(0.3, 2.0))
+def test_an_expanding_distance_falls_as_by_integration(rate, distance, closing):
+    (found,) = expanding_capture_times(np.array([distance]), np.array([closing]), 0.1, rate).tolist()
+    if found == inf:
+        assert closing - rate * distance <= 1e-9 or closing <= 0.1 * rate
+    else:
+        at = solve_ivp(lambda t, d: rate * d - closing, (0.0, max(found, 1e-9)), [distance], rtol=1e-10, atol=1e-12).y[
+            0, -1
+        ]
+        assert at == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+def test_a_capture_time_in_wind_is_the_first_of_a_dense_scan(flow):
+    """Among the pursuers are slow ones, which the wind helps for a while, or in the end."""
+    environment, rng = Environment(flow=flow, on="pursuers"), np.random.default_rng(7)
+    for _ in range(25):
+        place, speed = complex(*rng.uniform(-4, 4, 2)), rng.uniform(0.6, 2.0)
+        found = phi(environment, 0j, place, speed, now=0.5)
+        times = np.linspace(0.0, min(1.05 * found, 80.0) + 1e-3, 4_001)
+        drift = np.array([flow.displacement(0.5, 0.5 + t) for t in times.tolist()])
+        reach = np.abs(-place * (1.0 + 0.9 * times / abs(place)) - drift) <= speed * times + 0.1
+        first = times[reach.argmax()] if reach.any() else inf
+        assert first == pytest.approx(found, abs=2.0 * times[1]) or (first == inf and found > 79.0)
+
+
+def test_a_flow_that_carries_all_alike_changes_no_capture_time():
+    speeds, offsets = np.array([1.0, 1.5, 0.8]), np.array([3.0 + 0j, 4j, -2.0 + 0j])
+    simple = RadialTime(speeds, 0.9, 0.1)(np.abs(offsets)).tolist()
+    still = intercept_times(offsets, 0.9 * offsets / np.abs(offsets), speeds, 0.1).tolist()
+    assert still == pytest.approx(simple)
+    assert all(Environment(flow=flow).keeps_distances for flow in UNIFORM)
+    assert not any(Environment(flow=flow).keeps_distances for flow in UNEVEN)
+    assert not any(Environment(flow=flow, on="pursuers").keeps_distances for flow in UNIFORM)
+    assert Environment(on="pursuers").keeps_distances
+
+
+# Whole runs.
+
+
+def decisions(result):
+    return [(event.t, event.pursuer, event.active) for event in result.trace.of(Decided)]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+@pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+@pytest.mark.parametrize("payload", ["action", "course"])
+def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance, order, payload):
+    turns = payload == "course"
+    scenario = Scenario(
+        team=Team(count=6, guidance=guidance, **({"dynamics": TurnRate(limit=2.0)} if turns else {})),
+        motion=Motion(order=order),
+        announce=Announcements(payload=payload),
+        network=Links(latency=0.1),
+        horizon=40.0,
+    )
+    still = run(scenario, 3)
+    carried = run(scenario.model_copy(update={"environment": Environment(flow=flow)}), 3)
+    assert decisions(carried) == decisions(still)
+    (here,), (there,) = still.trace.of(Captured), carried.trace.of(Captured)
+    assert abs(there.t - here.t) <= 1
+    last, shifted = still.trace.of(Sampled)[-1], carried.trace.of(Sampled)[-1]
+    shift = flow.displacement(0.0, there.t / SECOND)
+    within_a_step = flow.top_acceleration * scenario.motion.step**2 + 1e-8
+    for before, after in zip(last.pursuers + last.evaders, shifted.pursuers + shifted.evaders, strict=True):
+        assert complex(*after) - complex(*before) == pytest.approx(shift, abs=within_a_step)
+
+
+def test_wind_on_the_pursuers_does_change_decisions():
+    """The control of the test above."""
+    scenario = Scenario(team=Team(count=6), horizon=40.0)
+    wind = scenario.model_copy(update={"environment": Environment(flow=STEADY, on="pursuers")})
+    assert decisions(run(wind, 3)) != decisions(run(scenario, 3))
+    assert without_flow(wind) == scenario
+
+
+@pytest.mark.parametrize(
+    ("environment", "tolerance"),
+    [
+        (Environment(flow=STEADY), 1e-8),
+        (Environment(flow=TIDE), 1e-8),
+        (Environment(flow=SPIN), 1e-3),
+        (Environment(flow=STEADY, on="pursuers"), 2e-3),
+    ],
+    ids=["steady", "tide", "affine", "wind"],
+)
+def test_a_lone_pursuer_captures_a_fleeing_evader_after_its_capture_time(environment, tolerance):
+    """On the ground, the evader flees straight; in a flow, away from where it is carried, too."""
+    on_ground = environment.on == "pursuers"
+    flees = {"kind": "constant_heading", "angle": float(np.arctan2(3.0, 4.0))} if on_ground else "pure_evasion"
+    scenario = Scenario(
+        team=Team(positions=((0.0, 0.0),), speeds=2.0, guidance="constant_bearing" if on_ground else "pure_pursuit"),
+        evader=Evader(position=(4.0, 3.0), strategy=flees),
+        environment=environment,
+        motion=Motion(step=0.002),
+        protocol="best_response",
+    )
+    (captured,) = run(scenario, 1).trace.of(Captured)
+    assert captured.t / SECOND == pytest.approx(phi(environment, 4.0 + 3.0j), rel=tolerance)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("flow", [*UNIFORM, *UNEVEN], ids=name)
+@pytest.mark.parametrize("on", ["all", "pursuers"])
+@pytest.mark.parametrize("payload", ["action", "state"])
+def test_no_invariant_of_motion_is_broken_in_a_flow(flow, on, payload):
+    scenario = Scenario(
+        team=Team(count=5),
+        evader=(Evader(strategy="diffusion"), Evader(speed=0.5)),
+        environment=Environment(flow=flow, on=on),
+        announce=Announcements(payload=payload),
+        horizon=6.0,
+    )
+    (started,) = watched(scenario, 2).trace.of(Started)
+    assert len(started.evaders) == 2
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("flow", [STEADY, TIDE, SPIN, CELLS], ids=name)
+@pytest.mark.parametrize("on", ["all", "pursuers"])
+def test_announced_positions_are_carried_on(flow, on):
+    """Announcements that arrive at once are worth as much as sight: the paths of teammates are extrapolated exactly."""
+    scenario = Scenario(team=Team(count=5), environment=Environment(flow=flow, on=on), horizon=8.0)
+    told = scenario.model_copy(update={"announce": Announcements(payload="state")})
+    assert decisions(run(told, 4)) == decisions(run(scenario, 4))
+
+
+@pytest.mark.slow
+def test_results_converge_in_the_motion_step():
+    scenario = Scenario(team=Team(count=5), environment=Environment(flow=CELLS), horizon=40.0)
+    times = [
+        summary(run(scenario.model_copy(update={"motion": Motion(step=h)}), 3)).capture_time
+        for h in (0.04, 0.01, 0.0025)
+    ]
+    assert abs(times[1] - times[2]) < abs(times[0] - times[2]) < 0.1
+
+
+def test_a_flow_of_a_user_is_a_function_of_places_and_time():
+    def shear(places, t):
+        return 0.05 * places.imag + 0j
+
+    scenario = Scenario(team=Team(count=4), environment=Environment(flow=shear), horizon=5.0)
+    assert Environment(flow=shear).top_speed == inf
+    watched(scenario, 1)
+
+
+# What is given wrongly.
+
+
+def test_a_file_of_velocities(tmp_path):
+    file = tmp_path / "wind.csv"
+    file.write_text("# from a mast\nt,x,y\n0,1.5,0\n2, 0.5,-1\n")
+    flow = RecordedFlow(file=str(file))
+    assert flow == RecordedFlow(velocities=((0.0, 1.5, 0.0), (2.0, 0.5, -1.0)))
+    assert flow.velocity_at(1.0) == pytest.approx(1.0 - 0.5j)
+    for text, why in {
+        "t,x\n0,1\n": "one column 'y'",
+        "t,x,y\n0,1,north\n": "line 2: should have the numbers",
+        "t,x,y\n1,1,0\n1,2,0\n": "increase",
+        "t,x,y\n": "should have velocities",
+    }.items():
+        file.write_text(text)
+        with pytest.raises(ValidationError, match=why):
+            RecordedFlow(file=str(file))
+    with pytest.raises(ValidationError, match="cannot be read"):
+        RecordedFlow(file=str(tmp_path / "none.csv"))
+    with pytest.raises(ValidationError, match="not both"):
+        RecordedFlow(file=str(file), velocities=((0.0, 0.0, 0.0),))
+
+
+def test_what_no_capture_time_is_known_for_is_refused():
+    inert = Team(dynamics=TurnRate())
+    for environment in (Environment(flow=SPIN), Environment(flow=STEADY, on="pursuers")):
+        with pytest.raises(ValidationError, match="carries all players alike"):
+            Scenario(team=inert, environment=environment)
+    assert Scenario(team=inert, environment=Environment(flow=TIDE)).environment.flow == TIDE
+    with pytest.raises(ValidationError, match="worst_case does not allow for a flow"):
+        Scenario(sensing={"radius": 3.0, "estimate": "worst_case"}, environment=Environment(flow=STEADY))
+    assert Environment().is_still
+    assert Environment().flow == NoFlow()
