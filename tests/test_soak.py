@@ -134,6 +134,34 @@ def sight(dice):
     return dice.one([{}, {}, noise | {"estimator": "alpha_beta"}, noise | tracks, noise | {"estimate": "hold"}])
 
 
+FLOWS = (
+    {"kind": "uniform", "velocity": [0.4, -0.3]},
+    {"kind": "harmonic", "velocity": [0.1, 0.0], "amplitude": [0.5, 0.2], "period": 0.7},
+    {"kind": "recorded", "velocities": [[0.2, 0.0, 0.0], [0.9, 0.5, 0.5]]},
+    {"kind": "affine", "expansion": -0.2, "rotation": 0.5, "centre": [5.0, 5.0]},
+    {"kind": "gyre", "speed": 0.5, "size": 3.0, "shift": 1.0, "period": 2.0},
+)
+
+
+def bodies(dice, scenario):
+    """Return a scenario, in some cases with inertia, or with a flow that its models allow for."""
+    dynamics = {"kind": dice.one(["acceleration", "turn_rate"]), "limit": dice.number(0.3, 5.0)}
+    has_inertia, on = dice.chance(0.3), dice.one(["all", "pursuers"])
+    if has_inertia:
+        scenario = scenario | {"team": scenario["team"] | {"dynamics": dynamics}}
+    if dice.chance(0.3):
+        slow = [each for each in scenario["evader"] if each["strategy"]["kind"] != "recorded"]
+        slow[:1] = [each | {"dynamics": dynamics} for each in slow[:1]]
+        scenario = scenario | {"evader": slow or scenario["evader"]}
+    allowed = {(False, "all"), (False, "pursuers"), (True, "all")}
+    if scenario["sensing"]["estimate"] == "worst_case":
+        allowed = {(False, "pursuers")}
+    if dice.chance(0.3) and (has_inertia, on) in allowed:
+        flow = dice.one(FLOWS[:3] if has_inertia else FLOWS)
+        scenario = scenario | {"environment": {"flow": flow, "on": on}}
+    return scenario
+
+
 def transport(dice):
     """Return a transport, with all qualities or with none."""
     qualities = {"lifespan": dice.number(0.05, 1.0), "deadline": 0.2, "lease": dice.number(0.1, 0.5)}
@@ -155,7 +183,7 @@ def anything(seed):
     size = dice.count(1, 8)
     graph = dice.one([{"kind": "complete"}, dice.kind(GRAPHS, but=() if size == 3 else ("edges",))])
     link = {"src": 0, "dst": size - 1, "latency": dice.kind(LATENCIES), "loss": dice.kind(LOSSES), "order": "fifo"}
-    return {
+    drawn = {
         "seed": seed,
         "horizon": dice.number(1.0, 3.0),
         "prune": dice.one(["none", "inf", "infeasible"]),
@@ -181,7 +209,7 @@ def anything(seed):
         },
         "protocol": protocol(dice),
         "announce": {
-            "payload": dice.one(["action", "time", "state"]),
+            "payload": dice.one(["action", "time", "state", "course"]),
             "reckoning": dice.one(["exact", "straight_line"]),
             "trigger": dice.one(["change", "heartbeat", "both", "revision", "never"]),
             "heartbeat": dice.one([0.1, 0.3]),
@@ -209,6 +237,7 @@ def anything(seed):
         "fault": faults(dice, size, dice.one([1.0, np.inf])),
         "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},
     }
+    return bodies(dice, drawn)
 
 
 def calm_at_last(seed):

@@ -23,7 +23,7 @@ from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.flow import UniformFlow
+from desim.pursuit.flow import NoFlow, UniformFlow
 from desim.pursuit.guidance import apollonius_disc
 from desim.pursuit.state import complex_points, lengths
 from desim.scenario.scenario import Scenario
@@ -178,8 +178,9 @@ class InertiaWatcher:
     """A watcher of the accelerations and the turn rates of players with inertia, at the samples of the trajectory.
 
     With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
-    limited turn rate omega, the directions of two successive displacements differ by at most omega times the mean of
-    the times that they take, up to a share of the square of this angle. Positions are relative to the flow.
+    limited turn rate omega, the directions of two successive displacements differ by at most omega times the time
+    between their middles, up to a share of the square of this angle, if the player moves at full speed; otherwise by at
+    most omega times the whole time. Positions are relative to the flow.
 
     Args:
         scenario: the scenario of the run.
@@ -194,8 +195,11 @@ class InertiaWatcher:
         self._limited = {
             player: each
             for player, each in enumerate(dynamics)
-            if isinstance(each, Acceleration | TurnRate) and player not in scenario.team.relays
+            if isinstance(each, Acceleration | TurnRate)
+            and player not in scenario.team.relays
+            and self._places.are_known[player]
         }
+        self._evader_speeds = [evader.speed for evader in scenario.evaders]
         self._samples: list[tuple[int, Points]] = []
         self.judged = 0
 
@@ -203,6 +207,8 @@ class InertiaWatcher:
         """Process an event."""
         if not (self._limited and isinstance(event, Started | Sampled)):
             return
+        if isinstance(event, Started):
+            self._speeds = [*event.speeds, *self._evader_speeds]
         self._samples = [*self._samples[-2:], (event.t, self._places(event))]
         if len(self._samples) < 3 or not self._samples[0][0] < self._samples[1][0] < self._samples[2][0]:
             return
@@ -229,8 +235,10 @@ class InertiaWatcher:
             shortest = min(abs(first), abs(second))
             if shortest <= slack or dynamics.limit * duration >= 1.0:
                 return
-            what, found = "turn rate", abs(phase(second / first)) / duration
-            slack = slack / shortest / duration + dynamics.limit * (dynamics.limit * duration) ** 2
+            what, found, share = "turn rate", abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
+            at_full_speed = min(abs(first) / steps[0], abs(second) / steps[1]) >= self._speeds[player] * (1.0 - share)
+            found *= 1.0 if at_full_speed else 0.5
+            slack = slack / shortest / duration + dynamics.limit * share
         self.judged += 1
         if not found <= dynamics.limit + slack:
             raise AssertionError(
@@ -242,13 +250,17 @@ class _RelativePlaces:
     """The positions of all players relative to the medium, if its flow is the same everywhere.
 
     Attributes:
+        are_known: (N + M,) whether the position of each player is known relative to the medium, or the flow does
+            not carry it.
         error: upper bound of the error of a position, m: within a motion step, the simulated flow is constant.
     """
 
     def __init__(self, scenario: Scenario):
-        self._flow, on_all = scenario.environment.flow, scenario.environment.on == "all"
+        on_all = scenario.environment.on == "all"
+        self._flow = NoFlow() if scenario.motion.static else scenario.environment.flow
         carried = [pursuer not in scenario.team.relays for pursuer in range(scenario.team.count)]
         self._carried = np.array([*carried, *(on_all and evader.record is None for evader in scenario.evaders)])
+        self.are_known = ~self._carried if not isinstance(self._flow, UniformFlow) else np.ones_like(self._carried)
         change = self._flow.top_acceleration if isinstance(self._flow, UniformFlow) else 0.0  # m/s^2
         self.error = change * scenario.motion.step**2
 

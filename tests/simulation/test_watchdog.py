@@ -255,9 +255,11 @@ def test_the_command_ends_with_1_and_reports_the_time_out(tmp_path, monkeypatch)
     monkeypatch.setattr(run_folder, "can_plot", lambda: False)  # to find out takes its time
     file = tmp_path / "long.toml"
     file.write_text("horizon = 1e9\nevader.speed = 9.0\nteam.count = 2\nrecord.trajectory = 0.0\n")
-    made = CliRunner().invoke(main, ["run", str(file), "--timeout", "1", "-o", str(tmp_path / "out")])
+    command = ["run", str(file), "--timeout"]
+    assert CliRunner().invoke(main, [*command, "99", "--set", "horizon=0.1"]).exit_code == 0  # imports what is needed
+    made = CliRunner().invoke(main, [*command, "2", "-o", str(tmp_path / "out")])
     assert made.exit_code == 1
-    assert "\n--timeout: took longer than 1 s: at " in made.stderr
+    assert "\n--timeout: took longer than 2 s: at " in made.stderr
     assert re.search(r"\n  pursuer [01]: ", made.stderr), made.stderr  # the other one may be at its turn
     assert not list((tmp_path / "out").iterdir())
 

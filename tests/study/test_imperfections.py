@@ -218,7 +218,7 @@ CHANGES = {
         **below("team.dynamics", "limit", "heading"),
         **below("evader.0.dynamics", "limit"),
     },
-    "flow": {"environment.flow.kind": "none", **below("environment.flow", "velocity")},
+    "flow": {"environment.flow.kind": "none", **below("environment.flow", "velocity.0", "velocity.1")},
 }
 """What each removal makes of the worst scenario: every key that changes, and what it is then."""
 
