@@ -197,7 +197,7 @@ class Beliefs:
         now = self._clock.stamp
         since = min(record.stamp, now)
         if not body.active and not any(action for _, action in ordered):
-            return self._view.carried(motion, now - since)
+            return self._view.idle(motion, now - since)
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
@@ -207,5 +207,5 @@ class Beliefs:
             if action:
                 motion = self._view.reckoned(motion, body.speed, now - begun, action, exact=exact, ended=ended)
             else:
-                motion = self._view.carried(motion, now - begun, ended)
+                motion = self._view.idle(motion, now - begun, ended)
         return motion

@@ -160,7 +160,8 @@ class View:
             exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
                 assumed to head straight for the evader's present position, as estimated, and to have simple motion.
             ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
-                have stood still since then. A later call with the same start must not give an earlier end of the chase.
+                have been inactive since then. A later call with the same start must not give an earlier end of the
+                chase.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:
@@ -171,16 +172,26 @@ class View:
             reached = body.path.retrace(start, speed, now - age, end)
         else:
             there = body.position if captured is not None else self.evader(evader)
-            begin, length = self.carried(start, age, now - end).position, speed * seconds(end - now + age)
+            begin = self.idle(MotionState(start.position), age, now - end).position
+            length = speed * seconds(end - now + age)
             reached = start if isnan(there) else MotionState(moved_towards(begin, there, length))
-        return self.carried(reached, now - end, ended)
+        return self.idle(reached, now - end, ended)
 
-    def carried(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
-        """Return the motion of a pursuer that did not move by itself from `age` to `until` (both in ns) ago."""
-        environment, now = self.state.environment, self.state.now
-        if environment.is_still or age == until:
+    def idle(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
+        """Return the motion of a pursuer that was inactive from `age` to `until` (both in ns) ago.
+
+        It stands still, or brakes, and the flow carries it.
+        """
+        state, now, course = self.state, self.state.now, motion.course
+        if age == until or state.static:
             return motion
-        return motion._replace(position=environment.carried(motion.position, now - age, now - until))
+        place = motion.position
+        if course is not None:
+            piece, duration = state.dynamics(place, course, 0j), seconds(age - until)
+            place, course = piece.at(duration), piece.course_at(duration)
+        if not state.environment.is_still:
+            place = state.environment.carried(place, now - age, now - until)
+        return MotionState(place, course)
 
 
 class GlobalState(View):

@@ -37,6 +37,7 @@ from desim.kernel.topology import Topology
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Dynamics, Simple
 from desim.pursuit.flow import Environment
 from desim.pursuit.lies import PURSUER_FAULTS, FaultOfWord, is_lie
 from desim.pursuit.sensing import Sensing
@@ -189,6 +190,11 @@ class Scenario(Value):
         """The parameters of each of the M evaders; evader j has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
+
+    @property
+    def pursuer_dynamics(self) -> Dynamics:
+        """The dynamics of the pursuers: `team.dynamics`, or simple motion in a static game."""
+        return Simple() if self.motion.static else self.team.dynamics
 
     @property
     def network_faults(self) -> tuple[Any, ...]:

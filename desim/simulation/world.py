@@ -206,12 +206,14 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             number,
             evader.speed,
             evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius),
-            EvaderTrack(team.guidance, team.dynamics, scenario.environment, remembers=_needs_whole_paths(scenario)),
+            EvaderTrack(
+                team.guidance, scenario.pursuer_dynamics, scenario.environment, remembers=_needs_whole_paths(scenario)
+            ),
             players=players,
             speeds=speeds,
             radius=radius,
             top_speed=team.top_speed + scenario.environment.relative_speed,
-            dynamics=team.dynamics,
+            dynamics=scenario.pursuer_dynamics,
             environment=scenario.environment,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
@@ -225,7 +227,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         players,
         bodies,
         speeds,
-        team.dynamics,
+        scenario.pursuer_dynamics,
         scenario.environment,
         chased,
         radius=radius,

@@ -25,14 +25,17 @@ from desim.pursuit.announcements import (
     Announcements,
     Forwarded,
     LocatedAssignment,
+    MovingAssignment,
     announced_action,
     announces_chase,
     relayed_records,
 )
+from desim.pursuit.dynamics import Acceleration, Simple, TurnRate
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 
-PAYLOADS = ["action", "time", "state"]
+SIMPLE = Simple()
+PAYLOADS = ["action", "time", "state", "course"]
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,13 @@ def announcement_times(result, src):
 
 @pytest.mark.parametrize(
     ("payload", "reckoning", "phi"),
-    [("action", "exact", 2.4), ("time", "exact", 2.9), ("state", "exact", 1.9), ("state", "straight_line", 1.9)],
+    [
+        ("action", "exact", 2.4),
+        ("time", "exact", 2.9),
+        ("state", "exact", 1.9),
+        ("state", "straight_line", 1.9),
+        ("course", "exact", 1.9),
+    ],
 )
 def test_the_payload_determines_the_beliefs_of_the_others(payload, reckoning, phi):
     """Pursuer 1 chases from 0.5 s on, announces it, and stops silently at 1 s, at 2.5 m; pursuer 2 looks at 1.5 s.
@@ -165,17 +174,36 @@ def test_in_a_static_game_all_payloads_give_the_same_beliefs_forever(payload, re
     assert seen[9.5] == {0: 1.9, 1: 2.9}
 
 
-@pytest.mark.parametrize(("payload", "size"), [("action", 24), ("time", 32), ("state", 48)])
+@pytest.mark.parametrize(("payload", "size"), [("action", 24), ("time", 32), ("state", 48), ("course", 64)])
 def test_an_announcement_has_the_size_of_its_payload(payload, size):
     """Bytes: 16 of header and 8 per number or truth; whether it is active or not, moving or not."""
     result = play(script((0.5, 1, chase), (1.0, 1, withdraw), (1.5, 0, chase)), {"payload": payload})
     assert [event.size for event in result.trace.of(Broadcast)] == [size] * 3
 
 
+@pytest.mark.parametrize("dynamics", [Simple(), Acceleration(limit=0.5), TurnRate(limit=0.5, heading=2.0)])
+def test_a_course_is_announced_as_speed_and_heading(dynamics):
+    """The receiver has the motion of the sender at sending; the speed while it chases is 1 m/s whatever its pace is."""
+    seen = {}
+
+    def told(me):
+        assert type(me.located()) is (LocatedAssignment if dynamics.is_simple else MovingAssignment)
+        return MovingAssignment.announced_by(me.id, me.global_state), me.global_state.state.motion(me.id)
+
+    team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0, dynamics=dynamics)
+    play(script((0.5, 1, chase), (1.25, 1, told), seen=seen), {"payload": "course"}, team=team)
+    body, (place, course) = seen[1.25]
+    assert (body.active, body.speed) == (1, 1.0)
+    assert body.motion.position == place
+    assert body.motion.course.velocity == pytest.approx(course.velocity, abs=1e-12)
+    assert body.motion.course.heading == pytest.approx(course.heading, abs=1e-12)
+    assert body.pace == pytest.approx({"simple": 1.0, "acceleration": 0.375, "turn_rate": 1.0}[dynamics.kind])
+
+
 # Reckoning.
 
 
-def dead_reckoning_errors(order, step, seed, reckoning="exact"):
+def dead_reckoning_errors(order, step, seed, reckoning="exact", dynamics=SIMPLE):
     """Return the dead-reckoning error of each look at a teammate that has chased since its announcement, m.
 
     Five pursuers start and stop at random times, on the boundaries of steps and inside them, and each announces at some
@@ -183,13 +211,15 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
     step's way from the evader is looked at.
 
     Returns:
-        Rows of: error, age, distance to the evader, whether it announced in a step inside which it had begun.
+        Rows of: error, age, distance to the evader, whether it announced in a step inside which it had begun, and
+        whether it announced as its motion began.
     """
     rng = np.random.default_rng(seed)
     turned, rows, h = {}, [], nanoseconds(step)
 
     def turn(me, active):
-        turned[me.id] = nanoseconds(me.now)
+        if active != bool(me._view.state.profile[me.id]):
+            turned[me.id] = nanoseconds(me.now)
         me.assign(active)
 
     def look(me):
@@ -203,7 +233,8 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
                     record.body.motion, record.body.speed, age, 1, exact=reckoning == "exact"
                 ).position
                 inside = turned[j] % h != 0 and turned[j] // h == record.stamp // h
-                rows.append((abs(place - state.position(j)), seconds(age), gap, inside))
+                begins = record.stamp % h == 0 or turned[j] == record.stamp
+                rows.append((abs(place - state.position(j)), seconds(age), gap, inside, begins))
 
     acts = []
     for pursuer in range(5):
@@ -217,10 +248,10 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
     places, speeds = rng.uniform(-15.0, 15.0, (5, 2)).tolist(), rng.uniform(1.0, 2.0, 5).tolist()
     play(
         script(*sorted(acts, key=lambda act: act[0])),
-        {"payload": "state", "reckoning": reckoning, "warm_start": False},
+        {"payload": "state" if dynamics.is_simple else "course", "reckoning": reckoning, "warm_start": False},
         latency=Uniform(low=0.0, high=2.0),
         horizon=6.0,
-        team=Team(positions=places, speeds=speeds, active_at_start=0.0),
+        team=Team(positions=places, speeds=speeds, active_at_start=0.0, dynamics=dynamics),
         evader=Evader(position=(0.0, 0.0), speed=0.9),
         motion=Motion(step=step, order=order),
     )
@@ -238,6 +269,23 @@ def test_exact_dead_reckoning_gives_the_position_of_a_chasing_teammate(order, st
     assert rows[:, 3].sum() > 10
     assert rows[:, 0].max() < 1e-9
     assert dead_reckoning_errors(order, step, 0, "straight_line")[:, 0].max() > 0.01
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("dynamics", [TurnRate(limit=1.3), Acceleration(limit=0.8)], ids=["turn rate", "acceleration"])
+@pytest.mark.parametrize("step", [0.07, 0.5])
+def test_exact_dead_reckoning_follows_turns_and_accelerations(dynamics, step):
+    """From courses announced at the start of a step, or as an action changes: to 1e-9 m.
+
+    Within a step, the pursuer follows the command that it was given at the start. The receiver does not know this
+    command, only where it would aim now, and errs by less than a millimetre.
+    """
+    rows = np.vstack([dead_reckoning_errors("evader_first", step, seed, dynamics=dynamics) for seed in range(3)])
+    begins = rows[:, 4] > 0.0
+    assert min(begins.sum(), (~begins).sum()) > 50
+    assert rows[begins, 0].max() < 1e-9
+    assert 0.0 < rows[~begins, 0].max() < 2e-3
+    assert dead_reckoning_errors("evader_first", step, 0, "straight_line", dynamics)[:, 0].max() > 0.1
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])

@@ -1,161 +1,231 @@
-"""Paths of bounded curvature against a search over arcs, and capture times against a dense scan."""
+"""Turning: shortest paths of bounded curvature against brute force, and capture times against a scan."""
 
 from cmath import rect
-from math import acos, asin, inf, pi, sqrt
+from math import inf, pi, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
-from desim import Capture, Evader, Motion, Scenario, Team, TurnRate, run
-from desim.pursuit.events import Captured
-from desim.pursuit.turning import (
-    least_capture_radius,
-    shortest_paths,
-    turning_capture_times,
-)
+from desim.pursuit.capture import RadialTime
+from desim.pursuit.turning import shortest_paths, turning_capture_times
 
-AHEAD = np.array([1.0 + 0j])
-numbers = st.floats(-4.0, 4.0).map(lambda x: round(x, 4))
-plane = st.builds(complex, numbers, numbers)
+seeds = st.integers(0, 2**32 - 1)
+ANGLES = np.linspace(0.0, 2.0 * pi, 1_441)
 
 
-def length(target, rho=1.0):
-    return float(shortest_paths(np.array([complex(target)]), np.array([rho]))[0][0])
+def lengths_of(targets, radius):
+    """Return the lengths of the shortest paths to targets, all with one radius."""
+    targets = np.array(targets, dtype=complex)
+    return shortest_paths(targets, np.full(len(targets), radius))[0]
 
 
-@pytest.mark.parametrize(("target", "expected"), [(5, 5.0), (5j, 5.69646), (-5, 8.53638), (-5j, 5.69646), (0.5, None)])
-def test_the_lengths_of_the_specification(target, expected):
-    """A target within a turning circle is reached by turning away first: at least pi rho longer than straight."""
-    assert length(target) == pytest.approx(expected, abs=1e-5) if expected else length(target) == 0.5
+def moved(targets, side, length, radius):
+    """Return targets as seen after a move along an arc to the left (1), to the right (-1), or straight on (0)."""
+    if not side:
+        return targets - length
+    turn = np.exp(1j * side * length / radius)
+    return (targets - (turn - 1.0) * radius / (1j * side)) / turn
 
 
-def searched(target, rho):
-    """Return the least length of a path to a target: an arc, and then a line or an arc to the other side."""
-    best, angles = inf, np.linspace(0.0, 2.0 * pi, 7201)
-    for side in (1.0, -1.0):
-        heading = np.exp(1j * side * angles)
-        place = 1j * side * rho * (1.0 - heading)
-        left = (target - place) / heading  # as seen after the arc
-        line = np.abs(left.imag) <= 2e-3 * (1.0 + np.abs(left))
-        best = min([best, *(rho * angles + np.abs(left))[line & (left.real >= 0.0)].tolist()])
-        centre = -1j * side * rho
-        on_arc = np.abs(np.abs(left - centre) - rho) <= 2e-3 * rho
-        turned = np.angle((left - centre) / -centre) * -side % (2.0 * pi)
-        best = min([best, *(rho * (angles + turned))[on_arc].tolist()])
+def brute_force(target, radius):
+    """Return the least length of an arc and a line, or of an arc and an arc to the other side, that meets a target."""
+    best = inf
+    for side in (1, -1):
+
+        def seen(angle, side=side):
+            return moved(target, side, angle * radius, radius)
+
+        def beside(angle, seen=seen):
+            return seen(angle).imag
+
+        def off_circle(angle, seen=seen, side=side):
+            return abs(seen(angle) + 1j * side * radius) - radius
+
+        for angle in (0.0, *roots(beside)):
+            if seen(angle).real >= 0.0 and abs(beside(angle)) < 1e-9:
+                best = min(best, angle * radius + seen(angle).real)
+        for angle in (0.0, *roots(off_circle)):
+            if abs(off_circle(angle)) < 1e-9:
+                around = (seen(angle) + 1j * side * radius) / (1j * side * radius)  # 1 at the start of the second arc
+                best = min(best, radius * (angle + (-side * np.angle(around)) % (2.0 * pi)))
     return best
 
 
-@given(plane, st.floats(0.2, 3.0))
-def test_no_path_of_two_pieces_is_shorter(target, rho):
-    assume(abs(target) > 0.05 and abs(abs(target.imag) - 0.0) > 1e-3)
-    near = abs(target - 1j * rho * np.sign(target.imag))
-    assume(abs(near - rho) > 0.02 * rho)  # on the circle, the least length jumps
-    assert length(target, rho) == pytest.approx(searched(target, rho), abs=0.03 * (1.0 + rho))
+def roots(function):
+    """Return the angles in [0, 2 pi] at which a function changes its sign."""
+    values = function(ANGLES)
+    for k in np.flatnonzero(values[:-1] * values[1:] <= 0.0):
+        if values[k] and values[k + 1]:
+            yield brentq(function, ANGLES[k], ANGLES[k + 1], xtol=1e-14)
+        else:
+            yield ANGLES[k] if not values[k] else ANGLES[k + 1]
 
 
-@given(plane, st.floats(0.2, 3.0))
-def test_beyond_the_turning_circles_the_gradient_of_the_length_is_the_final_heading(target, rho):
-    """The eikonal equation. On the axis behind the pursuer both sides are equally short."""
-    assume(abs(target.imag) > 1e-3 and abs(target - 1j * rho * np.sign(target.imag)) > rho + 0.01)
-    heading = complex(shortest_paths(np.array([target]), np.array([rho]))[1][0])
-    step = 1e-6
-    slopes = [(length(target + step * way, rho) - length(target - step * way, rho)) / (2 * step) for way in (1, 1j)]
-    assert abs(heading) == pytest.approx(1.0)
-    assert slopes == pytest.approx([heading.real, heading.imag], abs=1e-4)
+# Shortest paths.
 
 
-@given(plane, st.floats(0.0, 0.95), st.floats(0.3, 4.0))
-def test_the_capture_is_the_first_of_a_dense_scan(target, evader_speed, limit):
-    assume(abs(target) > 0.06)
-    (found,) = turning_capture_times(np.array([target]), AHEAD, np.ones(1), evader_speed, 0.05, limit).tolist()
-    times = np.linspace(0.0, 1.02 * found + 1e-3, 5_001)
-    flight = target / abs(target) * evader_speed
-    reach = shortest_paths(target + flight * times, np.full(len(times), 1.0 / limit))[0] - 0.05 <= times
-    assert reach.any()
-    assert abs(times[reach.argmax()] - found) <= 2.0 * times[1]
+@pytest.mark.parametrize(
+    ("target", "length"), [(5.0, 5.0), (5j, 5.69646), (-5j, 5.69646), (-5.0, 8.53638), (0.0, 0.0), (1 + 1j, pi / 2)]
+)
+def test_lengths_by_numbers(target, length):
+    """With rho = 1: straight on; aside, sqrt(5^2 - 2 * 5) = sqrt(15) from the tangent point; behind; a quarter turn."""
+    assert lengths_of([target], 1.0)[0] == pytest.approx(length, abs=5e-6)
 
 
-def test_pursuers_are_independent_and_turned_and_mirrored_planes_are_equal():
-    rng = np.random.default_rng(4)
-    offsets, speeds = rng.normal(size=30) + 1j * rng.normal(size=30), rng.uniform(0.5, 3.0, 30)
-    headings = np.exp(1j * rng.uniform(-pi, pi, 30))
-    times = turning_capture_times(offsets, headings, speeds, 0.9, 0.1, 2.0)
-    each = [
-        turning_capture_times(offsets[k : k + 1], headings[k : k + 1], speeds[k : k + 1], 0.9, 0.1, 2.0)[0]
-        for k in range(30)
-    ]
-    assert times.tolist() == pytest.approx(each, rel=1e-12)
-    assert (times == inf).tolist() == ((speeds <= 0.9) & (np.abs(offsets) > 0.1)).tolist()
-    turned = turning_capture_times(offsets * 1j, headings * 1j, speeds, 0.9, 0.1, 2.0)
-    mirrored = turning_capture_times(offsets.conj(), headings.conj(), speeds, 0.9, 0.1, 2.0)
-    assert turned.tolist() == pytest.approx(times.tolist(), rel=1e-9)
-    assert mirrored.tolist() == pytest.approx(times.tolist(), rel=1e-12)
-    assert turning_capture_times(offsets, headings, speeds, 0.9, 0.1, 1e6)[speeds > 1.0].tolist() == pytest.approx(
-        (np.maximum(np.abs(offsets) - 0.1, 0.0) / (speeds - 0.9))[speeds > 1.0].tolist(), abs=1e-4
-    )
+def test_the_length_of_a_path_to_a_target_aside_has_a_closed_form():
+    """To (0, y) at the left, D = y - rho: a turn of pi - acos(rho / D) with theta = pi, then sqrt(D^2 - rho^2)."""
+    for y in (2.5, 5.0, 40.0):
+        exact = pi - np.arccos(1.0 / (y - 1.0)) + sqrt((y - 1.0) ** 2 - 1.0)
+        assert lengths_of([1j * y, -1j * y], 1.0) == pytest.approx([exact, exact], rel=1e-14)
 
 
-@pytest.mark.parametrize(("ratio", "expected"), [(0.3, 0.04535), (0.5, 0.12782), (0.9, 0.44368)])
-def test_the_least_capture_radius_of_the_homicidal_chauffeur(ratio, expected):
-    assert least_capture_radius(1.0, ratio) == pytest.approx(expected, abs=5e-6)
-    assert least_capture_radius(3.0, ratio) == pytest.approx(3.0 * least_capture_radius(1.0, ratio))
-    with pytest.raises(ValueError, match="slower than the pursuer"):
-        least_capture_radius(1.0, 1.0)
+@given(seeds, st.sampled_from([0.3, 1.0, 2.5]), st.sampled_from([0.9, 3.0, 30.0]))
+def test_paths_are_as_short_as_brute_force_finds(seed, radius, spread):
+    """Targets within and beyond the turning circles, on both sides, of which the nearer ones need two arcs."""
+    x, y = np.random.default_rng(seed).uniform(-spread, spread, (2, 4)) * radius
+    found = lengths_of(x + 1j * y, radius)
+    assert found == pytest.approx([brute_force(each, radius) for each in (x + 1j * y).tolist()], rel=1e-8, abs=1e-8)
 
 
-def dodger(distance):
-    """Return a strategy that flees and, with the pursuer behind at a distance, turns aside by a right angle."""
-    heading, last, ready = None, inf, True
+@given(seeds, st.sampled_from([0.3, 1.0, 2.5]), st.sampled_from([-1, 0, 1]), st.floats(0.0, 3.0))
+def test_no_first_move_makes_a_path_shorter(seed, radius, side, share):
+    """Bellman's inequality L(z) <= s + L(z as seen after s), with equality for the turn to the left or to the right.
 
-    def strategy(state, rng):
-        nonlocal heading, last, ready
-        (gap,) = state.offsets.tolist()
-        now = abs(gap)
-        if heading is not None and now > last:  # the pursuer has passed
-            heading, ready = None, False
-        last, ready = now, ready or now > distance
-        if heading is None and ready and now <= distance:
-            heading = 1j * gap / now
-        return gap / now if heading is None else heading
-
-    return strategy
-
-
-def worst_dodge(ratio):
-    """Return the greatest miss distance and the distance of the dodge, in turning radii, by search.
-
-    The pursuer turns by an angle, and misses where the closing speed is 0: the evader is then at the angle acos(g) from
-    its heading, and has come there on a straight line from the axis.
+    It makes L a lower bound of every path of arcs and lines, and not of brute force's two pieces only.
     """
-    side = acos(ratio)
-    turned = np.linspace(1e-4, pi - side - 1e-3, 200_001)
-    miss = ratio * turned - (1.0 - np.cos(turned)) / np.sin(turned + side)
-    angle, most = turned[miss.argmax()], miss.max()
-    begin = 1j * (1.0 - rect(1.0, angle)) + (most - ratio * angle) * rect(1.0, angle + side)
-    assert angle + side == pytest.approx(pi / 2.0, abs=1e-3)
-    return most, begin.real
+    rng = np.random.default_rng(seed)
+    targets = (rng.normal(size=300) + 1j * rng.normal(size=300)) * radius * rng.choice([0.5, 2.0, 10.0], 300)
+    now, move = lengths_of(targets, radius), share * radius
+    later = move + lengths_of(moved(targets, side, move, radius), radius)
+    assert (now <= later + 1e-6 * (radius + later)).all()
 
 
-@pytest.mark.slow_but_one
-@pytest.mark.parametrize("ratio", [0.3, 0.5, 0.9])
-def test_a_chauffeur_captures_an_evader_that_dodges_only_above_the_barrier(ratio):
-    """10 % above and below the barrier, which is found by search, too. A fast evader is judged at its first dodge."""
-    most, distance = worst_dodge(ratio)
-    assert most == pytest.approx(sqrt(1 - ratio**2) + ratio * asin(ratio) - 1.0, abs=1e-8)
-    until = 60.0 if ratio < 0.8 else (5.0 - distance) / (1.0 - ratio) + 1.6
+@given(seeds)
+def test_a_path_of_this_length_exists(seed):
+    """A small step to the left, to the right or straight on makes it shorter by the length of the step."""
+    rng = np.random.default_rng(seed)
+    targets = (rng.normal(size=300) + 1j * rng.normal(size=300)) * rng.choice([0.5, 2.0, 10.0], 300)
+    now, step = lengths_of(targets, 1.0), 1e-7
+    best = np.min([step + lengths_of(moved(targets, side, step, 1.0), 1.0) for side in (-1, 0, 1)], axis=0)
+    assert best == pytest.approx(now, abs=1e-9)
 
-    def captured(share):
-        scenario = Scenario(
-            team=Team(positions=((-5.0, 0.0),), speeds=1.0, dynamics=TurnRate(limit=1.0, heading=0.0)),
-            evader=Evader(position=(0.0, 0.0), speed=ratio, strategy=dodger(distance)),
-            capture=Capture(radius=share * most),
-            motion=Motion(step=0.005),
-            horizon=60.0,
+
+@given(seeds)
+def test_beyond_the_turning_circles_the_gradient_of_the_length_is_the_final_heading(seed):
+    """The eikonal equation, by differences, a little off the line behind, where both sides are equally short."""
+    rng = np.random.default_rng(seed)
+    targets = rng.normal(size=200) * 2.0 + 2.0j * rng.normal(size=200)
+    _, headings = shortest_paths(targets, np.ones(200))
+    smooth = (np.abs(targets - 1j * np.sign(targets.imag)) > 1.02) & (np.abs(targets.imag) > 1e-3)
+    for step in (1e-6, 1e-6j):
+        slopes = (lengths_of(targets + step, 1.0) - lengths_of(targets - step, 1.0)) / 2e-6
+        along = (headings * np.conj(step)).real / 1e-6
+        assert along[smooth] == pytest.approx(slopes[smooth], abs=1e-4)
+    assert np.abs(headings) == pytest.approx(1.0)
+
+
+@given(seeds)
+def test_as_a_target_moves_away_the_length_grows_no_faster_than_its_distance(seed):
+    """So L - v t falls, and has one root; where the target leaves a turning circle, the length falls at once."""
+    rng = np.random.default_rng(seed)
+    bearing = np.exp(1j * rng.choice([rng.uniform(-pi, pi), pi / 2 + 0.05 * rng.normal()]))
+    distances = np.linspace(1e-3, 3.0, 2_001)
+    assert np.diff(lengths_of(distances * bearing, 1.0)).max() <= (distances[1] - distances[0]) * (1.0 + 1e-9)
+
+
+@given(seeds)
+def test_lengths_are_symmetric_and_scale(seed):
+    """Mirrored targets have mirrored paths; twice the radius and twice the distance make twice the length."""
+    rng = np.random.default_rng(seed)
+    targets = rng.normal(size=100) * 2.0 + 2.0j * rng.normal(size=100)
+    (left, ahead), (right, mirrored) = (shortest_paths(z, np.ones(100)) for z in (targets, targets.conj()))
+    assert (left == right).all()
+    assert (ahead == mirrored.conj()).all()
+    assert lengths_of(2.0 * targets, 2.0) == pytest.approx(2.0 * left, rel=1e-9)
+
+
+# Capture times.
+
+
+def missing(times, offset, evader_speed, heading, speed, radius, limit):
+    """Return L - eps - v t at (k,) times."""
+    targets = (offset + evader_speed * times * offset / abs(offset)) / heading
+    return lengths_of(targets, speed / limit) - radius - speed * times
+
+
+@pytest.mark.parametrize(("offset", "length"), [(5.0, 5.0), (5j, 5.69646), (-5.0, 8.53638)])
+def test_a_still_target_is_captured_after_its_path(offset, length):
+    """phi = (L - eps) / v, with v = 2 m/s and omega = 2 rad/s, so that rho = 1 m; headings turn it all."""
+    for heading in (1.0 + 0j, rect(1.0, 2.0)):
+        (time,) = turning_capture_times(
+            np.array([offset * heading]), np.array([heading]), np.array([2.0]), 0.0, 0.1, 2.0
         )
-        result = run(scenario, 1)
-        return any(event.t <= until * 1e9 for event in result.trace.of(Captured))
+        assert time == pytest.approx((length - 0.1) / 2.0, abs=3e-6)
 
-    assert captured(1.1)
-    assert not captured(0.9)
+
+@given(seeds, st.sampled_from([0.3, 1.0, 5.0]))
+def test_captures_are_the_first_in_a_scan(seed, spread):
+    """Evaders that begin within a turning circle are among them: as they leave it, L falls at once."""
+    rng = np.random.default_rng(seed)
+    for _ in range(4):
+        offset, heading = complex(*rng.normal(size=2)) * spread, rect(1.0, rng.uniform(-pi, pi))
+        limit, radius, flight = rng.choice([0.5, 1.0, 3.0]), rng.choice([0.02, 0.3]), rng.uniform(0.0, 0.98)
+        (time,) = turning_capture_times(np.array([offset]), np.array([heading]), np.ones(1), flight, radius, limit)
+        if abs(offset) <= radius:
+            assert time == 0.0
+            continue
+        own, scale = (offset, flight, heading, 1.0, radius, limit), 1.0 + abs(offset) + 1.0 / limit
+        assert missing(np.array([time * (1.0 + 1e-11)]), *own)[0] <= 1e-9 * scale
+        assert (missing(np.linspace(0.0, time * (1.0 - 1e-9), 2_000), *own) > -1e-8 * scale).all()
+
+
+@pytest.mark.parametrize("offset", [0.6 + 0.6j, 0.3 + 0.2j, 0.3 - 0.2j])
+def test_a_capture_as_the_evader_leaves_a_turning_circle(offset):
+    """Within the circle the pursuer needs two arcs. On it, L falls by more than 4 m at once, to below v t.
+
+    From z, the evader is on it at z s, where |z s - i rho| = rho: s = 2 rho |y| / |z|^2.
+    """
+    values = missing(np.linspace(0.0, 4.0, 40_001), offset, 0.3, 1.0 + 0j, 1.0, 0.02, 1.0)
+    assert np.diff(values).min() < -4.0
+    (found,) = turning_capture_times(np.array([offset]), np.ones(1, complex), np.ones(1), 0.3, 0.02, 1.0)
+    leaves = (2.0 * abs(offset.imag) / abs(offset) ** 2 - 1.0) * abs(offset) / 0.3
+    assert found == pytest.approx(leaves, rel=1e-9)
+
+
+@given(seeds)
+def test_several_are_each_alone(seed):
+    rng = np.random.default_rng(seed)
+    offsets, headings = rng.normal(size=(2, 7)) * 2.0 + 2.0j * rng.normal(size=(2, 7))
+    headings, speeds = headings / np.abs(headings), rng.choice([0.5, 1.0, 2.0], 7)
+    together = turning_capture_times(offsets, headings, speeds, 0.9, 0.1, 1.3)
+    alone = [turning_capture_times(offsets[[k]], headings[[k]], speeds[[k]], 0.9, 0.1, 1.3)[0] for k in range(7)]
+    assert together == pytest.approx(alone, rel=1e-11)
+    order = rng.permutation(7)
+    again = turning_capture_times(offsets[order], headings[order], speeds[order], 0.9, 0.1, 1.3)
+    assert again == pytest.approx(together[order], rel=1e-11)
+
+
+def test_without_a_limit_the_capture_time_is_radial():
+    """And a limit only ever delays."""
+    rng = np.random.default_rng(1)
+    offsets = rng.normal(size=50) * 5.0 + 5.0j * rng.normal(size=50)
+    headings, speeds = np.exp(1j * rng.uniform(-pi, pi, 50)), rng.uniform(1.0, 3.0, 50)
+    radial = RadialTime(speeds, 0.9, 0.1)(np.abs(offsets))
+    before = turning_capture_times(offsets, headings, speeds, 0.9, 0.1, 0.2)
+    for limit in (1.0, 5.0, 1e3, 1e6):
+        found = turning_capture_times(offsets, headings, speeds, 0.9, 0.1, limit)
+        assert (radial <= found * (1.0 + 1e-12)).all()
+        assert (found <= before * (1.0 + 1e-9)).mean() > 0.9  # not all: within a turning circle, more room may help
+        before = found
+    assert before == pytest.approx(radial, rel=1e-4, abs=1e-4)
+
+
+def test_the_slow_and_the_captured():
+    """A pursuer no faster than the evader never captures it; within the radius, each has captured it."""
+    offsets, headings = np.array([3.0, 3.0, 0.1, 3.0], complex), np.ones(4, complex)
+    times = turning_capture_times(offsets, headings, np.array([0.5, 0.9, 0.5, 1.0]), 0.9, 0.1, 1.0)
+    assert times == pytest.approx([inf, inf, 0.0, 29.0])
+    assert turning_capture_times(np.zeros(1, complex), headings[:1], np.ones(1), 0.5, 0.1, 1.0)[0] == 0.0
