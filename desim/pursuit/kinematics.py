@@ -35,11 +35,6 @@ class Kinematics:
         self._before_change: list[Callable[[], object]] = []
         start.setflags(write=False)
 
-    @property
-    def are_known(self) -> bool:
-        """Whether all positions of this instant are cached."""
-        return self._cached_at == self._env.now or self._static
-
     def positions(self) -> Points:
         """Return the (K,) positions now, m; read-only."""
         now = self._env.now
