@@ -29,9 +29,8 @@ class LogLinear(LearningRule):
     """Temperature or cooling schedule, s."""
 
     def inverse_temperatures(self, me: Agent) -> Iterator[float]:
-        """Yield 1/tau at each turn, 1/s."""
-        for eta in slots_seen(self.tau, me, self.schedule.mean_slot(me)):
-            yield self.tau(eta)
+        """Return an iterator over 1/tau at each turn, 1/s."""
+        return map(self.tau, slots_seen(self.tau, me, self.schedule.mean_slot(me)))
 
 
 class SpatialAdaptivePlay(LogLinear):

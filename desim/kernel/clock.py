@@ -164,6 +164,8 @@ class NodeClock:
         correction: what synchronisation has added to it, s.
     """
 
+    true: int = property(attrgetter("_env._now"), doc="The true time, ns.")  # type: ignore[assignment]  # as in `Clock`
+
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
         self._is_exact = offset == 0.0 and rate == 1.0
@@ -184,11 +186,6 @@ class NodeClock:
     def uncorrected(self) -> int:
         """The local time without the correction, ns."""
         return round((self._uncorrected + self._rate * (self._env._now / SECOND)) * SECOND)
-
-    @property
-    def true(self) -> int:
-        """The true time, ns."""
-        return self._env.now
 
     def correct(self, correction: int) -> None:
         """Replace the correction, ns; the local time steps by the difference from the last one."""

@@ -41,7 +41,7 @@ class Inbox:
 
     def __init__(self, env: Clock, node: int):
         self._env = env
-        self._priority = int(Phase.DECISION) + node
+        self._priority = Phase.DECISION + node
         self._letters: list[Letter] = []
         """All messages, waiting and in flight."""
         self._sorted = 0

@@ -1,7 +1,7 @@
 """An evader in a run: its body, its controller and its delayed perception."""
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from math import inf
 
 import numpy as np
@@ -196,11 +196,7 @@ class EvaderBody:
         if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
-        if self._players.are_known:
-            distances: Iterable[float] = map(self.state(now).distances.item, pursuers)
-        else:
-            distances = self._players.distances(self.player, pursuers)
-        return list(map(self._radial_time.of, pursuers, distances))
+        return list(map(self._radial_time.of, pursuers, self._players.distances(self.player, pursuers)))
 
     def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.

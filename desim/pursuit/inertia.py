@@ -46,7 +46,9 @@ class InertialKinematics(Kinematics):
 
     def position(self, player: int) -> complex:
         """Return the position of one player now, m."""
-        return self._positions.item(player) if self.are_known else self._pieces[player].at(self._passed)
+        if self._cached_at == self._env.now:
+            return self._positions.item(player)
+        return self._pieces[player].at(self._passed)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return the present distances of other players from one player, m."""

@@ -46,11 +46,6 @@ class Kinematics:
         start.setflags(write=False)
 
     @property
-    def are_known(self) -> bool:
-        """Whether all positions of this instant are cached."""
-        return self._cached_at == self._env.now or self._static
-
-    @property
     def now(self) -> int:
         """The present, ns."""
         return self._env.now

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from math import inf
+from operator import attrgetter
 from typing import Any
 
 from desim.kernel.clock import NodeClock
@@ -32,14 +33,13 @@ class Knowledge:
         beliefs: its beliefs about its teammates.
     """
 
+    now: float = property(  # type: ignore[assignment]  # as in `desim.kernel.clock.Clock`
+        attrgetter("_clock.now"), doc="The time on its local clock, s: offset + (1 + drift) t at the true time t."
+    )
+
     def __init__(self, pursuer: int, view: View, network: Network, clock: NodeClock, beliefs: Beliefs):
         self.id = pursuer
         self._view, self._state, self._network, self._clock, self._beliefs = view, view.state, network, clock, beliefs
-
-    @property
-    def now(self) -> float:
-        """The time on its local clock, s: offset + (1 + drift) t at the true time t."""
-        return self._clock.now
 
     @property
     def team_size(self) -> int:
@@ -162,7 +162,7 @@ class Knowledge:
         own, rivals, times = self._beliefs.rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
-        return utility(own, others, self.time_left())
+        return utility(own, others, self._state.time_left(self._clock.stamp))
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""

@@ -40,7 +40,7 @@ class Timing:
             ValueError: if the time is infinite or nan.
         """
         try:
-            return Instant(self._env, max(self._clock.when(time), self._env.now), int(phase) + self.id)
+            return Instant(self._env, max(self._clock.when(time), self._env.now), phase + self.id)
         except (OverflowError, ValueError) as error:
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
@@ -51,7 +51,7 @@ class Timing:
             ValueError: if the duration is negative, infinite or nan.
         """
         try:
-            return Instant(self._env, self._env.now + self._clock.span(duration), int(phase) + self.id)
+            return Instant(self._env, self._env.now + self._clock.span(duration), phase + self.id)
         except (OverflowError, ValueError) as error:
             text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
             raise ValueError(text) from error
@@ -79,4 +79,4 @@ class Timing:
 
         `Agent.mail` returns the messages.
         """
-        return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
+        return self._network.inbox(self.id, port).arrival(phase + self.id)

@@ -108,7 +108,8 @@ class World:
         able = action and not state.broken[pursuer] and self._views[pursuer].may_chase(pursuer, action)
         action = int(action) if able else 0
         self._trace.append(Decided(self._env.now, pursuer, action))
-        self._change_action(pursuer, action)
+        if action != state.profile[pursuer]:
+            self._change_action(pursuer, action)
 
     def crash(self, pursuer: int) -> None:
         """Take a pursuer down: until `recover` its action is 0, it stands still and captures no evader."""
@@ -131,8 +132,6 @@ class World:
     def _change_action(self, pursuer: int, action: int) -> None:
         """Change the action of one pursuer from this instant on."""
         state = self.state
-        if state.profile[pursuer] == action:
-            return
         actions = state.actions.copy()
         actions[pursuer] = action
         state.acting_since[pursuer] = self._env.now
@@ -165,9 +164,8 @@ class World:
 
         It is the next multiple of the motion step or, if earlier, the next waypoint of a record or the horizon.
         """
-        waypoints = [record.next_waypoint(now) for record in self._records]
-        step_end = (now // self._step + 1) * self._step
-        return min(step_end, self.state.horizon, *(each for each in waypoints if each is not None))
+        waypoints = filter(None, [record.next_waypoint(now) for record in self._records])
+        return min((now // self._step + 1) * self._step, self.state.horizon, *waypoints)
 
     def _capture(self, body: EvaderBody, capturer: int) -> None:
         """Capture an evader; end the run if enough evaders are captured (`capture.captures_to_end`)."""
