@@ -56,6 +56,7 @@ class EvaderTrack:
         law: the guidance law of the pursuers.
         dynamics: the dynamics of the pursuers.
         environment: the medium.
+        radius: capture radius, m.
         remembers: whether paths can be retraced.
 
     Attributes:
@@ -64,8 +65,11 @@ class EvaderTrack:
 
     last: TrackSegment
 
-    def __init__(self, law: Guidance, dynamics: Dynamics, environment: Environment, *, remembers: bool = True):
+    def __init__(
+        self, law: Guidance, dynamics: Dynamics, environment: Environment, radius: float, *, remembers: bool = True
+    ):
         self._law, self._dynamics, self._remembers, self._environment = law, dynamics, remembers, environment
+        self._radius = radius
         self._segments: list[TrackSegment] = []
         self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
 
@@ -104,6 +108,8 @@ class EvaderTrack:
         wind = self._environment.drift(place, 0j, begin, step)
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
+        if course is not None:
+            command = self._dynamics.steered(command, course, aim, self._radius)
         drift = self._environment.drift(place, command, begin, step)
         if course is None:
             return MotionState(place + (command + drift) * duration)

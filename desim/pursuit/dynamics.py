@@ -94,6 +94,16 @@ class Dynamics(Protocol):
     def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
         """Return the initial headings, of length 1, of several players."""
 
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command, m/s, that a pursuer follows if its guidance commands another one.
+
+        Args:
+            command: the velocity that the guidance commands, m/s.
+            course: its course.
+            aim: the vector from the pursuer to the point at which it aims, m.
+            radius: capture radius, m.
+        """
+
     def capture_times(
         self, offsets: Points, courses: "Courses", speeds: Floats, evader_speed: float, radius: float
     ) -> Floats:
@@ -120,11 +130,15 @@ class Courses(NamedTuple):
 
 
 class _WithoutHeading(Value):
-    """Common part of dynamics for which the initial heading has no effect."""
+    """Common part of dynamics for which the heading has no effect."""
 
     def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
         """Return equal headings."""
         return [1.0 + 0j] * count
+
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command of the guidance."""
+        return command
 
 
 class Simple(_WithoutHeading):
@@ -176,7 +190,8 @@ class Acceleration(_WithoutHeading):
 class TurnRate(Value):
     """Turn at a limited rate, and move forwards only: a unicycle with the least turning radius v / limit.
 
-    A player that is commanded a velocity takes its speed at once, and turns to its direction along the shorter arc.
+    A player that is commanded a velocity takes its speed at once, and turns to its direction along the shorter arc. A
+    pursuer whose aim is within its turning circle turns away first.
     A player that is to stand still stops at once and keeps its heading.
 
     A pursuer computes its capture time along the shortest path of bounded curvature with a free final heading
@@ -197,6 +212,16 @@ class TurnRate(Value):
         angles = rng.uniform(-pi, pi, count).tolist() if self.heading is None else [self.heading] * count
         return [rect(1.0, angle) for angle in angles]
 
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command of the guidance or, while its aim is within the turning circle, one to turn away from it.
+
+        Otherwise the pursuer would circle around its aim. This is the first arc of the shortest path.
+        """
+        speed, ahead = abs(command), aim / course.heading
+        side, turning_radius = 1j if ahead.imag >= 0.0 else -1j, speed / self.limit
+        within = abs(ahead - side * turning_radius) < turning_radius - radius
+        return -side * course.heading * speed if within else command
+
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:
         """Return an arc and a line."""
         speed, heading = abs(command), course.heading
@@ -215,7 +240,7 @@ class TurnRate(Value):
 
 DYNAMICS = OneOf(
     *(Simple, Acceleration, TurnRate),
-    needs=("is_simple", "headings", "capture_times"),
+    needs=("is_simple", "headings", "steered", "capture_times"),
     takes=("position", "course", "command"),
 )
 """The kinds of dynamics."""

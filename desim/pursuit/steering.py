@@ -35,7 +35,9 @@ class Steering:
         self._players, self._targets, self._law = state.players, state.bodies, law
         self._speeds, self._speed = state.speeds, state.speeds.tolist()
         self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
+        self._dynamics, self._radius, self._has_inertia = state.dynamics, state.radius, not state.dynamics.is_simple
         self._environment, self._carried, self._has_flow = state.environment, carried, not state.environment.is_still
+        self._is_plain = not (self._has_inertia or self._has_flow)
         self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
@@ -43,7 +45,7 @@ class Steering:
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
         self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
-        if len(moving) <= MAX_SCALAR_SIZE or self._has_flow:
+        if len(moving) <= MAX_SCALAR_SIZE or not self._is_plain:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
@@ -72,9 +74,13 @@ class Steering:
             where, speed = players.positions().item, self._speed
             for pursuer, target in self._chases:
                 here, (_, place, aim, evader_velocity, _) = where(pursuer), target.path.last
-                wind = self._drift(pursuer, 0j, now, duration) if self._has_flow else 0j
-                aim, evader_velocity = aim - here - wind * duration, evader_velocity - wind
-                velocities[pursuer] = guided_velocity(law, place - here, aim, evader_velocity, speed[pursuer])
+                if self._is_plain:  # the same result as below, faster
+                    velocities[pursuer] = guided_velocity(
+                        law, place - here, aim - here, evader_velocity, speed[pursuer]
+                    )
+                else:
+                    given = place - here, aim - here, evader_velocity, speed[pursuer]
+                    velocities[pursuer] = self._command(pursuer, *given, now, duration)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         for relay, motion in self._relays.items():
@@ -99,14 +105,41 @@ class Steering:
             velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         else:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
-            gap, speed, wind = segment.at(now) - here, self._speed[pursuer], self._drift(pursuer, 0j, now, duration)
-            aim, evader_velocity = segment.aim - here - wind * duration, segment.velocity - wind
-            velocities[pursuer] = guided_velocity(self._law, gap, aim, evader_velocity, speed)
+            given = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
+            velocities[pursuer] = self._command(pursuer, *given, now, duration)
         drifts = self._players.drifts
         if drifts is not None:
             drifts = drifts.copy()
             drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
         self._players.command(velocities, drifts)
+
+    def _command(
+        self,
+        pursuer: int,
+        gap: complex,
+        aim: complex,
+        evader_velocity: complex,
+        speed: float,
+        now: int,
+        duration: float,
+    ) -> complex:
+        """Return the velocity relative to the flow, m/s, that a pursuer commands.
+
+        Args:
+            pursuer: its id.
+            gap: the vector from the pursuer to its evader, m.
+            aim: the vector from the pursuer to the point at which it aims, m.
+            evader_velocity: velocity of the evader, m/s.
+            speed: its speed, m/s.
+            now: the present, ns.
+            duration: the time for which it keeps the command, s.
+        """
+        wind = self._drift(pursuer, 0j, now, duration)
+        aim = aim - wind * duration
+        command = guided_velocity(self._law, gap, aim, evader_velocity - wind, speed)
+        if not self._has_inertia:
+            return command
+        return self._dynamics.steered(command, self._players.course(pursuer), aim, self._radius)
 
     def _drift(self, player: int, command: complex, now: int, duration: float) -> complex:
         """Return the mean velocity of the flow, m/s, along the path of a player from now (ns) for a duration (s)."""
@@ -136,7 +169,6 @@ class Steering:
         if estimate is None:
             return 0j
         gap = estimate.position - self._players.position(pursuer)
-        wind = self._drift(pursuer, 0j, now, duration)
-        aim = gap + (estimate.velocity * duration if self._evader_first else 0j) - wind * duration
-        speed = min(self._speed[pursuer], abs(aim) / duration)
-        return guided_velocity(self._law, gap, aim, estimate.velocity - wind, speed)
+        aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
+        speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, duration) * duration) / duration)
+        return self._command(pursuer, gap, aim, estimate.velocity, speed, now, duration)

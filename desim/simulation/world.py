@@ -205,7 +205,11 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             evader.speed,
             evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius),
             EvaderTrack(
-                team.guidance, scenario.pursuer_dynamics, scenario.environment, remembers=_needs_whole_paths(scenario)
+                team.guidance,
+                scenario.pursuer_dynamics,
+                scenario.environment,
+                radius,
+                remembers=_needs_whole_paths(scenario),
             ),
             players=players,
             speeds=speeds,

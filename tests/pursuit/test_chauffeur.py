@@ -101,7 +101,7 @@ def test_below_the_barrier_the_evader_escapes_for_ever(ratio):
     """With 10 % less, it dodges in time at each approach, by 5 % less than the critical radius, to 1 %."""
     dodger = Dodger(*barrier(ratio, 0.95 * least_capture_radius(1.0, ratio)))
     assert pursuit(ratio, 0.9, dodger) == "horizon"
-    assert dodger.dodges >= 4
+    assert dodger.dodges >= 2
     assert dodger.closest == pytest.approx(0.95 * least_capture_radius(1.0, ratio), rel=0.01)
 
 

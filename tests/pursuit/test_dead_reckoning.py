@@ -25,7 +25,7 @@ def place(path, start, speed, since, now):
 
 def straight_run(law, evader, evader_velocity, until, *, ahead=True):
     """Return what is seen in steps of 0.25 s of an evader that keeps its velocity; aimed at is where a step ends."""
-    path = EvaderTrack(law, Simple(), Environment())
+    path = EvaderTrack(law, Simple(), Environment(), 0.1)
     for t in range(0, until + 1, STEP):
         at = evader + evader_velocity * seconds(t)
         path.see(t, at, at + (evader_velocity * seconds(STEP) if ahead else 0.0), evader_velocity, t + STEP)
@@ -44,7 +44,7 @@ def turning(seed, until):
 
 def fresh(law, seed, question, now):
     """Return the answer of a fresh track."""
-    path = EvaderTrack(law, Simple(), Environment())
+    path = EvaderTrack(law, Simple(), Environment(), 0.1)
     for leg in turning(seed, now):
         path.see(*leg)
     return place(path, *question, now)
@@ -59,7 +59,7 @@ def test_a_leg_goes_on_straight():
 
 @pytest.mark.parametrize("remembers", [True, False])
 def test_the_current_step_is_the_latest_observation(remembers):
-    path = EvaderTrack(PurePursuit(), Simple(), Environment(), remembers=remembers)
+    path = EvaderTrack(PurePursuit(), Simple(), Environment(), 0.1, remembers=remembers)
     path.see(0, 1j, 2j, 1.0, STEP)
     assert path.last == (0, 1j, 2j, 1.0, STEP)
     path.see(STEP, 3j, 4j, 5.0, 2 * STEP)
@@ -67,7 +67,7 @@ def test_the_current_step_is_the_latest_observation(remembers):
 
 
 def test_a_track_without_history_keeps_only_the_last_step():
-    path = EvaderTrack(PurePursuit(), Simple(), Environment(), remembers=False)
+    path = EvaderTrack(PurePursuit(), Simple(), Environment(), 0.1, remembers=False)
     for k in range(100):
         path.see(k, 0j, 0j, 0j, k + 1)
     assert not path._segments
@@ -129,7 +129,7 @@ def test_pure_pursuit_updates_its_aim_at_every_step():
 def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
     """It stands still at (4, 0) for a step and then, as if it had jumped, at (1, 3): 1 m east, then 1 m north."""
     for position, since in [(0j, 0), (0.5 + 0j, STEP // 2), (1.0 + 0j, STEP)]:
-        path = EvaderTrack(law, Simple(), Environment())
+        path = EvaderTrack(law, Simple(), Environment(), 0.1)
         path.see(0, 4.0 + 0j, 4.0 + 0j, 0j, STEP)
         path.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j, 2 * STEP)
         assert place(path, position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
@@ -152,7 +152,7 @@ def test_a_guidance_law_receives_the_evader_as_observed_at_the_start_of_each_seg
 @pytest.mark.parametrize("law", LAWS)
 def test_positions_are_unchanged_before_the_start_and_after_zero_time(law):
     """A clock that is ahead lets a record seem older than the pursuit: 1 s of chase, not 3."""
-    assert place(EvaderTrack(law, Simple(), Environment()), 3j, 1.0, -SECOND, 0) == 3j
+    assert place(EvaderTrack(law, Simple(), Environment(), 0.1), 3j, 1.0, -SECOND, 0) == 3j
     path = straight_run(law, 9.0 + 0j, 0j, SECOND)
     assert place(path, 3j, 1.0, SECOND, SECOND) == 3j
     assert place(path, 0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
@@ -166,7 +166,11 @@ def test_positions_are_unchanged_before_the_start_and_after_zero_time(law):
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
 def test_an_incremental_query_equals_a_fresh_one(law, seed, since, later):
     """Bit by bit: it goes on from the beginning of a step, so that no piece of a path is ever cut in two."""
-    path, legs, question = EvaderTrack(law, Simple(), Environment()), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
+    path, legs, question = (
+        EvaderTrack(law, Simple(), Environment(), 0.1),
+        list(turning(seed, 3 * SECOND)),
+        (1j, 1.5, since),
+    )
     for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
         while legs and legs[0][0] <= now:
             path.see(*legs.pop(0))
@@ -181,7 +185,7 @@ def test_an_incremental_query_reads_no_completed_step():
         asked.append(1)
         return toward(aims, speeds)
 
-    path, (*legs, newest) = EvaderTrack(law, Simple(), Environment()), turning(0, 12 * STEP)
+    path, (*legs, newest) = EvaderTrack(law, Simple(), Environment(), 0.1), turning(0, 12 * STEP)
     for leg in legs:
         path.see(*leg)
     pieces = []
@@ -196,7 +200,7 @@ def test_an_incremental_query_reads_no_completed_step():
 
 def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
     for question in [(1j, 1.0, 0), (2j, 1.0, 0), (1j, 2.0, 0), (1j, 1.0, STEP + 7)]:
-        path = EvaderTrack(PurePursuit(), Simple(), Environment())
+        path = EvaderTrack(PurePursuit(), Simple(), Environment(), 0.1)
         for leg in turning(3, 5 * STEP):
             path.see(*leg)
         place(path, 1j, 1.0, 0, 5 * STEP)
@@ -205,7 +209,7 @@ def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
 
 def test_the_cache_of_paths_is_bounded_and_evicts_the_least_recently_used():
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
-    path, (now, *later) = EvaderTrack(PurePursuit(), Simple(), Environment()), turning(4, 5 * STEP)
+    path, (now, *later) = EvaderTrack(PurePursuit(), Simple(), Environment(), 0.1), turning(4, 5 * STEP)
     path.see(*now)
     questions = [(complex(k), 1.0, 0) for k in range(MAX_RETRACINGS + 1)]
     for question in [*questions[:-1], questions[0], questions[-1]]:
