@@ -61,9 +61,11 @@ def lone(dynamics, evader, *, position=(0.0, 0.0), speed=2.0, step=0.05, **chang
 @pytest.mark.parametrize(("limit", "phi"), [(0.5, 8.09091), (1.0, 6.27273), (10.0, 4.63636), (1e9, 4.45455)])
 @pytest.mark.parametrize("step", [0.05, 0.37])
 def test_a_chase_in_a_line_takes_the_capture_time_at_any_motion_step(limit, phi, step):
-    """d = 5, v = 2, v_e = .9, eps = .1, from rest: the paths of the two are in one line, so that phi is exact."""
+    """d = 5, v = 2, v_e = .9, eps = .1, from rest: phi = (d - eps + v^2 / (2 a)) / (v - v_e), in one line exactly."""
     evader = Evader(position=(3.0, 4.0), speed=0.9, strategy=ConstantHeading(angle=atan2(4.0, 3.0)))
-    assert lone(Acceleration(limit=limit), evader, step=step) == pytest.approx(phi, abs=6e-6)
+    time = lone(Acceleration(limit=limit), evader, step=step)
+    assert time == pytest.approx((4.9 + 2.0 / limit) / 1.1, abs=1e-6)
+    assert time == pytest.approx(phi, abs=6e-6)
 
 
 @pytest.mark.parametrize(("place", "length"), [((5.0, 0.0), 5.0), ((0.0, 5.0), 5.69646), ((-5.0, 1e-3), 8.53638)])

@@ -335,7 +335,9 @@ class PotentialWatcher:
     - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
     - the beliefs of pursuers are true: an ideal complete network, known initial actions (`announce.warm_start`), every
       change announced, no time-out of beliefs, no faults, exact clocks, and all players sensed (`announce.payload` is
-      "action" or, in a static game, any payload).
+      "action" or, in a static game, any payload);
+    - capture times depend on distances alone: the motion of pursuers is simple or the game is static, and no flow
+      changes distances.
 
     Players may move, because positions do not change during a decision; the potential may fall between decisions. In a
     static game all decisions are judged, otherwise only the decisions at the instant of a sample of the trajectory.
