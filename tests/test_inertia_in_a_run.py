@@ -310,6 +310,26 @@ def test_the_capture_times_of_hindsight_are_those_of_the_run(dynamics, monkeypat
     assert worst[0.02] < 0.4 * worst[0.1] < 0.05
 
 
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
+@pytest.mark.parametrize(
+    ("flow", "error"),
+    [
+        ({"kind": "uniform", "velocity": [0.8, -0.5]}, 1e-9),
+        ({"kind": "harmonic", "amplitude": [0.8, -0.5], "period": 2.0}, 5e-4),
+    ],
+    ids=["uniform", "harmonic"],
+)
+def test_a_flow_on_all_changes_no_decision_and_nothing_in_hindsight(dynamics, flow, error):
+    """Courses are relative to the flow; in one that changes, up to its change within a motion step."""
+    still = having(dynamics, horizon=12.0)
+    carried = Scenario(team=still.team, network=still.network, horizon=12.0, environment={"flow": flow})
+    own, other = run(still, 3), run(carried, 3)
+    assert decisions(own) == decisions(other)
+    assert summary(own).regret == pytest.approx(summary(other).regret, abs=error)
+    assert summary(own).regret > 2.0 * error
+
+
 def test_in_hindsight_a_lone_pursuer_makes_no_mistake():
     """It takes its first phi, 8.09091 s; without inertia 4.45455 s. Its regret is 0, whatever its inertia."""
     dynamics = Acceleration(limit=0.5)
