@@ -13,6 +13,7 @@ import desim
 import protocols
 from desim.kernel.access import ACCESSES, Ideal
 from desim.kernel.interference import INTERFERENCES
+from desim.pursuit.dynamics import DYNAMICS, Simple
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from scenarios.study import SCENARIOS
@@ -52,6 +53,10 @@ def test_every_schedule_and_temperature_is_public():
 def test_every_access_and_interference_model_is_public():
     models = {each for family in (ACCESSES, INTERFERENCES) for each in family.choices().values()}
     assert {each.__name__ for each in models - {Ideal}} <= set(desim.__all__)
+
+
+def test_every_kind_of_dynamics_is_public():
+    assert {each.__name__ for each in set(DYNAMICS.choices().values()) - {Simple}} <= set(desim.__all__)
 
 
 @pytest.mark.slow

@@ -61,9 +61,11 @@ def lone(dynamics, evader, *, position=(0.0, 0.0), speed=2.0, step=0.05, **chang
 @pytest.mark.parametrize(("limit", "phi"), [(0.5, 8.09091), (1.0, 6.27273), (10.0, 4.63636), (1e9, 4.45455)])
 @pytest.mark.parametrize("step", [0.05, 0.37])
 def test_a_chase_in_a_line_takes_the_capture_time_at_any_motion_step(limit, phi, step):
-    """d = 5, v = 2, v_e = .9, eps = .1, from rest: the paths of the two are in one line, so that phi is exact."""
+    """d = 5, v = 2, v_e = .9, eps = .1, from rest: phi = (d - eps + v^2 / (2 a)) / (v - v_e), in one line exactly."""
     evader = Evader(position=(3.0, 4.0), speed=0.9, strategy=ConstantHeading(angle=atan2(4.0, 3.0)))
-    assert lone(Acceleration(limit=limit), evader, step=step) == pytest.approx(phi, abs=6e-6)
+    time = lone(Acceleration(limit=limit), evader, step=step)
+    assert time == pytest.approx((4.9 + 2.0 / limit) / 1.1, abs=1e-6)
+    assert time == pytest.approx(phi, abs=6e-6)
 
 
 @pytest.mark.parametrize(("place", "length"), [((5.0, 0.0), 5.0), ((0.0, 5.0), 5.69646), ((-5.0, 1e-3), 8.53638)])
@@ -311,6 +313,26 @@ def test_the_capture_times_of_hindsight_are_those_of_the_run(dynamics, monkeypat
         assert len(errors) > 100
         worst[period] = np.median(errors)
     assert worst[0.02] < 0.4 * worst[0.1] < 0.05
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
+@pytest.mark.parametrize(
+    ("flow", "error"),
+    [
+        ({"kind": "uniform", "velocity": [0.8, -0.5]}, 1e-9),
+        ({"kind": "harmonic", "amplitude": [0.8, -0.5], "period": 2.0}, 5e-4),
+    ],
+    ids=["uniform", "harmonic"],
+)
+def test_a_flow_on_all_changes_no_decision_and_nothing_in_hindsight(dynamics, flow, error):
+    """Courses are relative to the flow; in one that changes, up to its change within a motion step."""
+    still = having(dynamics, horizon=12.0)
+    carried = Scenario(team=still.team, network=still.network, horizon=12.0, environment={"flow": flow})
+    own, other = run(still, 3), run(carried, 3)
+    assert decisions(own) == decisions(other)
+    assert summary(own).regret == pytest.approx(summary(other).regret, abs=error)
+    assert summary(own).regret > 2.0 * error
 
 
 def test_in_hindsight_a_lone_pursuer_makes_no_mistake():

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
+from desim.analysis.relative_places import RelativePlaces
 from desim.kernel.events import Event, Watcher
 from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.kernel.units import SECOND, nanoseconds, seconds
@@ -23,9 +24,9 @@ from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.flow import NoFlow, UniformFlow
+from desim.pursuit.flow import UniformFlow
 from desim.pursuit.guidance import apollonius_disc
-from desim.pursuit.state import complex_points, lengths
+from desim.pursuit.state import lengths
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 
@@ -136,7 +137,7 @@ class MotionWatcher:
         self._relays = scenario.team.relays
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
-        self._places, self._environment = _RelativePlaces(scenario), scenario.environment
+        self._places, self._environment = RelativePlaces(scenario), scenario.environment
         dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
         self._brakes = [player for player, each in enumerate(dynamics) if isinstance(each, Acceleration)]
 
@@ -190,7 +191,7 @@ class InertiaWatcher:
     """
 
     def __init__(self, scenario: Scenario):
-        self._places = _RelativePlaces(scenario)
+        self._places = RelativePlaces(scenario)
         dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
         self._limited = {
             player: each
@@ -244,32 +245,6 @@ class InertiaWatcher:
             raise AssertionError(
                 f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {dynamics.limit}"
             )
-
-
-class _RelativePlaces:
-    """The positions of all players relative to the medium, if its flow is the same everywhere.
-
-    Attributes:
-        are_known: (N + M,) whether the position of each player is known relative to the medium, or the flow does
-            not carry it.
-        error: upper bound of the error of a position, m: within a motion step, the simulated flow is constant.
-    """
-
-    def __init__(self, scenario: Scenario):
-        on_all = scenario.environment.on == "all"
-        self._flow = NoFlow() if scenario.motion.static else scenario.environment.flow
-        carried = [pursuer not in scenario.team.relays for pursuer in range(scenario.team.count)]
-        self._carried = np.array([*carried, *(on_all and evader.record is None for evader in scenario.evaders)])
-        self.are_known = ~self._carried if not isinstance(self._flow, UniformFlow) else np.ones_like(self._carried)
-        change = self._flow.top_acceleration if isinstance(self._flow, UniformFlow) else 0.0  # m/s^2
-        self.error = change * scenario.motion.step**2
-
-    def __call__(self, event: Started | Sampled) -> "Points":
-        """Return the (N + M,) positions, m."""
-        places = complex_points([*event.pursuers, *event.evaders])
-        if isinstance(self._flow, UniformFlow):
-            places = places - self._carried * self._flow.displacement(0.0, seconds(event.t))
-        return places
 
 
 class ApolloniusWatcher:
@@ -335,7 +310,9 @@ class PotentialWatcher:
     - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
     - the beliefs of pursuers are true: an ideal complete network, known initial actions (`announce.warm_start`), every
       change announced, no time-out of beliefs, no faults, exact clocks, and all players sensed (`announce.payload` is
-      "action" or, in a static game, any payload).
+      "action" or, in a static game, any payload);
+    - capture times depend on distances alone: the motion of pursuers is simple or the game is static, and no flow
+      changes distances.
 
     Players may move, because positions do not change during a decision; the potential may fall between decisions. In a
     static game all decisions are judged, otherwise only the decisions at the instant of a sample of the trajectory.

@@ -5,8 +5,8 @@ action, samples of positions, crashes and recoveries of robots, and captures. No
 metrics of the actions alone are exact. The capture time phi of a pursuer is the time that it needs for a capture from
 now on (`desim.pursuit.capture`). It is evaluated in the middle of a piece, at positions interpolated between the
 samples, and for pursuers with inertia with the mean courses between the samples. It is exact in a static game; for
-other games `desim.analysis.hindsight` gives examples of the error. Each
-evader has its own timeline; the timelines of all evaders have the same pieces.
+other games `desim.analysis.hindsight` gives examples of the error. Each evader has its own timeline; the timelines of
+all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.activity import changes, evader_pursuits
+from desim.analysis.relative_places import RelativePlaces
 from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
 from desim.config.arrays import Bools, Floats, Integers, Points
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted
@@ -27,6 +28,8 @@ from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
+ROUNDING = 1e-9
+"""Up to this displacement between two samples, a pursuer stands still, m."""
 PART = 1 << 18
 """Largest number of capture times in one part of a timeline; a part with a single piece may have more."""
 
@@ -134,7 +137,7 @@ class _Path:
         pursuers = np.array([each.pursuers for each in known])
         gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - pursuers
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
-        self._pursuers: Points = pursuers[..., 0] + 1j * pursuers[..., 1]
+        self._known = known
 
     def gaps(self, t: Floats) -> Points:
         """Return the (k, N) vectors from each pursuer to the evader at (k,) times (ns), m; constant after the last."""
@@ -146,13 +149,16 @@ class _Path:
     def courses(self, t: Floats) -> list[Courses]:
         """Return the mean courses of the pursuers between the samples around each of (k,) times (ns).
 
-        A pursuer that stands still keeps its heading.
+        Courses are relative to the flow. A pursuer that stands still keeps its heading.
         """
-        moved = np.diff(self._pursuers, axis=0, append=self._pursuers[-1:])
-        headings = np.empty_like(moved)
-        last = np.array(self._result.scenario.team.headings(self._result.seed))
+        scenario, seed = self._result.scenario, self._result.seed
+        relative = RelativePlaces(scenario)
+        places = np.array([relative(each)[: scenario.team.count] for each in self._known])
+        moved = np.diff(places, axis=0, append=places[-1:])
+        headings, rest = np.empty_like(moved), ROUNDING + 2.0 * relative.error
+        last = np.array(scenario.team.headings(seed))
         for row, step in enumerate(moved):
-            last = np.where(step == 0.0, last, step / np.maximum(lengths(step), SMALLEST))
+            last = np.where(lengths(step) <= rest, last, step / np.maximum(lengths(step), SMALLEST))
             headings[row] = last
         durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND
         before, _ = self._samples_around(t)

@@ -3,6 +3,10 @@
 During a motion step, all pursuers observe the same motion of the evader: a straight line from its position at the start
 of the step. Guidance depends only on this motion and on the position and speed of the pursuer that chases. A pursuer
 that has observed the evader can therefore retrace the path of a teammate.
+
+This is exact for simple motion. A teammate with inertia follows, up to the end of the motion step, the command that it
+was given at the start of the step or as its action changed. From an announcement at any other instant, the command is
+computed anew, which is a small error.
 """
 
 from bisect import bisect_left, bisect_right

@@ -7,13 +7,21 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.analysis.invariants import ActiveTimeWatcher, ApolloniusWatcher, MotionWatcher, PotentialWatcher, watched
+from desim.analysis.invariants import (
+    ActiveTimeWatcher,
+    ApolloniusWatcher,
+    InertiaWatcher,
+    MotionWatcher,
+    PotentialWatcher,
+    watched,
+)
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
 from desim.pursuit.guidance import apollonius_disc
@@ -233,6 +241,91 @@ def test_a_world_that_moves_players_wrongly_is_detected(owner, method, break_it,
     monkeypatch.setattr(owner, method, break_it(getattr(owner, method)))
     with pytest.raises(AssertionError, match="no player exceeds its speed"):
         breakdown()
+
+
+# Inertia.
+
+LIMITED = [Acceleration(limit=0.7), TurnRate(limit=0.9)]
+NAMES = ["acceleration", "turn rate"]
+
+
+def with_inertia(dynamics, evader=None):
+    """Return the game with inertia of the pursuers, or of the evader."""
+    team = GAME.team if evader else GAME.team.model_copy(update={"dynamics": dynamics})
+    return GAME.model_copy(
+        update={"team": team, "evader": GAME.evader.model_copy(update={"dynamics": evader} if evader else {})}
+    )
+
+
+def parabola(acceleration, *times):
+    """Return samples of pursuer 0 from rest, and of pursuer 1 at rest."""
+    return [started(1, 1), *(sampled(t, (0.5 * acceleration * t * t, 0.0), (4.0, 0.0)) for t in times)]
+
+
+def arc(rate, *times):
+    """Return samples of pursuer 1 at 2 m/s on a circle through (4, 0), and of pursuer 0 at rest."""
+    places = [4.0 + 2.0 / (1j * rate) * (np.exp(1j * rate * t) - 1.0) for t in times]
+    samples = [sampled(t, (0.0, 0.0), (z.real, z.imag)) for t, z in zip(times, places, strict=True)]
+    return [started(1, 1), *samples]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "motion", "player"),
+    [
+        (with_inertia(Acceleration(limit=0.7)), lambda share: parabola(0.7 * share, 0.1, 0.2, 0.3), 0),
+        (with_inertia(TurnRate(limit=0.9)), lambda share: arc(0.9 * share, 0.05, 0.1, 0.15), 1),
+        (with_inertia(TurnRate(limit=0.9)), lambda share: arc(-0.9 * share, 0.05, 0.08, 0.13), 1),
+        (
+            with_inertia(None, evader=Acceleration(limit=0.7)),
+            lambda share: [
+                started(0, 0),
+                *(sampled(t, (0.0, 0.0), (4.0, 0.0), evader=(2.0 + 0.35 * share * t * t, 0.0)) for t in (0.1, 0.2)),
+            ],
+            2,
+        ),
+    ],
+    ids=["acceleration", "turn rate to the left", "turn rate to the right", "evader"],
+)
+def test_a_limit_that_is_exceeded_by_one_percent_is_detected(scenario, motion, player):
+    """At the limit it passes; a player without a limit may do anything."""
+    right = InertiaWatcher(scenario)
+    show(right, *motion(1.0))
+    assert right.judged >= 1
+    show(InertiaWatcher(GAME), *motion(1.5))
+    with pytest.raises(AssertionError, match=f"no player exceeds its (acceleration|turn rate): player {player}"):
+        show(InertiaWatcher(scenario), *motion(1.01))
+
+
+@pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
+@pytest.mark.parametrize("evades", [False, True])
+def test_a_world_that_exceeds_a_limit_by_one_percent_is_detected(dynamics, evades):
+    """The players have a limit 1 % above that of the scenario that is watched; nothing else is wrong."""
+    agile = dynamics.model_copy(update={"limit": 1.01 * dynamics.limit})
+    calm, lively = (
+        Scenario(
+            horizon=6.0,
+            team=Team(count=6) if evades else Team(count=6, dynamics=each),
+            evader=Evader(dynamics=each) if evades else Evader(),
+            record=Recording(trajectory=0.02),
+        )
+        for each in (dynamics, agile)
+    )
+    watched(lively, 1, MotionWatcher(calm))
+    inertia = InertiaWatcher(calm)
+    watched(calm, 1, inertia)
+    assert inertia.judged > 10
+    with pytest.raises(AssertionError, match="no player exceeds its"):
+        run(lively, 1, InertiaWatcher(calm))
+
+
+def test_a_robot_that_brakes_moves_while_it_is_inactive():
+    """With a limited acceleration up to its speed, with any other motion not at all."""
+    events = [started(1, 0), sampled(0.1, (0.1, 0.0), (4.0, 0.0)), Decided(S // 10, 0, 0)]
+    braking = with_inertia(Acceleration(limit=10.0))
+    show(MotionWatcher(braking), *events, sampled(0.2, (0.15, 0.0), (4.0, 0.0)))
+    for scenario, place in ((GAME, 0.15), (with_inertia(TurnRate()), 0.15), (braking, 0.21)):
+        with pytest.raises(AssertionError, match=r"no player exceeds its speed.*player 0"):
+            show(MotionWatcher(scenario), *events, sampled(0.2, (place, 0.0), (4.0, 0.0)))
 
 
 # Potential.

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from desim import load
 from desim.pursuit.capture import RadialTime, accelerated_capture_times
 from desim.pursuit.dynamics import Acceleration, Course, Courses, Piece, Simple, TurnRate
 
@@ -233,3 +234,65 @@ def test_the_family_computes_capture_times_alike():
     expected = [(Simple(), 4.9 / 1.1), (TurnRate(limit=0.1), 4.9 / 1.1), (Acceleration(limit=2.0), 5.9 / 1.1)]
     for dynamics, phi in expected:
         assert dynamics.capture_times(*given)[0] == pytest.approx(phi)
+
+
+# Refusals.
+
+RECORD = 'evader.strategy = { kind = "recorded", waypoints = [[0, 1, 2]] }'
+REFUSED = {
+    "no speed": (
+        'team.speeds = 0.0\nteam.dynamics = "turn_rate"',
+        r"s\.toml:2: team\.dynamics: has no effect, because all speeds \(team\.speeds\) are 0",
+    ),
+    "no speed of any": (
+        '[team]\ndynamics = { kind = "acceleration", limit = 2.0 }\nspeeds = [0.0, 0.0]\ncount = 2',
+        r"s\.toml:2: team\.dynamics: has no effect, because all speeds",
+    ),
+    "a still evader": (
+        '[evader]\nspeed = 0.0\ndynamics = "acceleration"',
+        r"s\.toml:3: evader\.dynamics: has no effect, because the speed is 0",
+    ),
+    "a recorded evader": (
+        f'{RECORD}\nevader.dynamics = "turn_rate"',
+        r"s\.toml:2: evader\.dynamics: has no effect, because the record determines the motion",
+    ),
+    "no limit": (
+        'team.dynamics = { kind = "acceleration", limit = 0.0 }',
+        r"team\.dynamics\.limit: should be greater than or equal to 0\.000001",
+    ),
+    "endless": (
+        'team.dynamics = { kind = "turn_rate", limit = inf }',
+        r"team\.dynamics\.limit: should be a finite number|less than or equal to 1000000",
+    ),
+    "too sharp": (
+        'team.dynamics = { kind = "turn_rate", limit = 1.1e6 }',
+        r"team\.dynamics\.limit: should be less than or equal to 1000000",
+    ),
+    "a heading in degrees": (
+        'evader.dynamics = { kind = "turn_rate", heading = 90.0 }',
+        r"evader\.dynamics\.heading: should be less than or equal to 6\.28",
+    ),
+    "a heading with acceleration": (
+        'team.dynamics = { kind = "acceleration", heading = 1.0 }',
+        r"team\.dynamics\.heading: unknown key.*allowed: kind, limit",
+    ),
+    "another kind": (
+        'team.dynamics = "turnrate"',
+        r"there is no 'turnrate', did you mean 'turn_rate'\?; allowed: .*simple",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "why"), REFUSED.values(), ids=REFUSED)
+def test_dynamics_that_have_no_effect_or_are_out_of_range_are_refused_with_the_place(text, why, tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(text + "\n")
+    with pytest.raises(ValueError, match=why):
+        load(file)
+
+
+def test_some_pursuer_or_evader_that_can_move_is_enough(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(f'team = {{ speeds = {{ default = 0.0, last = 1.0 }}, dynamics = "turn_rate" }}\n{RECORD}\n')
+    assert load(file).team.has_inertia
+    assert not load(file).evader.has_inertia

@@ -16,6 +16,7 @@ from desim.kernel.links import Links
 from desim.kernel.reception import QuasiUnitDisk
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.trust import Trimmed
@@ -200,6 +201,16 @@ def test_the_default_is_not_warned_of():
             "no motion refutes an announcement",
         ),
         (
+            {"team": Team(dynamics=TurnRate()), "motion": Motion(static=True)},
+            "team.dynamics",
+            "capture times follow simple motion, because nothing moves",
+        ),
+        (
+            {"team": Team(dynamics=Acceleration()), "announce": Announcements(payload="state")},
+            "announce.payload",
+            "the motion of a teammate with inertia is extrapolated as if it were simple",
+        ),
+        (
             {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
             None,
             "",
@@ -281,6 +292,13 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"fault": [Selective(start=0.0, node=0)], "protocol": SpatialAdaptivePlay(schedule=TokenRing())},
         {"fault": [Slander(start=0.0, node=0, accused=(1,))], "announce": {"trust": "accusations"}},
         {"announce": {"trust": Trimmed(liars=4)}},
+        {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="course")},
+        {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="action")},
+        {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="state"), "protocol": Centralised()},
+        {"evader": Evader(dynamics=TurnRate()), "announce": Announcements(payload="state")},
+        {"evader": Evader(dynamics=TurnRate()), "motion": Motion(static=True)},
+        {"announce": Announcements(payload="course")},
+        {"fault": [Liar(start=0.0, node=0, position="random")], "announce": {"payload": "course"}},
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},
