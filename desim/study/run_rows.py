@@ -16,8 +16,8 @@ from desim.study.store_file import StoreFile, adapter_of, with_checksum
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""
-SUMMARY = 5
-"""The index of the column of `runs` that holds the metrics."""
+ROOT_SEED, SUMMARY = 2, 5
+"""The indices of the columns of `runs` that hold the root seed, and the metrics."""
 RUN_VALUES = "(?, ?, ?, ?, ?, ?, ?, ?)"
 """The values of a row of `runs` in SQL."""
 
@@ -81,9 +81,10 @@ class RunRows(StoreFile):
 
     def read_runs(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row]:
         """Yield the runs of a configuration and a root seed, by replication, given the units of all metrics by name."""
-        where = "WHERE configuration = ? AND root_seed = ? ORDER BY replication"
         known, own = frozenset(units), {name: unit for name, unit in units.items() if name not in METRICS}
-        for row in self.rows("runs", where, (key, str(root))):
+        for row in self.rows("runs", "WHERE configuration = ? ORDER BY replication", (key,)):
+            if row[ROOT_SEED] != str(root):  # a store has one root seed, so the row was edited
+                raise self.error("runs", row, f"should have the root seed {root}")
             yield self._run(row, known, own)
 
     def _run(self, row: tuple[Any, ...], known: Set[str], own: Mapping[str, str]) -> Row:

@@ -557,6 +557,7 @@ EDITS = {
     "ALTER TABLE runs ADD COLUMN extra TEXT": "was made by another version of desim, or edited: runs is different",
 }
 FORGERIES = {
+    "UPDATE runs SET root_seed = 1 WHERE rowid = 1": "runs: .*, root_seed 1, seed 0: should have the root seed 0",
     "UPDATE runs SET summary = NULL": f"{FIRST_RUN}should have a summary if its status is ok",
     "UPDATE runs SET summary = '{'": f"{FIRST_RUN}summary: Invalid JSON",
     "UPDATE runs SET summary = json_set(summary, '$.new', 1)": f"{FIRST_RUN}summary.new: is no metric of this store",
