@@ -353,8 +353,8 @@ class Environment(Value):
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
 
-        With them, straight motion over ground ends where the player ends: exactly in a uniform flow, else up to an
-        error of order `duration`^5 (one step of the Runge-Kutta method of order 4).
+        With them, straight motion over ground ends where the player ends: exactly in a uniform flow, else with the
+        error of one step of the Runge-Kutta method of order 4.
 
         Args:
             places: (k,) positions at the start, m.

@@ -142,6 +142,9 @@ class TrackingView(LimitedView):
         self._filters: dict[int, Filter] = {}
         self._tracks: dict[tuple[int, int], Track] = {}
         """By evader and sender, the newest reported track."""
+        self._fused: dict[int, Track | None] = {}
+        """By evader, the track at the time `_fused_at`, ns, until something new is known."""
+        self._fused_at: int | None = None
 
     def sees(self, evader: int) -> bool:
         """Return False: it never knows the true position of an evader."""
@@ -179,6 +182,15 @@ class TrackingView(LimitedView):
     def track(self, evader: int) -> Track | None:
         """Return the track of an evader now, fused with those of teammates; None without any."""
         now, sensing = self._clock.stamp, self._sensing
+        if self._fused_at != now:
+            self._fused, self._fused_at = {}, now
+        if evader not in self._fused:
+            self._fused[evader] = self._fuse(evader, now)
+        return self._fused[evader]
+
+    def _fuse(self, evader: int, now: int) -> Track | None:
+        """Return the track of an evader at `now` (ns, local clock)."""
+        sensing = self._sensing
         assert not isinstance(sensing.estimator, Unfiltered)
         own = self._filters[evader].at(now) if evader in self._filters else None
         for _, reported in sorted((src, each) for (j, src), each in self._tracks.items() if j == evader):
@@ -198,6 +210,7 @@ class TrackingView(LimitedView):
         own = self._last if heard_only else {}
         self._last, self._newest, self._filters = dict(own), dict(own), {}
         self._tracks.clear()
+        self._fused_at = None
         for evader, seen in own.items():
             self._add(evader, seen)
 
@@ -216,6 +229,7 @@ class TrackingView(LimitedView):
 
     def _add(self, evader: int, seen: Measurement) -> None:
         """Process a sighting, its own or a reported one."""
+        self._fused_at = None
         known = self._newest.get(evader)
         if known is None or seen.stamp > known.stamp:
             self._newest[evader] = seen
@@ -239,7 +253,7 @@ class TrackingView(LimitedView):
                 else:
                     key, track = (report.evader, message.src), _unpacked(report)
                     if key not in self._tracks or self._tracks[key].stamp < track.stamp:
-                        self._tracks[key] = track
+                        self._tracks[key], self._fused_at = track, None
 
 
 def _packed(evader: int, track: Track) -> Tracked:
