@@ -181,7 +181,7 @@ class TrackingView(LimitedView):
 
     def track(self, evader: int) -> Track | None:
         """Return the track of an evader now, fused with those of teammates; None without any."""
-        now, sensing = self._clock.stamp, self._sensing
+        now = self._clock.stamp
         if self._fused_at != now:
             self._fused, self._fused_at = {}, now
         if evader not in self._fused:
