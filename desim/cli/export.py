@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from desim.kernel.events import Event
 
 KINDS = (
-    *("Started", "Decided", "BrokeDown", "Sampled", "Captured", "Distrusted", "Ended"),
+    *("Started", "Decided", "BrokeDown", "Sampled", "Estimated", "Captured", "Distrusted", "Ended"),
     *("Queued", "Broadcast", "Sent", "Lost", "MessageCounts", "Delivered", "Retransmitted", "GivenUp", "Expired"),
     *("DeadlineMissed", "LivelinessLost", "TransportCounts", "ClockCorrected", "FaultStarted", "FaultEnded"),
 )
