@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
     from desim.analysis.knowledge import Pieces
     from desim.kernel.events import Event
+    from desim.view.headings import Headings
 
 KINDS = (
-    *("Started", "Decided", "BrokeDown", "Sampled", "Captured", "Distrusted", "Ended"),
+    *("Started", "Decided", "BrokeDown", "Sampled", "Estimated", "Captured", "Distrusted", "Ended"),
     *("Queued", "Broadcast", "Sent", "Lost", "MessageCounts", "Delivered", "Retransmitted", "GivenUp", "Expired"),
     *("DeadlineMissed", "LivelinessLost", "TransportCounts", "ClockCorrected", "FaultStarted", "FaultEnded"),
 )
@@ -81,8 +82,8 @@ def _export_run(source: Path, file: Path, kinds: tuple[str, ...], seed: int | No
         raise click.UsageError(f"--event is an option of {' and '.join(formats.TABLES)}")
     chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
     try:
-        events, beliefs = _run_of(source, seed, overrides, with_beliefs=suffix == ".mcap")
-        count = formats.export(events, file, beliefs=beliefs, **chosen)
+        events, beliefs, headings = _run_of(source, seed, overrides, whole=suffix == ".mcap")
+        count = formats.export(events, file, beliefs=beliefs, headings=headings, **chosen)
     except OSError as error:
         is_source = error.filename is not None and Path(error.filename).name == TRACE
         fail(
@@ -94,39 +95,44 @@ def _export_run(source: Path, file: Path, kinds: tuple[str, ...], seed: int | No
 
 
 def _run_of(
-    source: Path, seed: int | None, overrides: tuple[str, ...], *, with_beliefs: bool
-) -> "tuple[Iterable[Event], Pieces | None]":
-    """Return the events of a run and, if asked for, the beliefs in it.
+    source: Path, seed: int | None, overrides: tuple[str, ...], *, whole: bool
+) -> "tuple[Iterable[Event], Pieces | None, Headings | None]":
+    """Return the events of a run and, if the `whole` is asked for, the beliefs and the headings in it.
 
-    The events of a recorded run are read one by one, unless beliefs need the whole trace. As elsewhere, there are no
-    beliefs for a run with `record.messages = "file"`, whose trace may be too long for the memory.
+    The events of a recorded run are read one by one, unless the whole is asked for. As elsewhere, there are no beliefs,
+    and no headings either, for a run with `record.messages = "file"`, whose trace may be too long for the memory.
 
     Raises:
         ValueError: if the run.json of a run is not valid.
         OSError: if a file cannot be read.
     """
     from desim.analysis.knowledge import knowledge
+    from desim.analysis.trace_index import lacks_messages
     from desim.results import run_folder
+    from desim.view.headings import Headings
 
     if is_recorded(source):
         check_recorded_options(seed, overrides)
         folder = source if source.is_dir() else source.parent
-        if not (with_beliefs and _keeps_messages(folder)):
-            return run_folder.events(folder), None
+        if not (whole and _fits_memory(folder)):
+            return run_folder.events(folder), None, None
         source = folder / TRACE
     result = result_of(source, seed, overrides)
-    return result.trace, knowledge(result) if with_beliefs else None
+    if not whole:
+        return result.trace, None, None
+    beliefs = None if lacks_messages(result) else knowledge(result)
+    return result.trace, beliefs, Headings(result.scenario, result.seed)
 
 
-def _keeps_messages(folder: Path) -> bool:
-    """Return whether a run was recorded with `record.messages = true`; print a warning if without messages."""
+def _fits_memory(folder: Path) -> bool:
+    """Return whether a run was recorded without `record.messages = "file"`; print a warning if without messages."""
     from desim.results import provenance
 
     path = folder / provenance.FILE
     recorded = provenance.read(path)["scenario"]["record"]["messages"] if path.exists() else "file"
     if recorded is False:
         echo(f"warning: {folder}: messages were not recorded, and are left out: set record.messages = true", err=True)
-    return recorded is True
+    return bool(recorded != "file")
 
 
 def _export_sweep(source: Path, file: Path) -> None:

@@ -61,6 +61,24 @@ class Sampled(NamedTuple):
     """m"""
 
 
+class Estimated(NamedTuple):
+    """A sample of the position of an evader as a pursuer estimates it, from the reports that it has read."""
+
+    t: Nanoseconds
+    pursuer: NodeId
+    evader: Evader
+    x: float
+    """m"""
+    y: float
+    """m"""
+    xx: float
+    """Variance of x, m^2."""
+    xy: float
+    """Covariance of x and y, m^2."""
+    yy: float
+    """Variance of y, m^2."""
+
+
 class Captured(NamedTuple):
     """An evader was captured; the pursuers that chased it are inactive until they decide again."""
 

@@ -5,7 +5,7 @@ sighting, its own or a reported one, is its estimate. Otherwise a filter (`desim
 each evader. Captures follow the true positions.
 """
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.kernel.units import SECOND, nanoseconds, seconds
+from desim.pursuit.events import Estimated
 from desim.pursuit.noise import Covariance, Noiseless
 from desim.pursuit.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
 from desim.pursuit.tracking import Filter, Measurement, Track, Unfiltered, fused
@@ -86,6 +87,21 @@ class NoisySensor:
         """Return the pursuers that chase: none knows the true position of its evader."""
         found: list[int] = actions.nonzero()[0].tolist()
         return found
+
+    def estimates(self) -> Iterator[Estimated]:
+        """Yield the present estimates, with covariances, of all evaders at large by the pursuers that are up.
+
+        No reports are read, so that recording the estimates changes nothing.
+        """
+        if not self.sensing.has_covariances:
+            return
+        for pursuer in (~self._state.broken).nonzero()[0].tolist():
+            for evader in self._state.at_large:
+                track = self.views[pursuer].track(evader)
+                if track is not None and track.covariance is not None:
+                    (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
+                    x, y = track.state[:2]
+                    yield Estimated(self._env.now, pursuer, evader, x, y, xx, xy, yy)
 
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
         period = nanoseconds(self.sensing.interval)

@@ -92,6 +92,11 @@ class Sensing(Value):
         return not isinstance(self.noise, Noiseless)
 
     @property
+    def has_covariances(self) -> bool:
+        """Whether estimates have covariances."""
+        return isinstance(self.estimator, Kalman)
+
+    @property
     def is_perfect(self) -> bool:
         """Whether all pursuers see all evaders exactly."""
         return not (self.limited or self.is_noisy)

@@ -29,14 +29,14 @@ from desim.kernel.events import (
 from desim.kernel.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
-from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Distrusted, Ended, Sampled, Started
+from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
 from desim.simulation.run import Result, run
 
 EVENTS = (
-    *(Started, Decided, BrokeDown, Sampled, Captured, Distrusted, Ended),
+    *(Started, Decided, BrokeDown, Sampled, Estimated, Captured, Distrusted, Ended),
     *(*MESSAGES, MessageCounts, *TRANSPORT, ClockCorrected, FaultStarted, FaultEnded),
 )
 """The types of events in a trace."""

@@ -50,6 +50,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _inertia_warnings(scenario)
     yield from _flow_warnings(scenario)
+    yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
     yield from latency_warnings([scenario])
@@ -77,6 +78,16 @@ def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "announcements have no velocity and heading, so the motion of a teammate with inertia is extrapolated as if"
             ' it were simple ("course" contains them)',
         )
+
+
+def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about estimates that are to be recorded and cannot be."""
+    if not scenario.record.estimates:
+        return
+    if not scenario.sensing.has_covariances or scenario.protocol_traits.omniscient:
+        yield "record.estimates", "no estimate has a covariance (`sensing.estimator` kalman), so none is recorded"
+    elif not scenario.record.trajectory:
+        yield "record.estimates", "estimates are recorded with the positions, and these are not (`record.trajectory`)"
 
 
 def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

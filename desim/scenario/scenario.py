@@ -122,6 +122,9 @@ class Recording(Value):
     messages: Literal[False, True, "file"] = False
     """Whether every message is recorded (true) or only the numbers of messages (false); file: every message is written
     to the trace in an output folder during the run and not kept in memory; ages and beliefs are then not measured."""
+    estimates: Flag = False
+    """Whether the estimates of the evaders by all pursuers, with their covariances, are recorded at each sample, too;
+    only `sensing.estimator` kalman has covariances."""
     metrics: tuple[MetricName, ...] = ()
     """Metrics beside the built-in ones (`desim metrics`): functions of a result as "module:name", or installed ones."""
 

@@ -17,7 +17,7 @@ from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Point, Sampled, Started
 from desim.pursuit.inertia import InertialKinematics
 from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.noisy_sensing import Sensor
+from desim.pursuit.noisy_sensing import NoisySensor, Sensor
 from desim.pursuit.state import complex_points, coordinates
 from desim.pursuit.steering import Steering
 from desim.pursuit.views import View
@@ -66,6 +66,7 @@ class World:
         self._env, self._trace, self._end = env, trace, end
         self.state, self._views, self._sensor = state, views, sensor
         self._sampling = scenario.record.trajectory
+        self._tracking = sensor if isinstance(sensor, NoisySensor) and scenario.record.estimates else None
         self._step = nanoseconds(scenario.motion.step)
         self._records = [each.record for each in scenario.evaders if each.record] + [*state.relays.values()]
         self._needed = scenario.capture.captures_to_end or state.evader_count
@@ -125,9 +126,11 @@ class World:
         self._forecast.update()
 
     def sample(self) -> None:
-        """Record all positions, if `record.trajectory` is not 0."""
+        """Record all positions, if `record.trajectory` is not 0, and all estimates, if `record.estimates`."""
         if self._sampling:
             self._trace.append(Sampled(self._env.now, *self._places()))
+            for estimated in self._tracking.estimates() if self._tracking is not None else ():
+                self._trace.append(estimated)
 
     def _change_action(self, pursuer: int, action: int) -> None:
         """Change the action of one pursuer from this instant on."""

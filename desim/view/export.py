@@ -8,6 +8,7 @@ from desim.analysis.knowledge import Pieces
 from desim.config.trust import replacing
 from desim.kernel.events import Event
 from desim.view import foxglove, pcapng, trace_table
+from desim.view.headings import Headings
 
 TABLES = (".csv", ".parquet")
 """The suffixes of tables; see `desim.view.trace_table`."""
@@ -22,7 +23,11 @@ NEEDED: Mapping[str, tuple[str, str]] = MappingProxyType(
 
 
 def export(
-    events: Iterable[Event], file: str | Path, kinds: Collection[str] = trace_table.KINDS, beliefs: Pieces | None = None
+    events: Iterable[Event],
+    file: str | Path,
+    kinds: Collection[str] = trace_table.KINDS,
+    beliefs: Pieces | None = None,
+    headings: Headings | None = None,
 ) -> int:
     """Write the trace of a run to a file, and return the number of its rows, packets or messages.
 
@@ -34,6 +39,7 @@ def export(
             .mcap (`desim.view.foxglove`).
         kinds: the types of the events in a table.
         beliefs: the beliefs for .mcap, from `desim.analysis.knowledge.knowledge`; None: they are left out.
+        headings: the headings for .mcap; None: all players head along the x axis.
 
     Raises:
         ValueError: if the file has another suffix, there is no such type of events, or the messages that a .pcapng
@@ -54,7 +60,7 @@ def export(
                     return trace_table.write_parquet(events, part, kinds)
                 case ".pcapng":
                     return pcapng.write(events, part)
-            return foxglove.write(events, part, beliefs)
+            return foxglove.write(events, part, beliefs, headings)
         except ModuleNotFoundError as error:
             package, extra = NEEDED.get(suffix, ("", ""))
             if (error.name or "").partition(".")[0] != package:

@@ -3,7 +3,8 @@
 The messages are JSON with the schemas in `desim.view.foxglove_schemas`, which the panels of Foxglove know. The times of
 messages are those of the run, which begins at the Unix epoch. The topics are
 
-- /tf: the frame of each player in the frame `world`, at the start and at each sample of positions;
+- /tf: the frame of each player in the frame `world`, at the start and at each sample of positions; the x axis of a
+  player with inertia is its heading;
 - /players: a sphere for each pursuer and a diamond for each evader, in their frames, with the colours of the replay;
 - /in_flight: a line from sender to receiver for the time of flight of each message, and a red one when it is lost;
 - /log: changes of actions, captures, faults, losses, and the end of the run;
@@ -12,9 +13,11 @@ messages are those of the run, which begins at the Unix epoch. The topics are
 """
 
 import json
+from cmath import phase
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from heapq import merge
+from math import cos, sin
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +30,7 @@ from desim.kernel.trace_file import body_json
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Point, Sampled, Started
 from desim.view.foxglove_schemas import SCHEMAS
+from desim.view.headings import Headings
 
 Message = dict[str, Any]
 Entry = tuple[int, str, Message]
@@ -53,13 +57,14 @@ DIAMOND: Message = {"x": 0.0, "y": 0.0, "z": 0.3826834323650898, "w": 0.92387953
 """Turned by 45 degrees about the z axis, as (0, 0, sin 22.5 degrees, cos 22.5 degrees)."""
 
 
-def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None) -> int:
+def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, headings: Headings | None = None) -> int:
     """Write a run to an MCAP file, and return the number of messages; events are not held in memory.
 
     Args:
         events: the events of the run, in order.
         file: the path of the file.
         beliefs: the beliefs in the run, from `desim.analysis.knowledge.knowledge`; None: the topic is left out.
+        headings: the headings of the players with inertia, not asked before; None: all head along the x axis.
 
     Raises:
         ImportError: if the package mcap is not installed.
@@ -75,7 +80,7 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None) ->
             for name, schema in SCHEMAS.items()
         }
         channels = {topic: writer.register_channel(topic, "json", schemas[name]) for topic, name in TOPICS.items()}
-        for t, topic, message in merge(Scene().entries(events), _beliefs(beliefs), key=lambda entry: entry[0]):
+        for t, topic, message in merge(Scene(headings).entries(events), _beliefs(beliefs), key=lambda entry: entry[0]):
             data = json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
             writer.add_message(channels[topic], t, data, t)
             count += 1
@@ -86,7 +91,8 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None) ->
 class Scene:
     """The players as they were last recorded, from which the messages of a run are made."""
 
-    def __init__(self) -> None:
+    def __init__(self, headings: Headings | None = None) -> None:
+        self._headings = headings
         self._places: dict[str, Point] = {}
         self._actions: list[int] = []
         self._captured: set[int] = set()
@@ -134,11 +140,14 @@ class Scene:
         """Yield the positions of all players and, if an action has changed, the players as they look now."""
         pursuers = {f"pursuer {k}": place for k, place in enumerate(event.pursuers)}
         self._places = pursuers | {f"evader {k}": place for k, place in enumerate(event.evaders, start=1)}
-        time = _time(event.t)
+        time, rotations = _time(event.t), [UPRIGHT] * len(self._places)
+        if self._headings is not None:
+            for player, heading in zip(self._headings.players, self._headings.at(event), strict=True):
+                rotations[player] = _turned(heading)
         transforms = [
             {"timestamp": time, "parent_frame_id": WORLD, "child_frame_id": name, "translation": _point(place)}
-            | {"rotation": UPRIGHT}
-            for name, place in self._places.items()
+            | {"rotation": rotation}
+            for (name, place), rotation in zip(self._places.items(), rotations, strict=True)
         ]
         yield event.t, "/tf", {"transforms": transforms}
         if self._is_new:
@@ -232,6 +241,12 @@ def _entity(
 
 def _pose(orientation: Message = UPRIGHT) -> Message:
     return {"position": _point((0.0, 0.0)), "orientation": orientation}
+
+
+def _turned(heading: complex) -> Message:
+    """Return the rotation about the z axis by the angle of a heading."""
+    half = phase(heading) / 2.0
+    return {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
 
 
 def _point(place: Point) -> Message:

@@ -44,10 +44,12 @@ from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 from desim.kernel.units import SECOND, seconds
-from desim.pursuit.events import BrokeDown, Captured, Decided, Distrusted
+from desim.pursuit.events import BrokeDown, Captured, Decided, Distrusted, Estimated
+from desim.pursuit.state import coordinates
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
+from desim.view.headings import Headings
 
 MAX_REPLAY_TIME = 2**32 - 1
 """The largest tick that a column can hold."""
@@ -55,6 +57,14 @@ DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 SAMPLES = 0.05
 """Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
+TURN = 256
+"""Number of units of an angle in a full turn."""
+MAX_LENGTH = 2**30
+"""The greatest position and semi-axis of an estimate that is stored; greater ones are off the plane."""
+FLOW_POINTS, FLOW_TIMES = 12, 60
+"""Number of intervals along the longer side of the grid on which a flow is shown, and of times at which it is."""
+FLOW_MARGIN = 1.0
+"""Margin of this grid around all paths, m."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
 TRIGGERS = {
@@ -129,12 +139,12 @@ def replay(result: Result, ghost: Result | None = None) -> str:
 def with_recordings(scenario: Scenario) -> Scenario:
     """Return a copy of a scenario that records what a replay needs: messages and positions.
 
-    If the scenario records positions already, the time between samples is kept; otherwise it is `SAMPLES`.
+    If the scenario records positions already, the time between samples is kept; otherwise it is `SAMPLES`. Estimates
+    are recorded if they have covariances.
     """
-    record = scenario.record
-    return scenario.model_copy(
-        update={"record": record.model_copy(update={"messages": True, "trajectory": record.trajectory or SAMPLES})}
-    )
+    record, has_covariances = scenario.record, scenario.sensing.has_covariances
+    update = {"messages": True, "trajectory": record.trajectory or SAMPLES, "estimates": has_covariances}
+    return scenario.model_copy(update={"record": record.model_copy(update=update)})
 
 
 def missing_recordings(result: Result, ghost: Result | None = None) -> Iterator[str]:
@@ -291,6 +301,9 @@ def _document(result: Result, ghost: Result | None = None) -> ReplayData:
         "speeds": list(start.speeds),
         "active": list(start.active),
         "path": _path(result, ticks),
+        "headings": _headings(result),
+        "estimates": _estimates(result, ticks),
+        "flow": _flow(result, ticks),
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),
@@ -386,6 +399,71 @@ def _path(result: Result, ticks: _Ticks) -> ReplayData:
         "start": _column(units[0], "<i4"),
         "bits": 8 * np.dtype(kind).itemsize,
         "shifts": _column(shifts, kind),
+    }
+
+
+def _headings(result: Result) -> ReplayData | None:
+    """Return the players with inertia, and their headings at each sample as a column; None without such players.
+
+    The unit is a `TURN`th of a full turn, from the x axis to the left.
+    """
+    headings = Headings(result.scenario, result.seed)
+    if not headings.players:
+        return None
+    angles = np.angle([headings.at(sample) for sample in samples(result)])
+    turns = np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN
+    return {"players": list(headings.players), "turn": TURN, "values": _column(turns, "u1")}
+
+
+def _estimates(result: Result, ticks: _Ticks) -> ReplayData | None:
+    """Return the recorded estimates of the evaders as columns: the ellipses of one standard deviation; None if none.
+
+    Positions and semi-axes have the unit of the path; the angle of the major axis is that of `_headings`.
+    """
+    found = result.trace.of(Estimated)
+    if not found:
+        return None
+    per_metre = _per_metre(_places(result))
+    variances, axes = np.linalg.eigh([[[each.xx, each.xy], [each.xy, each.yy]] for each in found])
+    semi_axes = np.minimum(np.sqrt(np.maximum(variances[:, ::-1], 0.0)) * per_metre, MAX_LENGTH)
+    angles = np.arctan2(axes[:, 1, 1], axes[:, 0, 1])
+    centres = np.clip(np.array([[each.x, each.y] for each in found]) * per_metre, -MAX_LENGTH, MAX_LENGTH)
+    return {
+        "t": ticks([each.t for each in found]),
+        "pursuer": _column([each.pursuer for each in found], "<u2"),
+        "evader": _column([each.evader for each in found], "<u2"),
+        "centres": _column(np.rint(centres), "<i4"),
+        "semi_axes": _column(np.rint(semi_axes), "<i4"),
+        "turn": TURN,
+        "angles": _column(np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN, "u1"),
+    }
+
+
+def _flow(result: Result, ticks: _Ticks) -> ReplayData | None:
+    """Return the velocities of the flow on a square grid over the paths, at some times, as columns; None without flow.
+
+    `velocities` has the x, y (m/s) of each point of the grid, row by row, at each time; `top` is the greatest speed.
+    """
+    environment = result.scenario.environment
+    if environment.is_still:
+        return None
+    places = _places(result).reshape(-1, 2)
+    (left, low), (right, high) = places.min(axis=0) - FLOW_MARGIN, places.max(axis=0) + FLOW_MARGIN
+    edge = max(right - left, high - low) / FLOW_POINTS
+    x, y = np.arange(left, right + edge, edge), np.arange(low, high + edge, edge)
+    grid = (x[None, :] + 1j * y[:, None]).ravel()
+    times = np.linspace(0, ended(result).t, FLOW_TIMES).astype(np.int64)
+    velocities = np.array([coordinates(environment.flow(grid, t / SECOND)) for t in times.tolist()])
+    if (velocities == velocities[0]).all():
+        times, velocities = times[:1], velocities[:1]
+    return {
+        "on": environment.on,
+        "t": ticks(times),
+        "start": [float(left), float(low)],
+        "edge": float(edge),
+        "columns": len(x),
+        "top": float(np.hypot(*velocities.reshape(-1, 2).T).max()),
+        "velocities": _column(velocities.astype("<f4"), "<f4"),
     }
 
 

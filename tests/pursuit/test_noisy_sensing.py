@@ -11,6 +11,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.events import Estimated, Sampled
 from desim.pursuit.noise import PositionNoise, RangeBearingNoise
 from desim.pursuit.noisy_sensing import Sighted, Tracked
 from desim.pursuit.sensing import Sensing
@@ -165,3 +166,28 @@ def test_every_protocol_bears_noise(kind, fusion):
         network=Links(latency=Constant(value=0.1)),
     )
     assert watched(case, 2).trace.events == run(case, 2).trace.events
+
+
+def test_recorded_estimates_change_nothing_and_are_the_tracks():
+    """One for each pursuer that is up and has a track, at each sample; without covariances there are none."""
+    sensing = Sensing(noise=NOISE, estimator=Kalman(), fusion="covariance_intersection")
+    base = scenario(sensing, network=Links(latency=Constant(value=0.1)), horizon=2.0, fault=(Crash(node=2, start=1.0),))
+    traces = [
+        run(base.model_copy(update={"record": Recording(messages=True, estimates=estimates)}), 1).trace
+        for estimates in (False, True)
+    ]
+    assert [each for each in traces[1] if not isinstance(each, Estimated)] == list(traces[0])
+    found = traces[1].of(Estimated)
+    samples = {event.t: event for event in traces[1].of(Sampled)}
+    assert {(each.t, each.pursuer) for each in found} == {
+        (t, pursuer) for t in samples for pursuer in (0, 1, 2) if pursuer < 2 or t < SECOND
+    }
+    unlike = [
+        (complex(each.x, each.y) - complex(*samples[each.t].evaders[0])).real ** 2 / each.xx
+        for each in found
+        if each.t > SECOND / 2
+    ]
+    assert 0.1 < np.mean(unlike) < 2.0
+    assert all(each.xx * each.yy > each.xy**2 for each in found)
+    unfiltered = Sensing(noise=NOISE, estimate="hold")
+    assert not run(scenario(unfiltered, record=Recording(estimates=True), horizon=0.2)).trace.of(Estimated)

@@ -18,7 +18,9 @@ from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
+from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.tracking import AlphaBeta, Kalman
 from desim.pursuit.trust import Trimmed
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
@@ -545,3 +547,16 @@ def test_each_thing_is_warned_of_in_one_go():
 
 def test_a_protocol_from_a_script_has_nothing_to_be_warned_of():
     assert warned(protocol=lambda me: iter(()), announce=Announcements(trigger="never")) == []
+
+
+def test_estimates_that_cannot_be_recorded_are_warned_of():
+    tracked = Sensing(noise=PositionNoise(), estimator=Kalman())
+    asked = Recording(estimates=True)
+    assert warned(sensing=tracked, record=asked) == []
+    for given, why in (
+        ({}, "no estimate has a covariance"),
+        ({"sensing": Sensing(noise=PositionNoise(), estimator=AlphaBeta())}, "no estimate has a covariance"),
+        ({"sensing": tracked, "protocol": Centralised()}, "no estimate has a covariance"),
+        ({"sensing": tracked, "record": Recording(estimates=True, trajectory=0.0)}, "these are not"),
+    ):
+        assert [key for key, text in warned(**{"record": asked} | given) if why in text] == ["record.estimates"]

@@ -8,11 +8,13 @@ import pytest
 from mcap.reader import make_reader
 
 from desim.analysis.knowledge import knowledge
+from desim.analysis.trace_index import started
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured, Sampled
 from desim.view.foxglove import SHOWN, TOPICS, write
 from desim.view.foxglove_schemas import SCHEMAS
+from desim.view.headings import Headings
 from tests.view.by_hand import MS, history, pair
 
 TYPES = {"number": (int, float), "integer": int, "string": str, "boolean": bool}
@@ -74,7 +76,20 @@ def test_the_frames_of_the_players_are_at_the_recorded_positions(exported):
         wanted = {f"pursuer {k}": (*place, 0.0) for k, place in enumerate(sample.pursuers)}
         assert places == wanted | {f"evader {k}": (*place, 0.0) for k, place in enumerate(sample.evaders, start=1)}
         assert {each["parent_frame_id"] for each in content["transforms"]} == {"world"}
+        assert {tuple(each["rotation"].values()) for each in content["transforms"]} == {(0.0, 0.0, 0.0, 1.0)}
         assert {stamp(each["timestamp"]) for each in content["transforms"]} == {t}
+
+
+def test_the_frames_of_robots_with_inertia_are_turned_to_their_headings(tmp_path, run_of):
+    result = run_of("inertia.toml", "horizon=1.0")
+    write(result.trace, tmp_path / "x.mcap", headings=Headings(result.scenario, result.seed))
+    headings, turned = Headings(result.scenario, result.seed), 0
+    samples = [started(result), *result.trace.of(Sampled)]
+    for (_, content), sample in zip(read(tmp_path / "x.mcap")["/tf"], samples, strict=True):
+        rotations = [complex(each["rotation"]["w"], each["rotation"]["z"]) for each in content["transforms"]]
+        assert [each**2 for each in rotations] == pytest.approx(headings.at(sample))
+        turned += rotations != [1.0] * len(rotations)
+    assert turned == len(samples)
 
 
 def test_the_colours_of_the_players_follow_their_actions(exported):

@@ -34,12 +34,22 @@ from desim.kernel.topology import Topology
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Estimated, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
-from desim.view.replay import MAX_REPLAY_TIME, _column, _document, _Ticks, conditions, missing_recordings, replay
+from desim.view.headings import Headings
+from desim.view.replay import (
+    MAX_REPLAY_TIME,
+    _column,
+    _document,
+    _Ticks,
+    conditions,
+    missing_recordings,
+    replay,
+    with_recordings,
+)
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
@@ -205,6 +215,69 @@ def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left(
     first = np.cumsum(column(said["count"], "<u2"), dtype=int) - column(said["count"], "<u2")
     assert (left == column(said["end"], "<u4")[first]).sum() == len(waiting), "latency is never 0 here"
     assert (left > document["end"]).sum() == len(waiting - dropped) > 0
+
+
+def test_headings_estimates_and_the_flow_are_in_the_page_only_where_there_are_any(result_of):
+    document = _document(result_of("relay"))
+    assert (document["headings"], document["estimates"], document["flow"]) == (None, None, None)
+
+
+def test_headings_are_within_a_half_unit_of_those_of_the_samples(run_of):
+    result = run_of("inertia.toml", "horizon=1.0")
+    given, headings = _document(result)["headings"], Headings(result.scenario, result.seed)
+    assert given["players"] == list(range(13))
+    stored = np.exp(2j * np.pi / given["turn"] * column(given["values"], "u1").reshape(-1, 13))
+    wanted = np.array([headings.at(each) for each in (started(result), *result.trace.of(Sampled))])
+    assert np.abs(np.angle(stored / wanted)).max() <= np.pi / given["turn"] + 1e-9
+    assert len(np.unique(stored)) > 20
+
+
+def test_estimates_are_the_ellipses_of_the_recorded_covariances(run_of):
+    result = run_of("noisy.toml", "horizon=0.5")
+    given, found = _document(result)["estimates"], result.trace.of(Estimated)
+    long, short = column(given["semi_axes"], "<i4").reshape(-1, 2).T / 1000.0
+    axis = np.exp(2j * np.pi / given["turn"] * column(given["angles"], "u1"))
+    squared = (long**2 + short**2) / 2.0 + (long**2 - short**2) / 2.0 * axis**2
+    assert squared.real == pytest.approx([each.xx for each in found], abs=0.02)
+    assert ((long**2 - short**2) / 2.0 * axis**2).imag == pytest.approx([each.xy for each in found], abs=0.02)
+    centres = column(given["centres"], "<i4").reshape(-1, 2) / 1000.0
+    assert np.abs(centres - [[each.x, each.y] for each in found]).max() <= 0.0005 + 1e-9
+    assert column(given["pursuer"], "<u2").tolist() == [each.pursuer for each in found]
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_page_shows_headings_estimates_and_the_flow(shown):
+    """The flow is linear between the points of its grid, so in the middle of cells it is nearly right."""
+    flow = "environment.flow={kind='gyre', speed=0.5, size=6.0, shift=1.0, period=4.0}"
+    result = run(
+        with_recordings(load(SCENARIOS / "noisy.toml", ["horizon=1.5", flow, "evader.dynamics.kind='acceleration'"]))
+    )
+    opened, environment = shown(result), result.scenario.environment
+    samples = [started(result), *result.trace.of(Sampled)]
+    headings = Headings(result.scenario, result.seed)
+    known = {sample.t: headings.at(sample)[0] for sample in samples}
+    for sample in samples[9:-1:7]:
+        opened.value(f"replay.seek({(sample.t - 1e6) / SECOND})")
+        found = opened.value("replay.headings")
+        assert found[:8] == [None] * 8
+        assert abs(np.angle(np.exp(1j * found[8]) / known[sample.t])) < 0.02
+        opened.value(f"replay.seek({sample.t / SECOND})")
+        estimates = {each.pursuer: (each.x, each.y) for each in result.trace.of(Estimated) if each.t == sample.t}
+        active = [k for k, action in enumerate(opened.value("replay.truth")) if action]
+        assert opened.value("replay.estimates.map(each => each[0]).sort()") == active
+        opened.value("replay.choose(3)")
+        assert opened.value("replay.estimates") == [[3, 1, *(pytest.approx(c, abs=6e-4) for c in estimates[3])]]
+        opened.value("replay.choose(-1)")
+        for place in (8 + 8j, 11 + 6.5j):
+            wanted = environment.flow(np.array([place]), sample.t / SECOND)[0]
+            assert complex(*opened.value(f"replay.flowAt({place.real}, {place.imag})")) == pytest.approx(
+                wanted, abs=0.1
+            )
+    assert opened.value("replay.flowAt(1e3, 0)") is None
+    for box, key in (("flow", "f"), ("ellipses", "u")):
+        opened.value(f"document.body.dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}', bubbles: true}}))")
+        assert opened.value(f"document.getElementById('{box}').checked") is False
 
 
 KINDS = dict.fromkeys(("t", "begin", "left", "end"), "<u4") | {"start": "<i4", "shifts": "<i2"}

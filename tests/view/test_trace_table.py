@@ -28,7 +28,7 @@ from desim.kernel.events import (
 from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.trace_file import events_of, line_of
 from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.events import FORMAT, Captured, Decided, Distrusted, Ended, Sampled, Started
+from desim.pursuit.events import FORMAT, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results.run_folder import EVENTS
 from desim.view import trace_table
 from desim.view.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
@@ -150,6 +150,7 @@ def test_the_rows_of_a_run_that_has_all_kinds_of_events(tmp_path):
         TransportCounts(600 * MS, 4, 1, 1, {"repeats": 1}, 5, 1, 1, 1, 1, 100 * MS),
         ClockCorrected(600 * MS, 1, 0.25),
         Distrusted(600 * MS, 1, 0, True),
+        Estimated(600 * MS, 1, 1, 2.0, 3.0, 0.5, 0.1, 0.25),
     ]
     events = history(*transported).trace.events
     assert {type(event).__name__ for event in events} == set(KINDS)
