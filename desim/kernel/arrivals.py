@@ -11,6 +11,7 @@ loss at its time, if there may be faults that are not planned, or if the source 
 positions (`PositionSource.looks_back`).
 """
 
+from collections import defaultdict
 from collections.abc import Iterable
 from math import inf
 from typing import Any
@@ -42,7 +43,7 @@ class KeptArrivals:
 
     def __init__(self, size: int) -> None:
         self.first = [inf] * size
-        self._of_node: list[list[Any]] = [[] for _ in range(size)]
+        self._of_node: defaultdict[int, list[Any]] = defaultdict(list)
         """By node, a flat list in the order of transmission: time, flight, time, flight ..."""
         self._count = self._added = 0
 

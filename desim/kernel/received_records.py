@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 
 from desim.kernel.clock import Clock
 from desim.kernel.record_tables import OwnTables, SharedTable
-from desim.kernel.records import Arrival, Predicate, Record, Table, TimedRecord
+from desim.kernel.records import Arrival, Predicate, Record, Table
 
 MAX_UNREAD = 2048
 """Length above which a list of unread records is merged into its table; a flat list has two items per record."""
@@ -123,7 +123,7 @@ class Records:
             return matching.copy()
         known = shared.matching_of(node)
         if own:
-            known = {src: received for src, received in known.items() if _is_newer(received, own)}
+            known = {src: each for src, each in known.items() if src not in own or own[src][1].seq < each[1].seq}
             known |= self._not_older_than_shared(node, matching)
         return known
 
@@ -161,9 +161,3 @@ class Records:
             for node, unread in enumerate(self._own.unread):
                 if len(unread) > MAX_UNREAD:
                     self._own.merge(node, now)
-
-
-def _is_newer(received: TimedRecord, table: Table) -> bool:
-    """Return whether a record is newer than the record of its source in a table, or the table has none."""
-    known = table.get(received[1].src)
-    return known is None or known[1].seq < received[1].seq

@@ -136,11 +136,6 @@ def announced_action(body: Any) -> int | None:
     return action if isinstance(action, INTEGERS) else None
 
 
-def announces_chase(body: Any) -> bool:
-    """Return whether a body announces a chase."""
-    return bool(announced_action(body))
-
-
 def relayed_records(body: Any) -> tuple[Record, ...] | None:
     """Return `body.records`, the records that a message relays; None if the message is not a relay."""
     try:

@@ -17,7 +17,7 @@ from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, repeat
-from desim.pursuit.announcements import announces_chase
+from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Captured, Ended, Sampled
 from desim.pursuit.evidence import Witness
 from desim.pursuit.lies import draw_lies
@@ -175,7 +175,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         positions=positions,
         trace=trace,
         fault_state=FaultState(positions) if faults else None,
-        predicate=announces_chase,
+        predicate=announced_action,
         clocks=clocks,
     )
     if scenario.protocol_traits.embodied:

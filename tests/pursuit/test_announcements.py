@@ -27,7 +27,6 @@ from desim.pursuit.announcements import (
     LocatedAssignment,
     MovingAssignment,
     announced_action,
-    announces_chase,
     relayed_records,
 )
 from desim.pursuit.dynamics import Acceleration, Simple, TurnRate
@@ -52,7 +51,6 @@ PAYLOADS = ["action", "time", "state", "course"]
 )
 def test_a_body_has_the_action_of_its_attribute_active_if_that_is_a_number_of_an_evader(body, action):
     assert announced_action(body) == action
-    assert announces_chase(body) == bool(action)
 
 
 def test_a_body_relays_the_records_of_its_attribute_records_if_that_is_a_tuple():
