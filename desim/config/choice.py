@@ -138,7 +138,7 @@ class OneOf:
         Raises:
             ValueError: if the table or the model is invalid; errors of pydantic are subclasses.
         """
-        if not (isinstance(table, dict) or hasattr(table, "kind")):
+        if not (isinstance(table, dict) or attributes(table, ["kind"])):
             text = "should be a table with a kind, a built-in model or an object that can be called"
             raise PydanticCustomError("union_tag_not_found", text)
         kind = table.get("kind") if isinstance(table, dict) else None

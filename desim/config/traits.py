@@ -110,6 +110,11 @@ def name_of(value: Any) -> str:
     return str(value.__name__ if isinstance(value, FunctionType) else type(value).__name__)
 
 
+def kind_of(model: Any) -> str:
+    """Return the kind of a model, or its name if it has no kind."""
+    return Traits.of(model).kind or name_of(model)
+
+
 def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield (attribute, trait) for each name of an attribute that is one letter off a trait.
 

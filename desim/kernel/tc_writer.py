@@ -93,15 +93,15 @@ class _Writer:
                 return ["delay", time_word(middle + self._processing), *jitter]
             case Netem():
                 return self._netem(latency)
-        quantile = LinkTraits.of(latency).quantile
-        if quantile is None:
+        traits = LinkTraits.of(latency)
+        if traits.quantile is None:
             self.missing.append((key, "netem needs quantiles of the latency that are the same for all links"))
             return []
-        fitted = fit(quantile)
+        fitted = fit(traits.quantile)
         words = ["delay", time_word(fitted.delay + self._processing)]
         if not fitted.jitter:
             return words
-        name = self._name(str(getattr(latency, "kind", "latency")), fitted.table)
+        name = self._name(traits.kind or "latency", fitted.table)
         return [*words, time_word(fitted.jitter), "distribution", name]
 
     def _netem(self, latency: Netem) -> Words:

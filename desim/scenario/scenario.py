@@ -26,7 +26,7 @@ from desim.config.model import (
     Time,
     Value,
 )
-from desim.config.traits import name_of
+from desim.config.traits import kind_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import Partition, nodes_of
@@ -207,7 +207,7 @@ class Scenario(Value):
     @property
     def protocol_name(self) -> str:
         """The kind of the protocol, or the name of its function or class if it has no kind."""
-        return self.protocol_traits.kind or name_of(self.protocol)
+        return kind_of(self.protocol)
 
     @property
     def protocol_traits(self) -> ProtocolTraits:

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.data_files import in_short
+from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
@@ -204,8 +205,7 @@ def in_words(settings: Settings) -> str:
 def label(value: Any) -> str:
     """Return a value of a grid as a short text; a model as its kind and the fields that were set."""
     if isinstance(value, BaseModel):
-        kind = getattr(value, "kind", type(value).__name__)
-        value = {"kind": kind} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
+        value = {"kind": kind_of(value)} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
     if isinstance(value, dict):
         inner = ", ".join(f"{key}={label(each)}" for key, each in value.items() if key != "kind")
         kind = str(value.get("kind", ""))

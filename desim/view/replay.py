@@ -33,6 +33,7 @@ from desim.analysis.trace_index import (
 )
 from desim.config.arrays import Floats
 from desim.config.model import Value
+from desim.config.traits import kind_of, name_of
 from desim.config.trust import escaped, without_symlink
 from desim.kernel.faults import Crash, Misbehaviour, Partition, TracedFault
 from desim.kernel.graphs import Complete
@@ -221,14 +222,14 @@ def conditions(scenario: Scenario) -> str:
 def _model(model: Any) -> str:
     """Return a model as text: its kind and its numbers except 0 and inf; if it is not a `Value`, its name."""
     if not isinstance(model, Value):
-        return str(getattr(model, "__name__", type(model).__name__))
+        return name_of(model)
     given = {name: getattr(model, name) for name in type(model).model_fields}
     shown = [
         f"{name.replace('_', ' ')} {_number(each)}"
         for name, each in given.items()
         if type(each) in {int, float} and isfinite(each) and each
     ]
-    name = str(getattr(model, "kind", type(model).__name__)).replace("_", " ")
+    name = kind_of(model).replace("_", " ")
     return f"{name} ({', '.join(shown)})" if shown else name
 
 

@@ -1,11 +1,14 @@
 """What protocols, schedules, strategies and link models may have, and that a misspelt one is refused."""
 
+import ast
 import re
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
 from pydantic import ValidationError
 
+import desim
 from desim import Scenario
 from desim.config.model import fields_of
 from desim.kernel.access import Aloha
@@ -204,3 +207,21 @@ def test_a_plain_function_has_the_defaults_or_what_it_is_given():
     mine.omnisient = True
     with pytest.raises(ValidationError, match="mine has an attribute 'omnisient', did you mean 'omniscient'"):
         Scenario(protocol=mine)
+
+
+def named_attributes(source):
+    """Return the names that a program gives to `getattr` and `hasattr` as literals."""
+    calls = [each for each in ast.walk(ast.parse(source)) if isinstance(each, ast.Call) and len(each.args) > 1]
+    found = [each.args[1] for each in calls if ast.unparse(each.func) in {"getattr", "hasattr"}]
+    return {each.value for each in found if isinstance(each, ast.Constant)}
+
+
+@pytest.mark.slow
+def test_traits_are_read_through_their_classes_only():
+    """A `getattr` with a default would take a misspelt name in silence."""
+    traits = {name for _, family in FAMILIES.values() for name in family.model_fields}
+    assert named_attributes("getattr(a, 'kind', 1), hasattr(a, 'draw'), getattr(a, b)") == {"kind", "draw"} <= traits
+    home = Path(desim.__file__).parents[1]
+    modules = [path for name in ("desim", "protocols", "scenarios") for path in sorted((home / name).rglob("*.py"))]
+    found = {path.stem: named_attributes(path.read_text(encoding="utf-8")) & traits for path in modules}
+    assert {name: each for name, each in found.items() if each} == {}
