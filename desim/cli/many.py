@@ -82,7 +82,10 @@ class Precision(click.ParamType[tuple[str, float]]):
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
 @click.option(
-    "--until", type=Precision(), help="Run until the 95 % interval of a metric has this half width; at least 30 runs."
+    "--until",
+    type=Precision(),
+    help="Run until the 95 % interval of a metric has this half width; at least 30 runs. MODULE:FUNCTION:HALFWIDTH"
+    " implies --metric MODULE:FUNCTION.",
 )
 @click.option(
     "--shard", type=Shard(), default=None, help="Do only every N-th run, starting with the K-th; see `desim merge`."
@@ -121,6 +124,9 @@ def sweep(
     from desim.study.store import Store
     from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
+    if until and ":" in until[0]:
+        given, width = until
+        metrics, until = tuple(dict.fromkeys((*metrics, given))), (given.rpartition(":")[2], width)
     source, scenario = source_of(file, overrides, metrics, grid)
     shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:

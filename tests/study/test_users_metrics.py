@@ -455,6 +455,12 @@ def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
     assert len(stored("out/sweep.sqlite")) == 60
     said = refused("sweep", file, TRUSTED, "--until", "gab:100", "-o", "out")
     assert "there is no numeric metric 'gab', did you mean 'gap'?" in said
+    for name in ("gap", "twice"):
+        shown = accepted("sweep", file, TRUSTED, "--until", f"mine_of_commands:{name}:100", "-o", name).stdout
+        assert name in shown.splitlines()[1]
+        assert len(stored(f"{name}/sweep.sqlite")) == 60
+    said = refused("sweep", file, TRUSTED, "--until", "mine_of_commands:none:100")
+    assert said.startswith("--metric mine_of_commands:none: record.metrics.1: ")
 
 
 @pytest.mark.slow
