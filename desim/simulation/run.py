@@ -283,10 +283,11 @@ class _Team:
     def begin(self) -> None:
         """Start all processes."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
+        has_heartbeats = self._scenario.announces and announce.has_heartbeats
         for pursuer, agent in enumerate(self._agents):
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
-            if self._scenario.announces and announce.has_heartbeats:
+            if has_heartbeats:
                 env.process(repeat(agent, agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
