@@ -39,7 +39,7 @@ def capture_times_in_flow(
     """Return the (k,) capture times, s, of pursuers with simple motion in a flow.
 
     Args:
-        environment: the flow, and whom it carries.
+        environment: the flow, and the players that it carries.
         target: position of the evader, m.
         places: (k,) positions of the pursuers, m.
         distances: (k,) distances to allow for, m: at least those of `target`, if it is uncertain.

@@ -96,7 +96,7 @@ def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if environment.is_still and environment.on != "all":
         yield "environment.on", "it has no effect without a flow"
     if not environment.is_still and scenario.motion.static:
-        yield "environment.flow", "it moves nobody, because nothing moves (`motion.static`)"
+        yield "environment.flow", "it has no effect, because nothing moves (`motion.static`)"
 
 
 def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:
