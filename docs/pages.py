@@ -25,7 +25,10 @@ from desim.view.replay import replay
 from desim.view.trace_table import COLUMNS, KINDS, columns_of
 
 SCENARIOS = Path(scenarios.__file__).parent
-STUDIES = ("rivals", "delay", "range", "liars", "evaders", "many", "table1", "two_clocks", "first_picture", "figures")
+STUDIES = (
+    *("rivals", "delay", "range", "liars", "bodies", "evaders", "many"),
+    *("table1", "two_clocks", "first_picture", "figures"),
+)
 """The studies of the gallery, in its order."""
 HEADER = re.compile(r"^([A-Z][a-z]+(?: [a-z]+)*): +")
 """The beginnings of the items in the header of a protocol."""

@@ -9,13 +9,17 @@ from click.testing import CliRunner
 
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time, network_regret
-from desim.kernel.events import Broadcast, Sent
-from desim.pursuit.events import Started
+from desim.kernel.events import Broadcast, Sent, Trace
+from desim.kernel.units import nanoseconds
+from desim.pursuit.events import Decided, Ended, Started
 from desim.pursuit.state import complex_points
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Recording
+from desim.simulation.run import Result
 from scenarios import (
     benchmarks,
+    bodies,
+    bodies_runs,
     contention,
     contention_runs,
     delay,
@@ -42,6 +46,7 @@ from tests.summaries import changed
 
 STUDIES = (
     benchmarks,
+    bodies,
     contention,
     delay,
     evaders,
@@ -354,6 +359,82 @@ def test_the_study_of_liars_shows_harm_and_defence(monkeypatch, study, shortened
     assert accused[0] == 0.0 < accused[1]
     assert "there at once" in table
     assert "false accusations per run" in picture
+
+
+@pytest.mark.slow
+def test_the_study_of_bodies_compares_motions_and_rules_in_the_same_runs(monkeypatch, study):
+    patch_study(monkeypatch, (bodies, bodies_runs), "LATENCIES", (0.0, 0.5))
+    few = {name: bodies_runs.MOTIONS[name] for name in ("simple", "radius 1 m")}
+    patch_study(monkeypatch, (bodies, bodies_runs), "MOTIONS", few)
+    document, table, picture = study(bodies.main, "--runs", "2")
+    cells = {(each["rule"], each["motion"], each["latency"]): each for each in document["cells"]}
+    assert len(cells) == 2 * 2 * 2
+    times = {key: np.array([active_time(run(bodies_runs.pursuit(*key), seed)) for seed in (0, 1)]) for key in cells}
+    for (rule, motion, latency), cell in cells.items():
+        late = {each: times[rule, each, latency] - times[rule, each, 0.0] for each in few}
+        assert cell["active_time"]["mean"] == pytest.approx(times[rule, motion, latency].mean())
+        assert cell["of_latency"]["mean"] == pytest.approx(late[motion].mean())
+        assert cell["of_inertia"]["mean"] == pytest.approx((late[motion] - late["simple"]).mean())
+        difference = times[rule, motion, latency] - times["one at a time", motion, latency]
+        assert cell["of_rule"]["mean"] == pytest.approx(difference.mean())
+        assert f"{cell['active_time']['mean']:.2f}" in table
+    assert sum(cells["one at a time", motion, 0.5]["of_latency"]["mean"] for motion in few) > 3.0
+    for label in ("radius 1 m", "excess active time per handover (s)"):
+        assert label in picture
+
+
+def test_robots_of_the_study_of_bodies_have_the_radii_and_accelerations_of_their_names():
+    for name, dynamics in bodies_runs.MOTIONS.items():
+        if name.startswith("radius"):
+            assert bodies_runs.SPEED / dynamics.limit == pytest.approx(float(name.split()[1]))
+        elif name != "simple":
+            assert dynamics.limit == float(name.split()[0])
+
+
+def decided(*decisions):
+    """Return the result of 6 s in which 0 of three pursuers chases at first, given (time (s), pursuer, action)."""
+    trace = Trace()
+    trace.append(Started(0, ((9.0, 0.0),), ((0.0, 0.0),) * 3, (2.0,) * 3, (1, 0, 0)))
+    for t, pursuer, action in decisions:
+        trace.append(Decided(nanoseconds(t), pursuer, action))
+    trace.append(Ended(nanoseconds(6.0), "horizon", None))
+    return Result(Scenario(), 0, trace)
+
+
+@pytest.mark.own_trace
+def test_the_excess_of_a_handover_is_counted_from_the_last_lone_chase_to_the_next():
+    """All for .5 s, 0 and 1 for .5 s, 0 alone again; 0 and 1 and 2 for .25 s, nobody for .75 s, then 2 alone."""
+    joins, hands_over = [(1.0, 1, 1), (1.0, 2, 1), (1.5, 2, 0), (2.0, 1, 0)], [(4.0, 1, 1), (4.0, 2, 1)]
+    gone = [(4.25, pursuer, 0) for pursuer in range(3)]
+    assert bodies_runs.handovers(decided(*joins)) == (0, 0.0)
+    assert bodies_runs.handovers(decided(*joins, *hands_over)) == (0, 0.0)
+    assert bodies_runs.handovers(decided(*joins, *hands_over, *gone, (5.0, 2, 1))) == (1, 0.5)
+
+
+def test_the_handovers_of_the_study_of_bodies_are_those_of_the_metric():
+    scenario = bodies_runs.pursuit("one at a time", "simple", 0.25)
+    results = [run(scenario, seed) for seed in range(2, 6)]
+    found, numbers = [bodies_runs.handovers(each) for each in results], [summary(each) for each in results]
+    assert [each.number for each in found] == [each.handovers for each in numbers]
+    assert all(each.excess <= number.excess_time + 1e-9 for each, number in zip(found, numbers, strict=True))
+    assert sum(each.number for each in found) > 0
+
+
+def test_the_error_of_a_ratio_is_the_deviation_of_ratios_of_new_samples():
+    """The number of handovers, and the excess of each, vary; 2000 samples of 40 runs give the error to 2 %."""
+    rng = np.random.default_rng(1)
+
+    def drawn():
+        counts = rng.poisson(1.5, 40)
+        return bodies_runs.ratio([rng.exponential(2.0, count).sum() for count in counts], counts.tolist())
+
+    found = [drawn() for _ in range(2000)]
+    means, errors = [each.mean for each in found], [each.standard_error for each in found]
+    assert np.mean(means) == pytest.approx(2.0, abs=0.03)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(means), rel=0.1)
+    naive = np.sqrt(40 * 1.5) * 2.0 / (40 * 1.5)  # of a sum of as many values as are expected, each of deviation 2
+    assert np.std(means) == pytest.approx(naive, rel=0.1)
+    assert np.isnan(bodies_runs.ratio([0.0, 0.0], [0, 0]).mean)
 
 
 def test_the_best_heartbeat_has_the_least_age_in_theory(monkeypatch):

@@ -1,0 +1,183 @@
+"""The scenarios and measurements of `python -m scenarios.bodies`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, nan
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from desim import Result, Scenario
+from desim.analysis.activity import evader_pursuits
+from desim.analysis.metrics import active_time, captured, end_time
+from desim.analysis.statistics import Estimate, estimate
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.units import seconds
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Acceleration, Dynamics, Simple, TurnRate
+from desim.pursuit.evasion import PureEvasion
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Capture, Motion, Recording
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Rounds, SharedSeed
+from scenarios.study import Options
+
+N = 8
+SPEED = 1.2
+"""Speed of the pursuers, m/s; that of the evader is 0.9 m/s."""
+PERIOD = 0.4
+"""Mean time between two decisions of a pursuer, and time between two announcements, s."""
+RADII = (0.5, 1.0, 2.0)
+"""Least turning radii, m."""
+ACCELERATIONS = (2.0, 1.0, 0.5)
+"""Greatest accelerations, m/s^2."""
+SIMPLE = "simple"
+MOTIONS: Mapping[str, Dynamics] = MappingProxyType(
+    {SIMPLE: Simple()}
+    | {f"radius {radius:g} m": TurnRate(limit=SPEED / radius) for radius in RADII}
+    | {f"{limit:g} m/s^2": Acceleration(limit=limit) for limit in ACCELERATIONS}
+)
+"""The dynamics of the pursuers, by name."""
+ONE, ALL = "one at a time", "all at once"
+RULES: Mapping[str, Any] = MappingProxyType(
+    {
+        ONE: SpatialAdaptivePlay(schedule=SharedSeed(slot=PERIOD / N)),
+        ALL: SpatialAdaptivePlay(schedule=Rounds(period=PERIOD)),
+    }
+)
+"""Spatial Adaptive Play with equal numbers of decisions; all at once: in rounds."""
+LATENCIES = (0.0, 0.25, 0.5, 1.0)
+"""One-way latencies, s."""
+
+
+class Handovers(NamedTuple):
+    """The handovers of a run."""
+
+    number: int
+    excess: float
+    """Active time in excess of one pursuer between the lone chases of the old and the new pursuer, s."""
+
+
+class Run(NamedTuple):
+    """The measurements of one run."""
+
+    captured: bool
+    duration: float
+    """Capture time, or the horizon, s."""
+    active_time: float
+    """s"""
+    handovers: Handovers
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The results of one combination of rule, motion and latency."""
+
+    rule: str
+    motion: str
+    latency: float
+    """s"""
+    captured: float
+    """Share of the pursuits that end with a capture."""
+    duration: Estimate
+    """Capture time, or the horizon, s."""
+    active_time: Estimate
+    """s"""
+    of_latency: Estimate
+    """Paired difference of the active time from that without latency, s."""
+    of_inertia: Estimate
+    """Paired difference of `of_latency` from that of simple motion, s."""
+    of_rule: Estimate
+    """Paired difference of the active time from that of SAP with one decision at a time, s."""
+    handovers: Estimate
+    """Number per run."""
+    excess: Estimate
+    """Active time in excess of one pursuer per handover, s; its mean is nan without handovers."""
+
+
+def pursuit(rule: str, motion: str, latency: float) -> Scenario:
+    """Return a pursuit by 8 pursuers of equal speed, of an evader that flees the active ones, towards the others."""
+    return Scenario(
+        name="bodies",
+        horizon=60.0,
+        team=Team(count=N, speeds=SPEED, active_at_start=0.0, dynamics=MOTIONS[motion]),
+        evader=Evader(strategy=PureEvasion(flees_from="active")),
+        capture=Capture(radius=0.3),
+        motion=Motion(step=0.05),
+        protocol=RULES[rule],
+        announce=Announcements(payload="course", heartbeat=PERIOD),
+        network=Links(latency=Constant(value=latency)),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run each rule with each motion at each latency, and return the results."""
+    keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
+    runs = dict(zip(keys, options.measure([pursuit(*key) for key in keys], "bodies", _measured), strict=True))
+    times = {key: [run.active_time for run in found] for key, found in runs.items()}
+    return [_cell(key, runs[key], times) for key in keys]
+
+
+def _cell(
+    key: tuple[str, str, float], runs: Sequence[Run], times: Mapping[tuple[str, str, float], Sequence[float]]
+) -> Cell:
+    """Return the results of one combination; `times` has the active times of all."""
+    rule, motion, latency = key
+
+    def late(moving: str) -> list[float]:
+        return differences(times[rule, moving, latency], times[rule, moving, 0.0])
+
+    return Cell(
+        *key,
+        sum(run.captured for run in runs) / len(runs),
+        estimate([run.duration for run in runs]),
+        estimate(times[key]),
+        estimate(late(motion)),
+        estimate(differences(late(motion), late(SIMPLE))),
+        estimate(differences(times[key], times[ONE, motion, latency])),
+        estimate([float(run.handovers.number) for run in runs]),
+        ratio([run.handovers.excess for run in runs], [run.handovers.number for run in runs]),
+    )
+
+
+def differences(some: Sequence[float], others: Sequence[float]) -> list[float]:
+    """Return the differences of paired values."""
+    return [one - other for one, other in zip(some, others, strict=True)]
+
+
+def ratio(parts: Sequence[float], counts: Sequence[int]) -> Estimate:
+    """Return the quotient of two sums over runs, with the standard error of a ratio (Cochran 1977, section 6.3)."""
+    total = sum(counts)
+    if not total:
+        return Estimate(nan, inf, len(counts))
+    found = sum(parts) / total
+    error = estimate([part - found * count for part, count in zip(parts, counts, strict=True)]).standard_error
+    return Estimate(found, error * len(counts) / total, len(counts))
+
+
+def handovers(result: Result) -> Handovers:
+    """Return the handovers of a run with one evader.
+
+    A handover lasts from the end of the last lone chase of the old pursuer to the beginning of that of the new one. In
+    this time n pursuers are active, and the excess is the integral of max(n - 1, 0).
+    """
+    (hunt,) = evader_pursuits(result)
+    active = {pursuer for pursuer, chasing in enumerate(hunt.start) if chasing}
+    before, last, count, excess, since_last = 0, None, 0, 0.0, 0.0
+    for t, pursuer, _ in [*hunt.steps, (hunt.end, -1, 0)]:
+        if t > before:
+            if len(active) == 1:
+                (alone,) = active
+                if last is not None and alone != last:
+                    count, excess = count + 1, excess + since_last
+                last, since_last = alone, 0.0
+            else:
+                since_last += max(len(active) - 1, 0) * seconds(t - before)
+        active ^= {pursuer}
+        before = t
+    return Handovers(count, excess)
+
+
+def _measured(result: Result) -> Run:
+    return Run(captured(result), end_time(result), active_time(result), handovers(result))
