@@ -10,7 +10,6 @@ It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from keyword import iskeyword
 from math import isnan, nan
 from operator import itemgetter
@@ -56,6 +55,7 @@ from desim.analysis.transport import (
 )
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
+from desim.config.suggestion import did_you_mean
 from desim.kernel.events import Cause
 from desim.kernel.units import seconds
 from desim.scenario.named_metrics import NamedMetric
@@ -486,8 +486,7 @@ def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
     """Raise ValueError unless a name is that of a built-in metric with `is_number`, or one of the names in `own`."""
     numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
     if metric not in numeric:
-        close = get_close_matches(metric, numeric, n=1)
-        hint = f", did you mean {close[0]!r}?" if close else ""
+        hint = did_you_mean(metric, numeric)
         raise ValueError(f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
 
 

@@ -25,6 +25,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core
 
 from desim.config.model import markers_of
 from desim.config.packages import check_visible
+from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, attributes
 from desim.config.trust import ALLOW_HINT, is_trusted
 
@@ -281,7 +282,10 @@ def load_named(kind: str, folder: Path | None) -> Any:
             sys.path.append(str(folder.absolute()))
     try:
         return reduce(getattr, name.split("."), import_module(module)) if point is None else point.load()
-    except (ImportError, AttributeError, ValueError) as error:
+    except AttributeError as error:
+        hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
+        raise ValueError(f"{kind!r} cannot be imported: {error}{hint}{where}") from error
+    except (ImportError, ValueError) as error:
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error

@@ -3,11 +3,11 @@
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from desim.config.packages import folder_of
+from desim.config.suggestion import did_you_mean
 from desim.config.trust import write_new
 
 
@@ -25,9 +25,7 @@ def example(name: str) -> Path:
     known = examples()
     stem = name.removesuffix(".toml")
     if stem not in known:
-        close = get_close_matches(stem, known, n=1)
-        hint = f", did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"there is no example {name!r}{hint}; allowed: {', '.join(known)}")
+        raise ValueError(f"there is no example {name!r}{did_you_mean(stem, known)}; allowed: {', '.join(known)}")
     return known[stem]
 
 

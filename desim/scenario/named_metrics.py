@@ -1,7 +1,6 @@
 """Metrics that a scenario names: a user's functions, which the summary of a run adds to the built-in metrics."""
 
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from types import FunctionType
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.choice import import_name, is_unlisted_import, load_named, refusal
+from desim.config.suggestion import did_you_mean
 from desim.config.trust import is_trusted
 
 GROUP = "desim.metrics"
@@ -59,9 +59,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     elif value in (installed := installed_metrics()):
         name, of = value, load_named(f"{installed[value].module}:{installed[value].attr}", None)
     else:
-        close = get_close_matches(value, installed, n=1)
-        hint = f", did you mean {close[0]!r}?" if close else ""
-        names = ", ".join(['"module:name"', *installed])
+        hint, names = did_you_mean(value, installed), ", ".join(['"module:name"', *installed])
         raise ValueError(
             f"there is no installed metric {value!r}{hint}; allowed: {names}; the built-in metrics are in every summary"
         )

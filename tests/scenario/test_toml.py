@@ -707,6 +707,8 @@ def test_a_class_inside_another_survives_dumping_and_loading(own_models, shelf):
 BAD_MODELS = {
     "no such module": ('{ kind = "own_modelz:slow" }', ["'own_modelz:slow' cannot be imported", "own_modelz"]),
     "no such name": ('{ kind = "own_models:fast" }', ["'own_models:fast' cannot be imported", "fast"]),
+    "misspelt name": ('{ kind = "own_models:slwo" }', ["has no attribute 'slwo', did you mean 'slow'?"]),
+    "misspelt inner name": ('{ kind = "own_models:Outer.Iner" }', ["'Iner', did you mean 'Inner'?"]),
     "no such inner name": (
         '{ kind = "own_models:Outer.fast" }',
         ["'own_models:Outer.fast' cannot be imported", "fast"],
