@@ -269,8 +269,8 @@ class Scenario(Value):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
         if graph is not None:
             yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
-        yield from self._channel_misfits()
-        yield from self._flow_misfits()
+        yield from _channel_misfits(self)
+        yield from _flow_misfits(self)
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
                 ("capture", "captures_to_end"),
@@ -296,48 +296,50 @@ class Scenario(Value):
             key = "groups" if isinstance(fault, Partition) else "node"
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
 
-    def _flow_misfits(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """Yield the key and the text of each model that does not allow for the flow."""
-        environment = self.environment
-        if self.team.has_inertia and not environment.keeps_distances:
-            yield (
-                ("team", "dynamics"),
-                "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
-                ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
-            )
-        if self.sensing.estimate == "worst_case" and not environment.is_still and environment.on == "all":
-            yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
 
-    def _channel_misfits(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
-        medium, count = self.network.medium, self.team.count
-        if not isinstance(medium, Radio):
+def _flow_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the key and the text of each model that does not allow for the flow."""
+    environment = scenario.environment
+    if scenario.team.has_inertia and not environment.keeps_distances:
+        yield (
+            ("team", "dynamics"),
+            "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
+            ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
+        )
+    if scenario.sensing.estimate == "worst_case" and not environment.is_still and environment.on == "all":
+        yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
+
+
+def _channel_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
+    medium, count = scenario.network.medium, scenario.team.count
+    if not isinstance(medium, Radio):
+        return
+    access = medium.access
+    try:
+        medium.check(count)
+        if not isinstance(access, Tdma):
             return
-        access = medium.access
-        try:
-            medium.check(count)
-            if not isinstance(access, Tdma):
-                return
-            access.owners(count)
-        except ValueError as error:
-            key, _, why = str(error).partition(": ")
-            yield tuple(key.split(".")), why
-            return
-        sizes = {"an announcement": self.announcement_size} if self.announces else {}
-        if (message_size := self.schedule_traits.message_size) is not None:
-            sizes["a message of the schedule"] = message_size(count, self.announcement_size)
-        if not sizes:
-            return
-        what, size = max(sizes.items(), key=lambda each: each[1])
-        airtime, guard = nanoseconds(medium(size)), nanoseconds(access.guard)
-        free = nanoseconds(access.slot) - guard
-        if airtime > free:
-            least = -(-(airtime + guard) // 1000) / 1e6
-            yield (
-                ("network", "medium", "access", "slot"),
-                f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
-                f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
-            )
+        access.owners(count)
+    except ValueError as error:
+        key, _, why = str(error).partition(": ")
+        yield tuple(key.split(".")), why
+        return
+    sizes = {"an announcement": scenario.announcement_size} if scenario.announces else {}
+    if (message_size := scenario.schedule_traits.message_size) is not None:
+        sizes["a message of the schedule"] = message_size(count, scenario.announcement_size)
+    if not sizes:
+        return
+    what, size = max(sizes.items(), key=lambda each: each[1])
+    airtime, guard = nanoseconds(medium(size)), nanoseconds(access.guard)
+    free = nanoseconds(access.slot) - guard
+    if airtime > free:
+        least = -(-(airtime + guard) // 1000) / 1e6
+        yield (
+            ("network", "medium", "access", "slot"),
+            f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
+            f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
+        )
 
 
 def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:
