@@ -25,7 +25,7 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.flow import UniformFlow
-from desim.pursuit.guidance import apollonius_disc
+from desim.pursuit.guidance import ConstantBearing, apollonius_disc
 from desim.pursuit.state import lengths
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
@@ -42,14 +42,22 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher` and `InertiaWatcher`, and
-    `watchers` are added to them. Use this function in tests of a protocol or a model.
+    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher`, `InertiaWatcher` and, if
+    its assumptions hold, `ApolloniusWatcher`. `watchers` are added to them. Use this function in tests of a protocol or
+    a model.
 
     Raises:
         AssertionError: if an invariant is broken.
     """
     stopwatches = ActiveTimeWatcher()
-    own = Conservation(), DeliveredOnce(), stopwatches, MotionWatcher(scenario), InertiaWatcher(scenario)
+    own: list[Watcher] = [
+        Conservation(),
+        DeliveredOnce(),
+        stopwatches,
+        MotionWatcher(scenario),
+        InertiaWatcher(scenario),
+    ]
+    own += [ApolloniusWatcher(scenario)] if ApolloniusWatcher.applies(scenario) else []
     result = run(scenario, seed, *own, *watchers)
     stopwatches.judge(result)
     return result
@@ -248,13 +256,13 @@ class InertiaWatcher:
 
 
 class ApolloniusWatcher:
-    """A watcher that checks that a pursuer confines the evader that it chases; use it only under the assumptions below.
+    """A watcher that checks that a pursuer confines the evader that it chases, if its assumptions hold (`applies`).
 
     The Apollonius disc of a pursuer and an evader contains the points that the evader reaches first
     (`desim.pursuit.guidance.apollonius_disc`). While a faster pursuer chases with the guidance `constant_bearing`, each
     disc contains the next one, so the evader is captured in the first one whatever it does. This holds if the motion of
-    all players is simple, the evader moves first in each motion step (`motion.order`), and the pursuer sees it exactly.
-    The discs are compared at the samples of the trajectory.
+    all players is simple, the medium is at rest, the evader moves first in each motion step (`motion.order`), and the
+    pursuer sees it exactly. The discs are compared at the samples of the trajectory.
 
     Args:
         scenario: the scenario of the run.
@@ -270,6 +278,18 @@ class ApolloniusWatcher:
         self._discs: dict[int, tuple[int, complex, float]] = {}
         """By pursuer: the evader that it has chased since the last sample, and the disc then."""
         self.judged = 0
+
+    @staticmethod
+    def applies(scenario: Scenario) -> bool:
+        """Return whether the assumptions hold in a scenario."""
+        has_inertia = scenario.team.has_inertia or any(evader.has_inertia for evader in scenario.evaders)
+        return (
+            isinstance(scenario.team.guidance, ConstantBearing)
+            and not has_inertia
+            and scenario.environment.is_still
+            and scenario.motion.order == "evader_first"
+            and scenario.sensing.is_perfect
+        )
 
     def __call__(self, event: Event) -> None:
         """Process an event."""

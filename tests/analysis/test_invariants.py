@@ -449,6 +449,7 @@ def test_with_constant_bearing_each_apollonius_disc_contains_the_next(strategy):
             horizon=6.0,
         )
         watch = ApolloniusWatcher(scenario)
+        assert ApolloniusWatcher.applies(scenario) is holds
         if holds:
             run(scenario, 4, watch)
             assert watch.judged > 50
