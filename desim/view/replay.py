@@ -5,13 +5,14 @@ multiples of a coarser unit. Columns of numbers are little-endian typed arrays i
 """
 
 from base64 import b64encode
+from cmath import phase
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from itertools import groupby
-from math import isfinite
+from math import atan2, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -411,7 +412,7 @@ def _headings(result: Result) -> ReplayData | None:
     headings = Headings(result.scenario, result.seed)
     if not headings.players:
         return None
-    angles = np.angle([headings.at(sample) for sample in samples(result)])
+    angles = np.array([[*map(phase, headings.at(sample))] for sample in samples(result)])
     turns = np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN
     return {"players": list(headings.players), "turn": TURN, "values": _column(turns, "u1")}
 
@@ -425,9 +426,11 @@ def _estimates(result: Result, ticks: _Ticks) -> ReplayData | None:
     if not found:
         return None
     per_metre = _per_metre(_places(result))
-    variances, axes = np.linalg.eigh([[[each.xx, each.xy], [each.xy, each.yy]] for each in found])
-    semi_axes = np.minimum(np.sqrt(np.maximum(variances[:, ::-1], 0.0)) * per_metre, MAX_LENGTH)
-    angles = np.arctan2(axes[:, 1, 1], axes[:, 0, 1])
+    mean, half = (np.array([(each.xx + sign * each.yy) / 2.0 for each in found]) for sign in (1.0, -1.0))
+    offset = np.hypot(half, [each.xy for each in found])  # of the two eigenvalues of a covariance from their mean
+    variances = np.column_stack([mean + offset, mean - offset])
+    semi_axes = np.minimum(np.sqrt(np.maximum(variances, 0.0)) * per_metre, MAX_LENGTH)
+    angles = np.array([atan2(each.xy, (each.xx - each.yy) / 2.0) / 2.0 for each in found])
     centres = np.clip(np.array([[each.x, each.y] for each in found]) * per_metre, -MAX_LENGTH, MAX_LENGTH)
     return {
         "t": ticks([each.t for each in found]),

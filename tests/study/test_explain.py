@@ -26,6 +26,8 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
+from desim.pursuit.dynamics import Acceleration
+from desim.pursuit.flow import Environment, SteadyFlow
 from desim.pursuit.lies import Liar, Silent
 from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
@@ -77,6 +79,8 @@ BAD = GOOD.model_copy(
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
         "sensing": Sensing(radius=4.0, noise=PositionNoise(deviation=0.5), estimator=Kalman()),
+        "team": Team(count=5, speeds=3.0, dynamics=Acceleration(limit=3.0)),
+        "environment": Environment(flow=SteadyFlow(velocity=(0.5, 0.0))),
     }
 )
 OF = {"active_time": active_time, "end_time": end_time}
