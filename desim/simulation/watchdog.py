@@ -80,7 +80,11 @@ def within(limit: float) -> Iterator[None]:
         over.set()
         if watcher.is_alive():
             watcher.join()
-        set_exception(ctypes.c_ulong(thread), None)
+        if is_late:  # one may be pending; Python 3.11 hangs under a tracer if it is withdrawn, so another replaces it
+            with suppress(Raised):
+                set_exception(ctypes.c_ulong(thread), ctypes.py_object(Raised))
+                while True:
+                    pass
         sys.unraisablehook = usual_hook
         is_over = True
 

@@ -1,6 +1,7 @@
 """Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
 import re
+import subprocess
 import sys
 import time
 from contextlib import contextmanager, nullcontext, suppress
@@ -87,6 +88,25 @@ def test_a_time_limit_noticed_only_at_the_end_still_reports_its_cause(monkeypatc
         within(0.05),
     ):
         pass
+
+
+TRACED = """
+import sys
+from desim.simulation.watchdog import TimedOut, within
+sys.setprofile(lambda *_: None)
+for limit in (99.0, 0.01):
+    try:
+        with within(limit):
+            while limit < 1.0:
+                pass
+    except TimedOut:
+        assert limit == 0.01
+"""
+
+
+def test_a_limit_ends_under_a_profiler():
+    """In Python 3.11 a traced call never begins once an asynchronous exception was withdrawn, so none is."""
+    subprocess.run([sys.executable, "-c", TRACED], check=True, timeout=120)
 
 
 @pytest.fixture
