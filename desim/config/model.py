@@ -143,10 +143,12 @@ class Value(BaseModel):
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """Return the fields of a model by name, after setting the descriptions that are missing."""
-    docs = docs_of(model)
-    for name, field in model.model_fields.items():
-        field.description = field.description or docs.get(name)
-    return model.model_fields
+    fields = model.model_fields
+    if not all(field.description for field in fields.values()):
+        docs = docs_of(model)
+        for name, field in fields.items():
+            field.description = field.description or docs.get(name)
+    return fields
 
 
 def markers_of(field: FieldInfo) -> list[Any]:

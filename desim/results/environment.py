@@ -49,15 +49,11 @@ def code() -> str:
 
 def _versions() -> dict[str, str | None]:
     """Return the versions of Python, desim, the packages of `NUMERICS`, and the installed plugins of desim."""
-    plugged = {
-        each.dist.name
-        for group in entry_points().groups
-        if group.startswith("desim.")
-        for each in entry_points(group=group)
-        if each.dist is not None
-    }
-    ours = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
-    return ours | {name: _version(name) for name in (*NUMERICS, *sorted(plugged - {"pursuit-desim"}))}
+    points = entry_points()
+    ours = [each for group in points.groups if group.startswith("desim.") for each in points.select(group=group)]
+    plugged = {each.dist.name for each in ours if each.dist is not None} - {"pursuit-desim"}
+    own = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
+    return own | {name: _version(name) for name in (*NUMERICS, *sorted(plugged))}
 
 
 def _version(distribution: str) -> str | None:

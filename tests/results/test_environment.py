@@ -6,7 +6,7 @@ import shutil
 import stat
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import EntryPoint, EntryPoints, version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,14 +26,16 @@ def test_versions_are_those_of_python_and_of_what_pip_installed():
 
 def test_distributions_that_add_protocols_are_among_the_versions(monkeypatch):
     """Of three entry points one is of another distribution, one of ours, and one of a group that is not ours."""
-    points = {
-        "desim.protocols": [SimpleNamespace(dist=SimpleNamespace(name=name)) for name in ("pytest", "pursuit-desim")],
-        "desim.disseminations": [SimpleNamespace(dist=None)],
-        "console_scripts": [SimpleNamespace(dist=SimpleNamespace(name="ruff"))],
-    }
-    monkeypatch.setattr(
-        environment, "entry_points", lambda group=None: points[group] if group else SimpleNamespace(groups=set(points))
+    points = EntryPoints(
+        EntryPoint("x", "x", group)._for(distribution and SimpleNamespace(name=distribution))
+        for group, distribution in (
+            ("desim.protocols", "pytest"),
+            ("desim.protocols", "pursuit-desim"),
+            ("desim.disseminations", None),
+            ("console_scripts", "ruff"),
+        )
     )
+    monkeypatch.setattr(environment, "entry_points", lambda: points)
     versions = environment.environment()["versions"]
     assert versions["pytest"] == pytest.__version__
     assert len(versions) == 8
@@ -156,6 +158,7 @@ def test_without_git_there_is_no_commit(repository, monkeypatch, tmp_path):
     assert environment._checkout() == (None, None)
 
 
+@pytest.mark.slow
 def test_a_git_that_does_not_answer_is_not_waited_for(repository, monkeypatch, tmp_path):
     """It would sleep for ten minutes, and the test fails after two."""
     slow = tmp_path / "git"
