@@ -1,5 +1,6 @@
 """What holds in every test: no history of a network breaks its invariants; and runs that tests share."""
 
+import gc
 import sys
 from functools import cache
 from importlib import import_module
@@ -37,6 +38,12 @@ def pytest_collection_modifyitems(items):
             if item.function in begun:
                 item.add_marker("slow")
             begun.add(item.function)
+
+
+def pytest_collection_finish():
+    """Keep what has been imported and collected, all of which stays, out of every later search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 def _no_modules_left(tmp_path_factory):

@@ -147,6 +147,7 @@ def circle(graph):
     return sorted(graph)
 
 
+@pytest.mark.slow
 def test_no_modules_import_each_other_in_a_circle():
     graph = {
         name: set(imports(path)) - {name} - for_methods(path) for path in MODULES if (name := name_of(path)) != "desim"
@@ -228,6 +229,7 @@ def test_the_mathematics_loads_without_a_simulator():
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_the_kernel_stands_alone():
     program = (
         "import sys; import desim.kernel.network, desim.kernel.links;"

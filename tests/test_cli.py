@@ -494,6 +494,7 @@ def test_json_is_one_document_on_stdout_and_all_else_is_on_stderr(file, tmp_path
     assert scenario == load(path, overrides).plain()
 
 
+@pytest.mark.slow
 def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_of_its_seed(file):
     path = file(RANDOM)
     runs = strict_json(accepted("run", path, "-n", 3, "--json").stdout)["runs"]
@@ -912,6 +913,7 @@ def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file,
     assert second.stdout == coins[1].stdout
 
 
+@pytest.mark.slow
 def test_the_runs_of_a_sweep_have_the_seeds_of_the_option(file, tmp_path):
     accepted("sweep", file(COINS), "-o", tmp_path / "out", "-s", 40, "-n", 2)
     accepted("export", tmp_path / "out", tmp_path / "x.csv")

@@ -92,6 +92,7 @@ def test_a_target_within_the_turning_circle_is_reached_by_turning_away_first(pla
 # Limits.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dynamics", "error"), [(Acceleration(limit=1e9), 1e-6), (TurnRate(limit=1e6, heading=0.0), 1e-5)], ids=NAMES
 )
@@ -109,7 +110,7 @@ def test_a_run_with_hardly_any_inertia_is_one_without(dynamics, error, strategy)
                 assert np.array(one.pursuers) == pytest.approx(np.array(other.pursuers), abs=error)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 @pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
 def test_results_converge_in_the_motion_step(dynamics, guidance):
@@ -137,7 +138,7 @@ def test_results_converge_in_the_motion_step(dynamics, guidance):
 # What is announced.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dynamics):
     """Positions and courses of teammates are extrapolated exactly; without courses, decisions differ."""
@@ -150,6 +151,7 @@ def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dyn
     assert placed != seen
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
 @pytest.mark.parametrize("latency", [0.0, 0.2])
 def test_without_inertia_courses_are_worth_no_more_than_states(reckoning, latency):
@@ -281,6 +283,7 @@ def test_initial_headings_are_drawn_per_seed_and_player_or_given():
     assert Team(count=2, dynamics=TurnRate(heading=pi / 2)).headings(1) == pytest.approx([1j, 1j])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 def test_the_capture_times_of_hindsight_are_those_of_the_run(dynamics, monkeypatch):
     """Read in the middle between two samples, from mean courses between them: errors fall with the period."""
@@ -315,7 +318,7 @@ def test_the_capture_times_of_hindsight_are_those_of_the_run(dynamics, monkeypat
     assert worst[0.02] < 0.4 * worst[0.1] < 0.05
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 @pytest.mark.parametrize(
     ("flow", "error"),

@@ -95,6 +95,7 @@ def test_a_run_stopped_by_a_watcher_is_shown_as_such():
     assert ended.startswith("stopped after 0.")
 
 
+@pytest.mark.slow
 def test_a_protocol_that_is_a_function_is_called_by_its_name():
     def mine(agent):
         yield agent.sleep(1.0)

@@ -569,6 +569,7 @@ def negotiating(schedule, dissemination=None, **links):
     return run(scenario, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [LocalMutex(), TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
 def test_records_carried_by_schedule_messages_have_an_age_and_correct_beliefs(schedule):
     """All receive records of all though nothing is announced; the control, without messages, is wrong half the time.
@@ -588,6 +589,7 @@ def test_records_carried_by_schedule_messages_have_an_age_and_correct_beliefs(sc
     assert silent.belief_error > 0.4
 
 
+@pytest.mark.slow
 def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
     """Else they would go unseen. It is read from the annotations of all, and from those that are sent here."""
 

@@ -82,6 +82,7 @@ def test_a_crash_is_kept_in_the_honest_run():
     assert captures_lost(run(scenario("none", crash, Silent(node=1, start=0.0)), 3)) == 0
 
 
+@pytest.mark.slow
 def test_the_metrics_are_those_of_a_team_that_checks():
     liar = Liar(node=0, start=0.0, action="chase", phi=0.0, acts="stay")
     found = summary(run(scenario(Plausible(), liar), 3))

@@ -296,6 +296,7 @@ def test_a_limit_that_is_exceeded_by_one_percent_is_detected(scenario, motion, p
         show(InertiaWatcher(scenario), *motion(1.01))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 @pytest.mark.parametrize("evades", [False, True])
 def test_a_world_that_exceeds_a_limit_by_one_percent_is_detected(dynamics, evades):
@@ -438,6 +439,7 @@ def test_the_assumptions_of_the_theorem_are_necessary(changes):
     assert falls(**changes) > 0
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("strategy", ["pure_evasion", "zigzag", "diffusion", "max_min", "still"])
 def test_with_constant_bearing_each_apollonius_disc_contains_the_next(strategy):
     """Also while pursuers hand over, and against two evaders. The control: pure pursuit of an evader that turns."""

@@ -288,6 +288,7 @@ def test_idle_single_and_excess_active_time_cover_the_run(result):
     assert (crowded_time(result) > 0) == (excess_time(result) > 0)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(histories())
 def test_the_changes_of_one_pursuer_alternate_and_begin_by_leaving_its_first_action(result):

@@ -52,6 +52,7 @@ def test_no_values_are_an_error(empty):
         estimate(empty)
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=30), st.integers(-8, 8), st.integers(-1000, 1000))
 def test_an_estimate_follows_a_change_of_unit_and_of_origin(values, scale, shift):
     one, other = estimate(values), estimate([scale * each + shift for each in values])

@@ -78,6 +78,7 @@ def test_a_table_may_be_restricted_to_types_of_events(recorded, tmp_path):
     assert set(frame["event"]) == {"Sampled"}
 
 
+@pytest.mark.slow
 def test_beliefs_are_left_out_of_a_run_that_was_written_to_disk_as_it_went(tmp_path):
     """Such a trace may be too long for the memory; one without messages has no beliefs, and a warning says so."""
     for messages, warned in (('"file"', ""), ("false", "messages were not recorded, and are left out")):

@@ -118,6 +118,7 @@ def made_function(name):
     return bird
 
 
+@pytest.mark.slow
 @given(st.text("abc", max_size=6), st.text("abc", max_size=6))
 def test_one_letter_off_is_one_letter_off(word, other):
     near = other in {each for each in misspellings(word) if not set(each) - set("abc")}

@@ -92,6 +92,7 @@ def judged(model, apart, seed=0, *, times=None, signals=None):
 # Capture.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("exponent", "number"), [(2.08, 0.13245), (3.0, 0.19905)])
 def test_a_frame_survives_another_from_a_random_place_with_1_over_2_k_squared(exponent, number):
     """Two senders are uniform in a disc round the receiver, c = 6 dB, k = 10^(c / (10 n)).

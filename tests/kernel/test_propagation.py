@@ -509,6 +509,7 @@ def test_losses_are_those_of_a_plain_model_that_draws_link_by_link(model, moving
         assert 500 < sum(map(sum, plain)) < sum(map(len, plain)) - 500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS[2:])
 def test_the_comparison_detects_links_that_are_not_put_aside(model, monkeypatch):
     """The control: each new list of receivers starts anew."""

@@ -78,6 +78,7 @@ def lindley(times, airtimes):
     return waits
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), max_size=40), st.booleans())
 def test_every_wait_is_that_of_lindley_s_recursion(traffic, shared):
     """For any arrivals (s) at any nodes, ties and messages of no length included, alone or on one shared channel."""

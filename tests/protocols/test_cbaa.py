@@ -422,7 +422,7 @@ def test_a_part_cut_off_from_the_winner_elects_another_only_with_time_stamps(auc
 # Trouble with the pursuers.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("node", [1, 2])

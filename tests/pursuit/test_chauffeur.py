@@ -105,6 +105,7 @@ def test_below_the_barrier_the_evader_escapes_for_ever(ratio):
     assert dodger.closest == pytest.approx(0.95 * least_capture_radius(1.0, ratio), rel=0.01)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_above_the_barrier_the_pursuer_captures_it_at_the_first_dodge(ratio):
     """With 10 % more, no dodge on the barrier is in time, and no other at any distance."""
@@ -116,6 +117,7 @@ def test_above_the_barrier_the_pursuer_captures_it_at_the_first_dodge(ratio):
         assert dodger.dodges <= 1
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_below_the_barrier_an_evader_that_does_not_dodge_or_dodges_late_is_captured(ratio):
     """The control: what saves it is the dodge in time."""

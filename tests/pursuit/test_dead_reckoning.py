@@ -161,6 +161,7 @@ def test_positions_are_unchanged_before_the_start_and_after_zero_time(law):
 # Going on from the last question.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("law", [*LAWS, lambda gaps, aims, w, v: toward(gaps + w, v)])
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
@@ -207,6 +208,7 @@ def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
         assert place(path, *question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
 
 
+@pytest.mark.slow
 def test_the_cache_of_paths_is_bounded_and_evicts_the_least_recently_used():
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
     path, (now, *later) = EvaderTrack(PurePursuit(), Simple(), Environment(), 0.1), turning(4, 5 * STEP)

@@ -38,6 +38,7 @@ def test_simple_motion_takes_each_velocity_at_once():
     assert piece.curvature == 0.0
 
 
+@pytest.mark.slow
 @given(complexes, complexes, complexes, limits)
 def test_an_acceleration_solves_its_equation_of_motion(place, velocity, command, limit):
     """x'' = a (w - x') / |w - x'| until x' = w, then 0, integrated up to the end of the curve and on."""
@@ -160,6 +161,7 @@ def test_a_capture_while_still_accelerating():
     assert times_of([5.1], [0j], [3.0], 0.1)[0] == pytest.approx((0.9 + sqrt(0.81 + 0.2 * 5.0)) / 0.1, rel=1e-12)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_a_capture_time_is_the_root_of_the_equation_of_motion(seed):
     """Initial velocities along, against and across the line of sight, integrated up to the contact along it."""

@@ -104,6 +104,7 @@ def test_a_wandering_evader_moves_with_and_without_pursuers(strategy):
     assert heading_of(strategy) == heading_of(strategy, 1j, 2 + 0j) != 0j
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", FLEEING, ids=named)
 @settings(max_examples=25)
 @given(crowds, st.data())

@@ -140,6 +140,7 @@ def test_an_expanding_distance_falls_as_by_integration(rate, distance, closing):
         assert at == pytest.approx(0.1, abs=1e-6)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("flow", UNIFORM, ids=name)
 def test_a_capture_time_in_wind_is_the_first_of_a_dense_scan(flow):
     """Among the pursuers are slow ones, which the wind helps for a while, or in the end."""
@@ -172,7 +173,7 @@ def decisions(result):
     return [(event.t, event.pursuer, event.active) for event in result.trace.of(Decided)]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("flow", UNIFORM, ids=name)
 @pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
@@ -198,6 +199,7 @@ def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance
         assert complex(*after) - complex(*before) == pytest.approx(shift, abs=within_a_step)
 
 
+@pytest.mark.slow
 def test_wind_on_the_pursuers_does_change_decisions():
     """The control of the test above."""
     scenario = Scenario(team=Team(count=6), horizon=40.0)
@@ -206,6 +208,7 @@ def test_wind_on_the_pursuers_does_change_decisions():
     assert without_flow(wind) == scenario
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("environment", "tolerance"),
     [

@@ -161,6 +161,7 @@ def test_the_time_to_intercept_an_evader_that_runs_straight_is_the_closed_form(s
     assert found == pytest.approx(expected, abs=2e-9)
 
 
+@pytest.mark.slow
 def test_a_slower_pursuer_intercepts_a_passing_evader_and_pure_pursuit_does_not():
     """At (0, 3) with 0.6 m/s, the evader runs past at 1 m/s from (-6, 0): 5 s of 3 m to (0, 0), it has 6 s.
 

@@ -51,6 +51,7 @@ def check_contact(target, player, radius, begin, end):
 # First contacts.
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(seeds, st.sampled_from([0.05, 0.4, 1.5]))
 def test_contacts_are_neither_late_nor_early(seed, radius):
@@ -92,6 +93,7 @@ def test_contacts_by_hand():
     assert check_contact(Piece(5.0 + 0j, Course()), braking, 4.0, 1.0, 9.0) == 0.0
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from([-1e-3, -1e-6, 1e-6, 1e-3]))
 def test_grazing_contacts(seed, beyond):
     """A radius a little shorter than the least distance is never reached; a little longer, it is."""
@@ -150,6 +152,7 @@ def test_the_earliest_contact_counts_and_the_lowest_number_among_equals():
 # Positions.
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_all_methods_give_the_same_positions(seed):
     """Alone, together, of some, at other times of the piece, and by distance; known or not."""

@@ -231,6 +231,7 @@ def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     assert shares[0.3] > 0.9
 
 
+@pytest.mark.slow
 def test_a_swallowed_token_is_missed_only_if_its_holder_falls_silent():
     """A pursuer that confirms the token, says that it has it and forwards it never keeps all others from deciding."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))

@@ -168,6 +168,7 @@ def test_every_protocol_bears_noise(kind, fusion):
     assert watched(case, 2).trace.events == run(case, 2).trace.events
 
 
+@pytest.mark.slow
 def test_recorded_estimates_change_nothing_and_are_the_tracks():
     """One for each pursuer that is up and has a track, at each sample; without covariances there are none."""
     sensing = Sensing(noise=NOISE, estimator=Kalman(), fusion="covariance_intersection")

@@ -209,6 +209,7 @@ def test_sightings_travel_hop_by_hop_as_messages_only_if_relayed():
     assert known[2:] == [inf] * 3
 
 
+@pytest.mark.slow
 def test_a_report_has_its_size_and_carries_the_newest_sighting():
     """Header of 16 bytes and six numbers of 8. No pursuer reports an older sighting than before."""
     result = desim.run(scenario(Sensing(radius=9.0, period=0.05)))

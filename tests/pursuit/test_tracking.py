@@ -104,6 +104,7 @@ def test_sightings_in_any_order_and_twice_give_the_track_of_those_in_order(model
         assert filtered(model, [*order, order[0]]).track == in_order
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 400), min_size=20, max_size=20), st.integers(0, 9))
 def test_a_filter_of_late_sightings_equals_one_without_latency_a_latency_ago(delays, seed):
     """Sighting k arrives after up to 0.4 s: once all up to an instant have arrived, the track there is the same."""

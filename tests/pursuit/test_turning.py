@@ -82,6 +82,7 @@ def test_the_length_of_a_path_to_a_target_aside_has_a_closed_form():
         assert lengths_of([1j * y, -1j * y], 1.0) == pytest.approx([exact, exact], rel=1e-14)
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from([0.3, 1.0, 2.5]), st.sampled_from([0.9, 3.0, 30.0]))
 def test_paths_are_as_short_as_brute_force_finds(seed, radius, spread):
     """Targets within and beyond the turning circles, on both sides, of which the nearer ones need two arcs."""
@@ -103,6 +104,7 @@ def test_no_first_move_makes_a_path_shorter(seed, radius, side, share):
     assert (now <= later + 1e-6 * (radius + later)).all()
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_a_path_of_this_length_exists(seed):
     """A small step to the left, to the right or straight on makes it shorter by the length of the step."""
@@ -113,6 +115,7 @@ def test_a_path_of_this_length_exists(seed):
     assert best == pytest.approx(now, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_beyond_the_turning_circles_the_gradient_of_the_length_is_the_final_heading(seed):
     """The eikonal equation, by differences, a little off the line behind, where both sides are equally short."""
@@ -127,6 +130,7 @@ def test_beyond_the_turning_circles_the_gradient_of_the_length_is_the_final_head
     assert np.abs(headings) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_as_a_target_moves_away_the_length_grows_no_faster_than_its_distance(seed):
     """So L - v t falls, and has one root; where the target leaves a turning circle, the length falls at once."""
@@ -136,6 +140,7 @@ def test_as_a_target_moves_away_the_length_grows_no_faster_than_its_distance(see
     assert np.diff(lengths_of(distances * bearing, 1.0)).max() <= (distances[1] - distances[0]) * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_lengths_are_symmetric_and_scale(seed):
     """Mirrored targets have mirrored paths; twice the radius and twice the distance make twice the length."""
@@ -166,6 +171,7 @@ def test_a_still_target_is_captured_after_its_path(offset, length):
         assert time == pytest.approx((length - 0.1) / 2.0, abs=3e-6)
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from([0.3, 1.0, 5.0]))
 def test_captures_are_the_first_in_a_scan(seed, spread):
     """Evaders that begin within a turning circle are among them: as they leave it, L falls at once."""
@@ -182,6 +188,7 @@ def test_captures_are_the_first_in_a_scan(seed, spread):
         assert (missing(np.linspace(0.0, time * (1.0 - 1e-9), 2_000), *own) > -1e-8 * scale).all()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("offset", [0.6 + 0.6j, 0.3 + 0.2j, 0.3 - 0.2j])
 def test_a_capture_as_the_evader_leaves_a_turning_circle(offset):
     """Within the circle the pursuer needs two arcs. On it, L falls by more than 4 m at once, to below v t.
@@ -195,6 +202,7 @@ def test_a_capture_as_the_evader_leaves_a_turning_circle(offset):
     assert found == pytest.approx(leaves, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_several_are_each_alone(seed):
     rng = np.random.default_rng(seed)

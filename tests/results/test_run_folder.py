@@ -161,6 +161,7 @@ def test_a_run_with_measured_links_is_repeated_without_the_file(tmp_path, monkey
     assert read(tmp_path / "one").scenario.network.latency.read_from == "rtt.csv"
 
 
+@pytest.mark.slow
 def test_messages_recorded_to_a_file_are_in_the_trace_of_the_folder_and_not_of_the_result(tmp_path):
     result = simulate(tmp_path / "a", TO_FILE, 5)
     assert list(result.trace) == list(run(TO_FILE, 5).trace)

@@ -156,6 +156,7 @@ def all_chase(me):
     yield me.sleep(1e3)
 
 
+@pytest.mark.slow
 def test_fleeing_active_or_all_pursuers_is_the_same_if_all_chase():
     scenarios = [
         evaders_runs.chase(name, IDEAL).model_copy(update={"protocol": all_chase}) for name in (REFERENCE, CLAIMED)

@@ -157,6 +157,7 @@ def test_the_configurations_of_table_1_are_from_the_papers_boxes(count):
     assert (scenario.evader.speed, scenario.capture.radius, scenario.horizon) == (0.9, 0.1, 30.0)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("delta", [0.1, 0.01])
 def test_the_search_judges_configurations_as_the_simulator_does(delta):
     """Its loop over many configurations at once gives the active times of Algorithm 3 in the simulator."""
@@ -420,6 +421,7 @@ def test_the_handovers_of_the_study_of_bodies_are_those_of_the_metric():
     assert sum(each.number for each in found) > 0
 
 
+@pytest.mark.slow
 def test_the_error_of_a_ratio_is_the_deviation_of_ratios_of_new_samples():
     """The number of handovers, and the excess of each, vary; 2000 samples of 40 runs give the error to 2 %."""
     rng = np.random.default_rng(1)

@@ -76,6 +76,7 @@ def test_no_tasks_have_no_results(jobs):
     assert run_many([], jobs) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_dask", [False, True])
 def test_an_exception_of_a_run_is_raised(with_dask):
     """Also once Dask has exceptions pickled with their tracebacks, which hold more than can be pickled."""

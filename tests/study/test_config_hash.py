@@ -273,11 +273,13 @@ UNLIKE = [
 ]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("one", "other"), UNLIKE)
 def test_values_that_look_alike_have_different_hashes(one, other):
     assert stable_hash(one) != stable_hash(other)
 
 
+@pytest.mark.slow
 def test_a_copy_has_the_hash_of_its_original():
     held = [Plain({"a": (TABLE, Slotted(1.0))}), circle(1.0), np.random.default_rng(3), nx.path_graph(3)]
     assert stable_hash(held) == stable_hash(copy.deepcopy(held))

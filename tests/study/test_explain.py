@@ -419,6 +419,7 @@ def test_an_effect_of_half_a_width_is_found_in_half_of_all_studies():
     assert np.mean([Saving.of(each).excludes_0() for each in values]) == pytest.approx(0.5, abs=4.0 * 0.011)
 
 
+@pytest.mark.slow
 def test_a_table_says_whether_more_is_worse():
     """Of a metric of a user only if it is declared."""
     metrics = {
@@ -593,6 +594,7 @@ def refuses(scenario, store, match, **options):
     assert str(store) in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_store_of_anything_else_is_refused_with_what_differs(tmp_path):
     store = tmp_path / "s.sqlite"
     found = explain(LATE, 2, store=store)
@@ -830,6 +832,7 @@ def test_an_interrupted_command_explains_how_to_continue(file, monkeypatch):
     assert "interrupted: 0 runs are in out/late/explain/sweep.sqlite; the same command resumes" in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_pictures")
 def test_the_folder_of_another_scenario_is_refused(file):
     output_of(file, "-n", 2, "--set", "horizon=0.1")

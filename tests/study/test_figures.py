@@ -65,6 +65,7 @@ def test_values_out_of_order_are_drawn_from_left_to_right():
     assert line.get_ydata().tolist() == [2.0, 3.0, 1.0]
 
 
+@pytest.mark.slow
 def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
     axes, lines = drawn({"network.range": [1.0, 2.0], "prune": ["inf", "none", "infeasible"]})
     places = np.array([line.get_xdata() for line in lines])
@@ -110,6 +111,7 @@ def test_values_of_several_magnitudes_are_equally_far_apart_with_0_and_infinity_
     assert line.get_xdata() == pytest.approx([-2.6, -2.0, -1.0, 0.0, 1.0, 1.6])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("values", [[float(k) for k in range(30)], [-100.0, 0.1, 1.0, 10.0], [1.0, 25.0], [0.0, 0.5]])
 def test_other_values_are_drawn_as_they_are(values):
     _, (line,) = drawn({"x": values})
@@ -157,6 +159,7 @@ def test_a_figure_of_single_runs_or_of_unmeasured_metrics_can_be_saved(tmp_path,
         assert path.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_names_are_drawn_as_they_are():
     """matplotlib hides lines whose name begins with an underscore, and reads $..$ as mathematics."""
     axes, _ = drawn({"x": [1.0, 2.0], "y": ["_own", "$a_$"]})
@@ -169,6 +172,7 @@ def test_unmeasured_values_are_not_drawn():
     assert all(map(isnan, line.get_ydata()))
 
 
+@pytest.mark.slow
 def test_a_metric_without_a_unit_has_none():
     axes, _ = drawn({"x": [1.0, 2.0]}, "switches")
     assert axes.get_ylabel() == "switches"
@@ -207,6 +211,7 @@ def test_the_legend_of_small_panels_is_within_the_picture(size):
     assert figure.axes[0].get_window_extent().height > 60
 
 
+@pytest.mark.slow
 def test_small_panels_over_no_number_have_a_row_per_configuration():
     figure = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
     assert not figure.legends
@@ -395,6 +400,7 @@ def test_a_name_with_dollars_is_shown_as_it_is_at_any_size(name):
     assert figure.axes[0].get_title() == f"{name}, 95 % intervals"
 
 
+@pytest.mark.slow
 def test_a_figure_of_a_given_size_has_it_and_no_title():
     figure = means(result(GRID), "active_time", size="8.5cmx6cm")
     assert (figure.get_size_inches() * 2.54).tolist() == pytest.approx([8.5, 6.0])
@@ -417,6 +423,7 @@ def test_an_option_that_does_not_fit_the_sweep_is_refused(options, why):
         means(result(GRID), "active_time", **options)
 
 
+@pytest.mark.slow
 def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
     slow, fast = (f"sap(slot={each})" for each in (0.2, 0.1))
     alone, both = (result({"protocol": each, "x": [1.0, 2.0]}) for each in ([slow, "cbba", "cbaa"], [slow, fast]))

@@ -248,6 +248,7 @@ def test_shards_can_be_merged_in_their_own_folder_twice(tmp_path, file):
         assert made.output == f"12 runs are in {tmp_path / 'out' / 'sweep.sqlite'}\n"
 
 
+@pytest.mark.slow
 @given(st.lists(st.one_of(st.none(), st.text(), st.integers(), st.floats(), st.binary(max_size=5))))
 def test_the_checksum_of_a_row_is_that_of_its_json(row):
     assert module._checksum(row) == crc32(json.dumps(row, default=repr).encode())
@@ -643,6 +644,7 @@ def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(
     assert seed is not None or outcomes == {0, WRONG_INPUT}
 
 
+@pytest.mark.slow
 def test_a_replaced_digit_is_detected_anywhere_in_a_row(tmp_path, good):
     """Every 7th digit of the rows, as they are stored."""
     path, whole = tmp_path / "sweep.sqlite", (good[1] / "sweep.sqlite").read_bytes()

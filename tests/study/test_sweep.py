@@ -258,6 +258,7 @@ def test_no_runs_and_negative_seeds_are_refused(wrong):
         sweep(BASE, GRID, **wrong)
 
 
+@pytest.mark.slow
 def test_numbers_of_runs_and_seeds_may_be_numpys(tmp_path):
     found = sweep(BASE, GRID, np.int64(2), seed=np.int64(4), store=tmp_path / "s.sqlite")
     assert found == sweep(BASE, GRID, 2, seed=4, store=tmp_path / "s.sqlite")
@@ -512,6 +513,7 @@ def measured(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
@@ -562,6 +564,7 @@ def test_a_store_is_not_continued_with_another_file_of_a_built_in_model(tmp_path
 EDITED = r"network\.latency\.table was a text with the hash [0-9a-f]{16}, is a text with the hash [0-9a-f]{16};"
 
 
+@pytest.mark.slow
 def test_a_store_is_not_continued_with_an_edited_table_of_measurements(tmp_path):
     (tmp_path / "f.toml").write_text(
         'horizon = 0.1\nteam.count = 2\nnetwork.latency = { kind = "trace", file = "rtt.csv" }\n'

@@ -126,6 +126,7 @@ def test_metrics_cannot_be_swept(key):
         SweepPlan.of(BASE.model_copy(update={"record": Recording(metrics=(half,))}), {key: [[], ["a:b"]]})
 
 
+@pytest.mark.slow
 def test_runs_are_repeated_only_for_a_metric_that_is_asked_for_and_keep_what_they_have(tmp_path, done):
     store = tmp_path / "s.sqlite"
     first = sweep(BASE, GRID, 2, store=store, metrics={"half": half})
@@ -215,6 +216,7 @@ def older_summary(result):
     return Summary({name: each for name, each in summary(result).items() if name != "energy"})
 
 
+@pytest.mark.slow
 def test_a_metric_that_fails_is_told_with_configuration_and_seed_and_the_stored_run_is_kept(tmp_path):
     store = tmp_path / "s.sqlite"
     before = sweep(BASE, GRID, 2, store=store)

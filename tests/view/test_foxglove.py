@@ -150,6 +150,7 @@ def test_the_log_tells_of_changes_captures_faults_and_losses(exported):
     assert [text for _, name, text in log if name == "faults"][1].startswith("ends: Crash(")
 
 
+@pytest.mark.slow
 def test_beliefs_are_those_of_the_analysis(exported, run_of):
     result = run_of("recorded.toml", "horizon=0.2")
     pieces = knowledge(result)

@@ -118,6 +118,7 @@ def test_more_than_six_differences_are_counted():
     assert page.partition("</header>")[0].count("<li>") == MAX_DIFFERENCES + 1
 
 
+@pytest.mark.slow
 def test_the_page_holds_both_replays_and_the_same_bytes_every_time():
     page = side_by_side(history(), pair())
     assert [unescape(each) for each in re.findall('srcdoc="([^"]*)"', page)] == [replay(history()), replay(pair())]
@@ -156,6 +157,7 @@ def two(tmp_path, monkeypatch, _undrawn):
 SMALL = "horizon = 0.2\nteam.count = 3\nevader.position = [60.0, 60.0]\n"
 
 
+@pytest.mark.slow
 def test_two_folders_become_a_page_in_the_working_directory(two):
     said = accepted("replay", "one", two / "other").stdout
     page = (two / "one-other.html").read_text(encoding="utf-8")

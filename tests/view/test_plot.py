@@ -104,6 +104,7 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
     assert (tmp_path / "small.trace.perfetto.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "says"),
     [

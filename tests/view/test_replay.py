@@ -526,6 +526,7 @@ def test_a_run_and_its_ghost_have_the_same_ticks_which_fit_the_longer_of_them():
     assert _document(history(), run(SHORT_GHOST))["tick"] == 1e-9
 
 
+@pytest.mark.slow
 def test_a_page_without_a_ghost_does_not_mention_any():
     page = replay(history())
     assert page == replay(history(), None) == history().replay().page

@@ -51,6 +51,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
     golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
 
 
+@pytest.mark.slow
 def test_a_collision_is_an_asterisk_on_the_line_of_its_receiver_also_if_it_was_acknowledged():
     """0 sends to 1 from 0.2 to 0.3 s; 2 gives up a message to 1 at 0.6 s; neither mark is that of other losses."""
     collided = [
@@ -75,6 +76,7 @@ def test_the_names_of_two_faults_at_once_are_below_each_other():
     assert not one.overlaps(other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [8.5, pytest.param(17.0, marks=pytest.mark.slow)])
 def test_no_text_lies_over_another_or_outside_of_the_picture(crowded, width):
     figure = spacetime(crowded, 1.9, 2.1, size=f"{width}cm", pursuers=(0, 5, 9))
