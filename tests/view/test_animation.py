@@ -42,7 +42,6 @@ def moved(artist):
     return line_of(artist) if np.isfinite(artist.get_xydata()).any() else ""
 
 
-@pytest.mark.slow
 def test_frames_of_runs_by_hand_are_golden():
     """All positions, sampled every 100 ms, have the style of the action; pursuer 0 runs 4 m in 400 ms.
 

@@ -348,7 +348,6 @@ def test_the_page_is_served_at_its_secret_address_only(server):
         assert asked(server, "GET", wrong)[0] == 404, wrong
 
 
-@pytest.mark.slow
 def test_other_hosts_and_other_origins_are_refused(server):
     """DNS rebinding gives a foreign host; a page of another site gives its origin, and some requests give none."""
     path, body = urlsplit(server.address).path, {"now": [], "pinned": None}
@@ -490,7 +489,6 @@ SLIDE = """(key, position) => {
 
 
 @in_chromium
-@pytest.mark.slow
 def test_a_slider_that_is_released_shows_the_new_run_at_the_same_instant(played):
     played.value("play.replay.speed = 0.005")
     played.value("play.replay.seek(0.4)")

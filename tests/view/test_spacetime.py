@@ -31,7 +31,6 @@ def count(figure):
     )
 
 
-@pytest.mark.slow
 def test_diagrams_of_runs_by_hand_are_golden():
     """All that can happen, of one evader and of two; in two rows, in windows, and within a fault in a narrow picture.
 
