@@ -123,29 +123,14 @@ class Kalman(Value):
         """Return the track after a sighting."""
         _, state, covariance = self.predict(track, seen.stamp)
         assert covariance is not None
-        gain, _ = self._gain(covariance, seen.covariance)
+        (a, b), (_, c), noise = covariance[0][:2], covariance[1][:2], seen.covariance
+        of_innovation = [[a + noise.xx, b + noise.xy], [b + noise.xy, c + noise.yy]]
+        gain = product([row[:2] for row in covariance], inverse(of_innovation))
         off = seen.x - state[0], seen.y - state[1]
         corrected = [x + row[0] * off[0] + row[1] * off[1] for x, row in zip(state, gain, strict=True)]
         taken = product(gain, covariance[:2])
         shrunk = plus(covariance, taken, -1.0)
         return Track(seen.stamp, corrected, scaled(plus(shrunk, transpose(shrunk)), 0.5))  # exactly symmetric
-
-    def innovation(self, track: Track, seen: Measurement) -> float:
-        """Return the normalised innovation squared of a sighting: chi-square with 2 degrees of freedom if all is right.
-
-        It is the squared difference between the measured and the predicted position, in units of its covariance.
-        """
-        _, state, covariance = self.predict(track, seen.stamp)
-        assert covariance is not None
-        _, inverted = self._gain(covariance, seen.covariance)
-        off = [seen.x - state[0], seen.y - state[1]]
-        return sum(x * y for x, y in zip(off, times(inverted, off), strict=True))
-
-    def _gain(self, covariance: Matrix, noise: Covariance) -> tuple[Matrix, Matrix]:
-        """Return the (4, 2) gain, and the (2, 2) inverse covariance of the innovation."""
-        (a, b), (_, c) = covariance[0][:2], covariance[1][:2]
-        inverted = inverse([[a + noise.xx, b + noise.xy], [b + noise.xy, c + noise.yy]])
-        return product([row[:2] for row in covariance], inverted), inverted
 
 
 Estimator = AlphaBeta | Kalman
