@@ -52,13 +52,11 @@ def _path_within(target: complex, rho: float) -> tuple[float, complex]:
     centre = complex(0.0, -rho)  # of the right turning circle
     there = target - centre
     half = acos(min((abs(there) ** 2 + 3.0 * rho * rho) / (4.0 * rho * abs(there)), 1.0))
-    paths = []
-    for angle in (phase(there) + half, phase(there) - half):
-        second = centre + rect(2.0 * rho, angle)  # the centre of the second arc
-        first_arc = (pi / 2.0 - angle) % (2.0 * pi)
-        second_arc = phase((target - second) / rect(-1.0, angle)) % (2.0 * pi)
-        paths.append((rho * (first_arc + second_arc), 1j * (target - second) / rho))
-    return min(paths, key=lambda path: path[0])
+    angle = phase(there) - half  # phase(there) + half gives a longer path
+    second = centre + rect(2.0 * rho, angle)  # the centre of the second arc
+    first_arc = (pi / 2.0 - angle) % (2.0 * pi)
+    second_arc = phase((target - second) / rect(-1.0, angle)) % (2.0 * pi)
+    return rho * (first_arc + second_arc), 1j * (target - second) / rho
 
 
 def turning_capture_times(
