@@ -439,6 +439,16 @@ def test_the_assumptions_of_the_theorem_are_necessary(changes):
     assert falls(**changes) > 0
 
 
+@pytest.mark.parametrize("player", ["team", "evader"])
+def test_the_disc_of_a_player_with_inertia_is_not_watched(player):
+    team, body = Team(guidance="constant_bearing"), TurnRate(limit=1.0)
+    assert ApolloniusWatcher.applies(Scenario(team=team))
+    changed = {"team": team} | {
+        player: Team(guidance=team.guidance, dynamics=body) if player == "team" else Evader(dynamics=body)
+    }
+    assert not ApolloniusWatcher.applies(Scenario(**changed))
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("strategy", ["pure_evasion", "zigzag", "diffusion", "max_min", "still"])
 def test_with_constant_bearing_each_apollonius_disc_contains_the_next(strategy):

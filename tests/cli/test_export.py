@@ -122,6 +122,9 @@ def test_what_makes_no_sense_is_refused(recorded, tmp_path):
     (both / "trace.jsonl").unlink()
     assert "--event chooses events of a run" in refused("export", both, to, "--event", "Lost")
     assert not to.exists()
+    with pytest.raises(ValueError, match=rf"x\.txt: {suffixes}"):
+        export([], tmp_path / "x.txt")
+    assert not (tmp_path / "x.txt").exists()
 
 
 def test_after_an_error_the_older_file_is_as_it_was(recorded, tmp_path):

@@ -410,6 +410,10 @@ def test_the_isolation_matrices_are_the_published_ones():
         rows = ISOLATION[name]
         assert (rows[0][1], rows[0][5], rows[5][0], rows[5][4]) == numbers
         assert {len(row) for row in (*rows, rows)} == {6}
+        for k, column in enumerate(zip(*rows, strict=True)):
+            others = [*column[:k], *column[k + 1 :]]
+            assert others == sorted(others, reverse=True), "a slower frame stands more of the same interference"
+            assert max(others) < 0 < column[k]
 
 
 def test_a_gateway_gets_lora_frames_of_two_spreading_factors_and_not_of_one():

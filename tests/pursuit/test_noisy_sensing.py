@@ -14,7 +14,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Estimated, Sampled
 from desim.pursuit.noise import PositionNoise, RangeBearingNoise
 from desim.pursuit.noisy_sensing import Sighted, Tracked
-from desim.pursuit.sensing import Sensing
+from desim.pursuit.sensing import Sensing, spiral
 from desim.pursuit.tracking import AlphaBeta, Kalman
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Capture, Motion, Recording
@@ -128,6 +128,19 @@ def test_a_pursuer_that_loses_its_memory_loses_its_tracks():
 
         run(scenario(sensing, protocol=watch, fault=[crash], **team, **evader), 1, lambda event: event.t > 2 * SECOND)
         assert found[-1] is not memory
+
+
+def test_a_pursuer_whose_track_is_too_old_stays_or_searches_from_where_the_track_ended():
+    """The evader leaves at 0.2 s, so its track ends at 0.7 s; 0.1 s later the search is 0.15 m along its spiral."""
+    team = {"team": Team(positions=[(0.0, 0.0)], speeds=1.5, active_at_start=0.0)}
+    evader = {"evader": Evader(position=(2.9, 0.0), speed=0.5, strategy={"kind": "constant_heading", "angle": 0.0})}
+    noise, estimator = PositionNoise(deviation=1e-6), Kalman(acceleration=1e-3)
+    for on_lost in ("stay", "search"):
+        sensing = Sensing(noise=noise, estimator=estimator, radius=3.001, track_timeout=0.5, on_lost=on_lost)
+        before, after = looked(sensing, [0.6, 0.8], lambda me: me.evader(), **team, **evader)
+        assert before == pytest.approx(2.9 + 0.5 * 0.6, abs=1e-3)
+        assert bool(np.isnan(after)) is (on_lost == "stay")
+    assert after - (2.9 + 0.5 * 0.7) == pytest.approx(spiral(0.15, 2.0 * 3.001), abs=1e-3)
 
 
 def test_captures_follow_the_truth():

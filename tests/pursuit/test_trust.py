@@ -88,6 +88,7 @@ def test_the_extreme_claims_on_both_sides_are_ignored():
     judge = Trimmed(liars=1).judge(observer())
     assert judge.ignored(3.0, {1: 1.0, 2: 2.0, 3: 4.0, 4: 5.0, 5: float("nan"), 6: 3.0}) == {1, 4}
     assert judge.ignored(3.0, {1: 1.0}) == {1}
+    assert judge.ignored(3.0, {6: 3.0}) == set(), "neither below nor above"
     assert judge.ignored(3.0, {}) == set()
     assert Trimmed(liars=0).judge(observer()).ignored(3.0, {1: 1.0, 2: 9.0}) == set()
     assert judge.believes(record(1, 1))

@@ -93,6 +93,8 @@ def assert_reason(found, why):
         (four(network=Links(range=2.99), announce=FLOODED), None),
         (four(network=Links(range=2.99), announce=Announcements(dissemination=Gossip())), None),
         (four(nx.path_graph(4)), "not all pursuers hear each other"),
+        (four(nx.path_graph(4), announce=Announcements(dissemination=ReliableOneHop())), "not all pursuers hear"),
+        (four(nx.path_graph(4), announce=Announcements(dissemination=CodedOneHop())), "not all pursuers hear"),
         (four(TWO_PAIRS, announce=FLOODED), "cannot reach all others"),
         (four(fault=[HALVES], announce=FLOODED), "partition"),
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),

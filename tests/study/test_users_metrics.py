@@ -413,6 +413,11 @@ def test_an_installed_metric_is_measured_without_trust_and_is_among_those_that_a
     assert refused("run", file, "--metric", "haf").startswith("--metric haf: there is no numeric metric 'haf', did you")
 
 
+def test_metrics_of_a_wrong_type_are_refused_also_with_metrics_of_the_command_line(file):
+    file.write_text(FILE.replace('["mine_of_commands:gap"]', "3"))
+    assert refused("run", file, TRUSTED, *TWICE).startswith(f"{file}:6: record.metrics: ")
+
+
 @pytest.mark.parametrize("command", ["run", "sweep", "explain"])
 def test_a_name_of_a_built_in_metric_is_refused_with_file_line_and_key(file, command):
     file.write_text(FILE.replace(":gap", ":energy").replace("energy", "active_time"))

@@ -406,7 +406,11 @@ def test_a_wrong_file_is_refused_as_by_run(tmp_path):
 def program(*options, cwd):
     """Yield the program and the address of its page."""
     command = [sys.executable, "-m", "desim", "play", *map(str, options), "--no-browser"]
-    environment = os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment = os.environ | {
+        "PYTHONUNBUFFERED": "1",
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+        "TMPDIR": str(cwd),
+    }
     process = subprocess.Popen(
         command, cwd=cwd, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
