@@ -12,6 +12,10 @@ from desim.config.model import MAX_COORDINATE, Value
 Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 
 
+LEAST = 1e-6
+"""Least standard deviation in a covariance of a sighting, m, and relative to the largest; so it has an inverse."""
+
+
 class Covariance(NamedTuple):
     """The covariance of the two coordinates of a position, m^2."""
 
@@ -39,7 +43,8 @@ class PositionNoise(Value):
 
     def covariance(self, offset: complex) -> Covariance:
         """Return the covariance of the error at a measured vector, m."""
-        return Covariance(self.deviation**2, 0.0, self.deviation**2)
+        variance = max(self.deviation, LEAST) ** 2
+        return Covariance(variance, 0.0, variance)
 
 
 class RangeBearingNoise(Value):
@@ -61,7 +66,9 @@ class RangeBearingNoise(Value):
         """Return the covariance of the error at a measured vector, m, to first order in the errors."""
         away = abs(offset)
         c, s = (offset.real / away, offset.imag / away) if away else (1.0, 0.0)
-        along, across = self.range**2, (away * self.bearing) ** 2
+        deviations = self.range, away * self.bearing
+        least = LEAST * max(*deviations, 1.0)
+        along, across = (max(each, least) ** 2 for each in deviations)
         return Covariance(along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c)
 
 

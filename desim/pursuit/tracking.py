@@ -5,7 +5,7 @@ constant for the time in between, with a standard deviation per axis (the discre
 Bar-Shalom, Li & Kirubarajan 2001, section 6.3.2).
 """
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from math import sqrt
 from operator import attrgetter
 from typing import Annotated, Literal, NamedTuple
@@ -15,7 +15,7 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.units import SECOND
-from desim.pursuit.noise import Covariance
+from desim.pursuit.noise import LEAST, Covariance
 from desim.pursuit.small_matrices import Matrix, inverse, plus, product, scaled, times, trace, transpose
 
 Acceleration = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
@@ -35,6 +35,20 @@ class Measurement(NamedTuple):
     y: float
     """m"""
     covariance: Covariance
+
+
+def merged(one: Measurement, other: Measurement) -> Measurement:
+    """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
+    first, second = _matrix(one.covariance), _matrix(other.covariance)
+    weight = product(first, inverse(plus(first, second)))  # of the other
+    dx, dy = times(weight, [other.x - one.x, other.y - one.y])
+    (xx, xy), (_, yy) = plus(first, product(weight, first), -1.0)
+    return one._replace(x=one.x + dx, y=one.y + dy, covariance=Covariance(xx, xy, yy))
+
+
+def _matrix(covariance: Covariance) -> Matrix:
+    xx, xy, yy = covariance
+    return [[xx, xy], [xy, yy]]
 
 
 class Track(NamedTuple):
@@ -70,7 +84,10 @@ class Unfiltered(Value):
 
 
 class AlphaBeta(Value):
-    """A filter with the stationary gains of a Kalman filter for sightings at equal intervals (Kalata 1984)."""
+    """A filter with the stationary gains of a Kalman filter for sightings at equal intervals (Kalata 1984).
+
+    Without noise the state is the newest position, and the difference quotient of the newest two.
+    """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
     acceleration: Acceleration = 1.0
@@ -85,13 +102,12 @@ class AlphaBeta(Value):
         return Track(stamp, _moved(track.state, (stamp - track.stamp) / SECOND))
 
     def update(self, track: Track, seen: Measurement) -> Track:
-        """Return the track after a sighting."""
+        """Return the track after a later sighting."""
         period = (seen.stamp - track.stamp) / SECOND
         x, y, vx, vy = _moved(track.state, period)
         deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
-        alpha, beta = gains(period**2 * self.acceleration / deviation) if deviation and period else (1.0, 0.0)
-        dx, dy = seen.x - x, seen.y - y
-        rate = beta / period if period else 0.0
+        alpha, beta = gains(period**2 * self.acceleration / deviation) if deviation > LEAST else (1.0, 1.0)
+        dx, dy, rate = seen.x - x, seen.y - y, beta / period
         return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
 
 
@@ -120,11 +136,10 @@ class Kalman(Value):
         return Track(stamp, _moved(track.state, t), plus(moved, noise))
 
     def update(self, track: Track, seen: Measurement) -> Track:
-        """Return the track after a sighting."""
+        """Return the track after a later sighting."""
         _, state, covariance = self.predict(track, seen.stamp)
         assert covariance is not None
-        (a, b), (_, c), noise = covariance[0][:2], covariance[1][:2], seen.covariance
-        of_innovation = [[a + noise.xx, b + noise.xy], [b + noise.xy, c + noise.yy]]
+        of_innovation = plus([row[:2] for row in covariance[:2]], _matrix(seen.covariance))
         gain = product([row[:2] for row in covariance], inverse(of_innovation))
         off = seen.x - state[0], seen.y - state[1]
         corrected = [x + row[0] * off[0] + row[1] * off[1] for x, row in zip(state, gain, strict=True)]
@@ -156,7 +171,8 @@ class Filter:
     """The track of one evader from sightings that may arrive late and twice.
 
     A late sighting is inserted at its time stamp, and the later ones are processed again, so the track is that of the
-    sightings in order. A sighting of the same observer and time counts once.
+    sightings in order. Sightings of several observers at the same time are merged into one. A sighting of the same
+    observer and time counts once.
 
     Args:
         model: the filter.
@@ -166,6 +182,8 @@ class Filter:
     def __init__(self, model: Estimator, window: int):
         self._model, self._window = model, window
         self._seen: list[Measurement] = []
+        self._merged: list[Measurement] = []
+        """Each sighting, merged with those before it of the same time."""
         self._tracks: list[Track] = []
 
     @property
@@ -183,11 +201,20 @@ class Filter:
         if (place and self._seen[place - 1][:2] == seen[:2]) or self._is_too_old(seen):
             return
         self._seen.insert(place, seen)
-        del self._tracks[place:]
+        del self._merged[place:], self._tracks[place:]
         for each in self._seen[place:]:
-            before = self._tracks[-1] if self._tracks else None
-            self._tracks.append(self._model.start(each) if before is None else self._model.update(before, each))
+            self._append(each)
         self._forget_old()
+
+    def _append(self, seen: Measurement) -> None:
+        """Process a sighting that is at least as new as all before."""
+        is_shared = bool(self._merged) and self._merged[-1].stamp == seen.stamp
+        self._merged.append(merged(self._merged[-1], seen) if is_shared else seen)
+        before = bisect_left(self._merged, seen.stamp, key=attrgetter("stamp")) - 1
+        if before < 0:
+            self._tracks.append(self._model.start(self._merged[-1]))
+        else:
+            self._tracks.append(self._model.update(self._tracks[before], self._merged[-1]))
 
     def _is_too_old(self, seen: Measurement) -> bool:
         """Return whether a sighting is older than all that are kept, and these are not all there were."""
@@ -195,9 +222,9 @@ class Filter:
 
     def _forget_old(self) -> None:
         """Keep the sightings of the window, and one before it."""
-        old = bisect_right(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
+        old = bisect_left(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
         if old > 1:
-            del self._seen[: old - 1], self._tracks[: old - 1]
+            del self._seen[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]
 
 
 def fused(one: Track, other: Track, how: Fusion) -> Track:

@@ -96,6 +96,35 @@ def test_the_errors_of_a_kalman_filter_are_as_large_as_it_says(noise):
     assert abs(np.mean(innovations) - 2.0) < 3 * np.sqrt(4.0 / 50)
 
 
+@pytest.mark.parametrize("model", [AlphaBeta(), Kalman()])
+def test_sightings_of_one_time_are_merged_by_their_inverse_covariances(model):
+    """Three equal ones are their mean, with a third of the covariance; in any order of arrival."""
+    rng, (seen, _) = np.random.default_rng(4), sightings(2, 12)
+    several, one = [], []
+    for each in seen:
+        errors = rng.normal(size=(3, 2)).tolist()
+        several += [each._replace(observer=k, x=each.x + dx, y=each.y + dy) for k, (dx, dy) in enumerate(errors)]
+        dx, dy = np.mean(errors, axis=0)
+        third = Covariance(*(value / 3.0 for value in each.covariance))
+        one.append(each._replace(x=each.x + dx, y=each.y + dy, covariance=third))
+    track = filtered(model, one).track
+    for order in (range(len(several)), rng.permutation(len(several)).tolist()):
+        found = filtered(model, [several[k] for k in order]).track
+        assert found.state == pytest.approx(track.state, rel=1e-9)
+
+
+def test_merged_sightings_are_a_kalman_filter_of_each_by_itself():
+    """Of other covariances: one is sure along x, the other along y."""
+    (first, _, last), _ = sightings(5, 3)
+    other = last._replace(observer=1, x=last.x + 0.5, covariance=Covariance(0.1, 0.05, 2.0))
+    by_itself = Kalman().start(first)
+    for each in (last._replace(covariance=Covariance(3.0, -0.2, 0.2)), other):
+        by_itself = Kalman().update(by_itself, each)
+    found = filtered(Kalman(), [first, last._replace(covariance=Covariance(3.0, -0.2, 0.2)), other]).track
+    assert found.state == pytest.approx(by_itself.state, rel=1e-9)
+    assert np.array(found.covariance) == pytest.approx(np.array(by_itself.covariance), rel=1e-9)
+
+
 @pytest.mark.slow
 def test_the_alpha_beta_filter_is_the_stationary_kalman_filter():
     """After 200 sightings at equal intervals both have the same gains; with another acceleration they differ."""
