@@ -32,14 +32,17 @@ from pydantic import Field
 
 from desim.config.arrays import Floats
 from desim.config.model import Period, Time, Value
+from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.beliefs import TeamEstimate
-from desim.pursuit.capture import intercept_time
-from desim.pursuit.state import coordinates, lengths
+from desim.pursuit.capture import intercept_times
+from desim.pursuit.flow import Environment
+from desim.pursuit.state import lengths
 from protocols.schedules import ticks
 
 Measure = Callable[[TeamEstimate], Floats]
 """A function that returns the (n,) measures of the n pursuers in an estimate of the team."""
+STILL = Environment()
 
 
 class Geometric(Value):
@@ -119,12 +122,14 @@ class Argmin(Geometric):
         """Return the function that computes the capture or intercept time, s, of each pursuer."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
-        velocity = Velocity(self.time_constant)
+        velocity = Velocity(self.time_constant, me.environment)
 
         def intercept(known: TeamEstimate) -> Floats:
-            place = me.evader(evader)
-            x_e, w = (coordinates(np.array([each]))[0] for each in (place, velocity(me.now, place)))
-            return intercept_time(x_e, w, coordinates(known.positions), known.speeds, me.radius)
+            place, now = me.evader(evader), me.now
+            relative = np.array([velocity(now, place)])
+            if not me.environment.is_still:
+                relative = relative + me.environment.relative(place, known.positions, now)
+            return intercept_times(place - known.positions, relative, known.speeds, me.radius)
 
         return intercept
 
@@ -133,11 +138,12 @@ class Velocity:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
     w is the estimate, x the position and T the time constant. The estimate is 0 until two successive positions are
-    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan).
+    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan). The
+    velocity of an evader that the flow carries is relative to the flow.
     """
 
-    def __init__(self, time_constant: float):
-        self._time_constant = time_constant
+    def __init__(self, time_constant: float, environment: Environment = STILL):
+        self._time_constant, self._environment = time_constant, environment
         self._seen: tuple[float, complex] | None = None
         self._velocity: complex | None = None
 
@@ -147,8 +153,11 @@ class Velocity:
             self._seen = None
             return self._velocity or 0j
         if self._seen is not None:
-            elapsed = now - self._seen[0]
-            mean = (place - self._seen[1]) / elapsed
+            (before, start), environment = self._seen, self._environment
+            if environment.on == "all" and not environment.is_still:
+                start = environment.carried(start, nanoseconds(before), nanoseconds(now))
+            elapsed = now - before
+            mean = (place - start) / elapsed
             known = mean if self._velocity is None else self._velocity
             remains = exp(-elapsed / self._time_constant) if self._time_constant else 0.0
             self._velocity = mean + (known - mean) * remains

@@ -350,6 +350,17 @@ class Environment(Value):
             return 0.0
         return self.top_speed * (1.0 if self.on == "pursuers" else 2.0)
 
+    def relative(self, target: complex, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
+
+        Args:
+            target: the position of the evader, m.
+            places: (k,) positions of the pursuers, m.
+            t: the time, s.
+        """
+        found = -self.flow(places, t)
+        return found + self.flow(np.array([target]), t) if self.on == "all" else found
+
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
 

@@ -56,9 +56,7 @@ def capture_times_in_flow(
     offsets, flight = bearings * distances, bearings * evader_speed
     if isinstance(flow, UniformFlow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
         return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
-    relative = -flow(places, now / SECOND)
-    if environment.on == "all":
-        relative = relative + flow(np.array([target]), now / SECOND)
+    relative = environment.relative(target, places, now / SECOND)
     return intercept_times(offsets, flight + relative, speeds, radius)
 
 

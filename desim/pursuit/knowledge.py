@@ -10,6 +10,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.units import nanoseconds
 from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
+from desim.pursuit.flow import Environment
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.views import View
 
@@ -105,6 +106,11 @@ class Knowledge:
     def radius(self) -> float:
         """The capture radius eps, m."""
         return self._state.radius
+
+    @property
+    def environment(self) -> Environment:
+        """The medium in which the players move, whose flow all pursuers know."""
+        return self._state.environment
 
     def latest_records(self) -> dict[int, Record]:
         """Return the newest announcement received from each teammate, however old."""

@@ -195,6 +195,33 @@ def test_by_intercept_time_the_owner_is_the_first_to_meet_an_evader_on_a_straigh
     assert by_phi.trace.of(Decided)[1].t > switch
 
 
+@pytest.mark.parametrize("flow", [(0.8, -0.3), {"kind": "harmonic", "amplitude": (0.8, -0.5), "period": 2.0}])
+def test_by_intercept_time_a_flow_that_carries_all_changes_no_decision(flow):
+    scenario = scattered(Argmin(by="intercept_time", slot=0.05), 3, evader=Evader(strategy="zigzag"), horizon=5.0)
+    flow = flow if isinstance(flow, dict) else {"kind": "uniform", "velocity": flow}
+    still, carried = (
+        run(Scenario(**dict(scenario) | {"environment": {"flow": each}})).trace.of(Decided)
+        for each in ({"kind": "none"}, flow)
+    )
+    assert len(still) > 4
+    assert carried == still
+
+
+@pytest.mark.parametrize(("wind", "owner"), [(0.0, 1), (0.5, 0)])
+def test_by_intercept_time_pursuers_allow_for_a_wind_that_carries_them_alone(wind, owner):
+    """The evader stands at 5 m: with the wind (5 - 0.1) / 2 = 2.45 s from behind, and (3 - 0.1) / 1 s from ahead."""
+    scenario = scattered(
+        Argmin(by="intercept_time", slot=0.05),
+        0,
+        team=Team(positions=[(0.0, 0.0), (8.0, 0.0)], speeds=1.5, active_at_start=0.0),
+        evader=Evader(position=(5.0, 0.0), speed=0.0, strategy="still"),
+        environment={"flow": {"kind": "uniform", "velocity": (wind, 0.0)}, "on": "pursuers"},
+    )
+    result = run(scenario)
+    assert result.trace.of(Decided) == [Decided(0, owner, True)]
+    assert summary(result).capture_time == pytest.approx(2.45 if owner == 0 else 2.9 / 1.5, abs=1e-6)
+
+
 def test_after_a_turn_the_intercept_is_right_once_the_filter_has_settled():
     """The evader runs up for 1 s, then in x: its estimate is 0.9 ((1 - q) + i q), q = exp(-(t - 1) / 0.5), t >= 1.
 
