@@ -147,6 +147,8 @@ def bodies(dice, scenario):
     """Return a scenario, in some cases with inertia, or with a flow that its models allow for."""
     dynamics = {"kind": dice.one(["acceleration", "turn_rate"]), "limit": dice.number(0.3, 5.0)}
     has_inertia, on = dice.chance(0.3), dice.one(["all", "pursuers"])
+    if has_inertia and scenario["sensing"]["estimate"] == "worst_case":
+        scenario = scenario | {"sensing": scenario["sensing"] | {"estimate": "hold"}}
     if has_inertia:
         scenario = scenario | {"team": scenario["team"] | {"dynamics": dynamics}}
     if dice.chance(0.3):
@@ -155,7 +157,7 @@ def bodies(dice, scenario):
         scenario = scenario | {"evader": slow or scenario["evader"]}
     allowed = {(False, "all"), (False, "pursuers"), (True, "all")}
     if scenario["sensing"]["estimate"] == "worst_case":
-        allowed = {(False, "pursuers")}
+        allowed = set()
     if dice.chance(0.3) and (has_inertia, on) in allowed:
         flow = dice.one(FLOWS[:3] if has_inertia else FLOWS)
         scenario = scenario | {"environment": {"flow": flow, "on": on}}

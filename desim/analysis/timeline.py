@@ -3,10 +3,10 @@
 A piece is the time between two successive breakpoints. The breakpoints are the start and the end of the run, changes of
 action, samples of positions, crashes and recoveries of robots, and captures. No action changes within a piece, so
 metrics of the actions alone are exact. The capture time phi of a pursuer is the time that it needs for a capture from
-now on (`desim.pursuit.capture`). It is evaluated in the middle of a piece, at positions interpolated between the
-samples, and for pursuers with inertia with the mean courses between the samples. It is exact in a static game; for
-other games `desim.analysis.hindsight` gives examples of the error. Each evader has its own timeline; the timelines of
-all evaders have the same pieces.
+now on (`desim.pursuit.capture`), in a flow as the pursuers compute it (`desim.pursuit.flow_capture`). It is evaluated
+in the middle of a piece, at positions interpolated between the samples, and for pursuers with inertia with the mean
+courses between the samples. It is exact in a static game; for other games `desim.analysis.hindsight` gives examples of
+the error. Each evader has its own timeline; the timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
@@ -24,6 +24,7 @@ from desim.kernel.faults import Crash, FaultEnded, FaultStarted
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.dynamics import Courses
+from desim.pursuit.flow_capture import capture_times_in_flow
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 from desim.simulation.run import Result
@@ -67,16 +68,13 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
         raise ValueError(NO_POSITIONS)
     start, end, scenario = started(result), ended(result).t, result.scenario
     speed, pursuit = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
-    radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
-    dynamics = scenario.pursuer_dynamics
+    speeds, radius = np.array(start.speeds), scenario.capture.radius
+    radial_time = RadialTime(speeds, speed, radius)
+    dynamics, environment = scenario.pursuer_dynamics, scenario.environment
     horizon, static = nanoseconds(scenario.horizon), scenario.motion.static
     path, size = _Path(result, evader), len(start.active)
-    inertial_time = partial(
-        dynamics.capture_times,
-        speeds=np.array(start.speeds),
-        evader_speed=speed,
-        radius=scenario.capture.radius,
-    )
+    inertial_time = partial(dynamics.capture_times, speeds=speeds, evader_speed=speed, radius=radius)
+    time_in_flow = partial(capture_times_in_flow, environment, speeds=speeds, evader_speed=speed, radius=radius)
     active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
     acts = [each.t for each in [*changes(result), *captures(result)]]
@@ -85,10 +83,15 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     for first in range(0, len(times) - 1, step):
         own = times[first : first + step + 1]
         middle = (own[:-1] + own[1:]) / 2
-        if dynamics.is_simple:
-            phi = radial_time(lengths(path.gaps(middle)))
+        gaps = path.gaps(middle)
+        if not dynamics.is_simple:
+            phi = np.array([*map(inertial_time, gaps, path.courses(middle))]).reshape(len(middle), size)
+        elif environment.keeps_distances:
+            phi = radial_time(lengths(gaps))
         else:
-            phi = np.array([*map(inertial_time, path.gaps(middle), path.courses(middle))]).reshape(len(middle), size)
+            known = zip(gaps, path.pursuers(middle), middle.tolist(), strict=True)
+            found = [time_in_flow(at[0] + gap[0], at, lengths(gap), now=int(t)) for gap, at, t in known]
+            phi = np.array(found).reshape(len(middle), size)
         phi[broken.during(own)] = np.inf
         phi[own[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
@@ -137,13 +140,22 @@ class _Path:
         pursuers = np.array([each.pursuers for each in known])
         gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - pursuers
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
+        self._pursuers = pursuers[..., 0] + 1j * pursuers[..., 1]
         self._known = known
 
     def gaps(self, t: Floats) -> Points:
         """Return the (k, N) vectors from each pursuer to the evader at (k,) times (ns), m; constant after the last."""
+        return self._interpolated(self._gaps, t)
+
+    def pursuers(self, t: Floats) -> Points:
+        """Return the (k, N) positions of the pursuers at (k,) times (ns), m; constant after the last."""
+        return self._interpolated(self._pursuers, t)
+
+    def _interpolated(self, values: Points, t: Floats) -> Points:
+        """Return the (k, N) values at (k,) times (ns), given those at the samples."""
         before, after = self._samples_around(t)
         share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)
-        found: Points = self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before])
+        found: Points = values[before] + share[:, None] * (values[after] - values[before])
         return found
 
     def courses(self, t: Floats) -> list[Courses]:

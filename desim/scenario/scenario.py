@@ -270,7 +270,7 @@ class Scenario(Value):
         if graph is not None:
             yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
         yield from _channel_misfits(self)
-        yield from _flow_misfits(self)
+        yield from _motion_misfits(self)
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
                 ("capture", "captures_to_end"),
@@ -297,8 +297,8 @@ class Scenario(Value):
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
 
 
-def _flow_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the key and the text of each model that does not allow for the flow."""
+def _motion_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the key and the text of each model that does not allow for the flow or for inertia."""
     environment = scenario.environment
     if scenario.team.has_inertia and not environment.keeps_distances:
         yield (
@@ -306,8 +306,10 @@ def _flow_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
             "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
             ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
         )
-    if scenario.sensing.estimate == "worst_case" and not environment.is_still and environment.on == "all":
+    if scenario.sensing.estimate == "worst_case" and not environment.is_still:
         yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
+    if scenario.sensing.estimate == "worst_case" and scenario.team.has_inertia:
+        yield ("sensing", "estimate"), "the bound of worst_case does not allow for inertia (`team.dynamics`)"
 
 
 def _channel_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:

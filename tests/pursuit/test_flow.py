@@ -209,6 +209,30 @@ def test_wind_on_the_pursuers_does_change_decisions():
 
 
 @pytest.mark.slow_but_one
+@pytest.mark.parametrize(("wind", "capturer", "time"), [(0.0, 1, 2.9 / 1.5), (0.5, 0, 2.45), (-0.5, 1, 1.45)])
+def test_an_omniscient_assignment_in_wind_is_right_in_hindsight(wind, capturer, time):
+    """The evader stands at 5 m; the control chases with the other one alone."""
+    team = Team(positions=[(0.0, 0.0), (8.0, 0.0)], speeds=1.5, active_at_start=0.0)
+    scenario = Scenario(
+        team=team,
+        evader=Evader(position=(5.0, 0.0), speed=0.0, strategy="still"),
+        environment=Environment(flow=SteadyFlow(velocity=(wind, 0.0)), on="pursuers"),
+        protocol="centralised",
+    )
+    found = summary(run(scenario))
+    assert (found.capturer, found.capture_time) == (capturer, pytest.approx(time, abs=1e-6))
+    assert found.misassigned_time == found.potential_gap == found.time_to_relay == 0.0
+    assert found.regret == pytest.approx(0.0, abs=1e-6)
+
+    def chase(me):
+        if me.id != capturer:
+            me.assign(1)
+        yield me.sleep(1e6)
+
+    other = summary(run(scenario.model_copy(update={"protocol": chase})))
+    assert min(other.misassigned_time, other.potential_gap) > 0.1
+
+
 @pytest.mark.parametrize(
     ("environment", "tolerance"),
     [
@@ -309,7 +333,11 @@ def test_what_no_capture_time_is_known_for_is_refused():
         with pytest.raises(ValidationError, match="carries all players alike"):
             Scenario(team=inert, environment=environment)
     assert Scenario(team=inert, environment=Environment(flow=TIDE)).environment.flow == TIDE
-    with pytest.raises(ValidationError, match="worst_case does not allow for a flow"):
-        Scenario(sensing={"radius": 3.0, "estimate": "worst_case"}, environment=Environment(flow=STEADY))
+    seen_worst = {"radius": 3.0, "estimate": "worst_case"}
+    for on in ("all", "pursuers"):
+        with pytest.raises(ValidationError, match="worst_case does not allow for a flow"):
+            Scenario(sensing=seen_worst, environment=Environment(flow=STEADY, on=on))
+    with pytest.raises(ValidationError, match="worst_case does not allow for inertia"):
+        Scenario(sensing=seen_worst, team=inert)
     assert Environment().is_still
     assert Environment().flow == NoFlow()
