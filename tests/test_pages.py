@@ -12,11 +12,12 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import get_args
 
 import pytest
 from click.testing import CliRunner
 
-from desim import Scenario
+from desim import Announcements, Scenario
 from tests.command import accepted
 from tests.conftest import undraw
 from tests.test_architecture import LAYERS
@@ -114,6 +115,14 @@ def test_the_table_of_packages_equals_their_docstrings():
     assert sorted(name for name, _ in rows) == sorted(f"{path.parent.relative_to(ROOT)}/" for path in inits)
     for name, said in rows:
         assert said == " ".join(import_module(name.strip("/").replace("/", ".")).__doc__.split())
+
+
+def test_the_table_of_announcements_has_every_key_and_every_payload():
+    _, _, text = TEXTS["docs/explanation/negotiation"].partition("## Announcements")
+    keys = re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)
+    assert keys == [*Announcements.model_fields]
+    (payloads,) = (row for row in text.splitlines() if row.startswith("| `payload`"))
+    assert re.findall(r"`(\w+)`", payloads)[1:] == [*get_args(Announcements.model_fields["payload"].annotation)]
 
 
 def test_the_picture_of_the_layers_is_that_of_the_imports():

@@ -127,7 +127,7 @@ class RecordedMotion(Value):
 
 
 class RelayNode(Value):
-    """A pursuer that never chases: it moves along a record, and takes part in the communication only.
+    """A pursuer that never chases: it moves along a record, and relays messages.
 
     It forwards announcements if `announce.dissemination` or `sensing.relay` says so. Its speed counts as 0. Like any
     pursuer, it captures an evader that comes within the capture radius. A crash does not stop its motion.

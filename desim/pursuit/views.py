@@ -217,5 +217,5 @@ class GlobalState(View):
         return self.state.profile.copy()
 
     def broken(self) -> NDArray[np.bool_]:
-        """Return the (N,) mask of the pursuers that are down, and so stand still."""
+        """Return the (N,) mask of the pursuers that are down."""
         return self.state.broken.copy()

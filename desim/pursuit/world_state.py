@@ -46,7 +46,7 @@ class WorldState:
         at_large: numbers of the evaders that have not been captured, ascending.
         actions: see `Actions`; replaced by `set_actions`, never changed in place.
         profile: `actions` as a list.
-        broken: (N,) mask of the pursuers that are down, and so stand still.
+        broken: (N,) mask of the pursuers that are down.
         acting_since: by pursuer, the time, ns, at which its present action began.
         step_end: end of the present motion step, ns.
     """

@@ -30,14 +30,15 @@ from desim.simulation.run_end import RunEnd
 class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
-    All players move on piecewise straight paths with common breakpoints: the start of each motion step, each change of
-    an action and each capture. Motion steps start at multiples of `motion.step` and at the waypoints of records. The
-    next capture is predicted from the present velocities. It is predicted again at each breakpoint, and when a pursuer
-    goes down or up.
+    All players move on paths of pieces in closed form: straight ones or, with inertia, a curve and a line. The pieces
+    have common breakpoints: the start of each motion step, each change of an action and each capture. Motion steps
+    start at multiples of `motion.step` and at the waypoints of records. The next capture is predicted from the present
+    motions. It is predicted again at each breakpoint, and when a pursuer goes down or up.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
-    or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
-    is set. An evader is at large or captured.
+    or down (from `crash` until `recover`). While down it is commanded to stand still; with inertia it brakes, the flow
+    carries it, and a relay continues along its record. Afterwards it is inactive until its action is set. An evader is
+    at large or captured.
 
     Args:
         env: the clock of the simulation.
@@ -113,7 +114,7 @@ class World:
             self._change_action(pursuer, action)
 
     def crash(self, pursuer: int) -> None:
-        """Take a pursuer down: until `recover` its action is 0, it stands still and captures no evader."""
+        """Take a pursuer down: until `recover` its action is 0 and it captures no evader."""
         self.state.broken[pursuer] = True
         if self.state.profile[pursuer]:
             self._trace.append(BrokeDown(self._env.now, pursuer))
