@@ -14,7 +14,7 @@ from desim.kernel.latency import Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.lies import Equivocate, FaultOfWord, Liar, ReplayAttack, Silent, Spoof
+from desim.pursuit.lies import ByzantineFault, Equivocate, Liar, ReplayAttack, Silent, Spoof
 from desim.pursuit.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
@@ -39,7 +39,7 @@ PROTOCOLS: Mapping[str, Any] = MappingProxyType(
         }.items()
     }
 )
-LIES: Mapping[str, tuple[type[FaultOfWord], Mapping[str, Any]]] = MappingProxyType(
+LIES: Mapping[str, tuple[type[ByzantineFault], Mapping[str, Any]]] = MappingProxyType(
     {
         HONEST: (Silent, {}),
         "there at once": (Liar, {"action": "chase", "phi": 0.0, "acts": "stay"}),
@@ -51,7 +51,7 @@ LIES: Mapping[str, tuple[type[FaultOfWord], Mapping[str, Any]]] = MappingProxyTy
         "silent": (Silent, {}),
     }
 )
-"""The faults of word, by name. there at once: "I chase, my capture time is 0", while it stays; chases: the same with
+"""The Byzantine faults, by name. there at once: "I chase, my capture time is 0", while it stays; chases: the same with
 the true time; opposite: the contrary of its action; spoof: there at once, in the name of random teammates."""
 WORST = "there at once"
 DEFENCES: Mapping[str, Any] = MappingProxyType(
@@ -114,7 +114,7 @@ class Cell:
 def pursuit(
     protocol: str, lie: str, defence: str, liars: int = 1, offset: float = 0.0, latency: float = 0.0
 ) -> Scenario:
-    """Return a pursuit by 12 pursuers of equal speed, of which some have a fault of word from the start."""
+    """Return a pursuit by 12 pursuers of equal speed, of which some have a Byzantine fault from the start."""
     model, parameters = LIES[lie]
     faults: list[Any] = [model(node=node, start=0.0, **parameters) for node in range(liars if lie != HONEST else 0)]
     faults += [ClockSkew(offset=offset)] if offset else []

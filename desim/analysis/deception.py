@@ -1,4 +1,4 @@
-"""Pursuers with faults of word: when they are found out, which honest ones are suspected, and what they cost."""
+"""Pursuers with Byzantine faults: when they are found out, which honest ones are suspected, and what they cost."""
 
 from collections.abc import Callable
 from math import nan
@@ -12,7 +12,7 @@ from desim.simulation.run import Result, run
 
 
 def first_lies(result: Result) -> dict[int, int]:
-    """Return the time, ns, at which the first fault of word of each pursuer that has one begins, by pursuer."""
+    """Return the time, ns, at which the first Byzantine fault of each pursuer that has one begins, by pursuer."""
     found: dict[int, int] = {}
     for event in result.trace.of(FaultStarted):
         if isinstance(event.fault, Misbehaviour):
@@ -26,9 +26,9 @@ def checks_announcements(result: Result) -> bool:
 
 
 def false_accusations(result: Result) -> int:
-    """Return how often a pursuer began to distrust a teammate without a fault of word up to then.
+    """Return how often a pursuer began to distrust a teammate without a Byzantine fault up to then.
 
-    Both pursuers are honest: what a pursuer with a fault of word believes does not count.
+    Both pursuers are honest: what a pursuer with a Byzantine fault believes does not count.
     """
     lies = first_lies(result)
     return sum(
@@ -38,7 +38,7 @@ def false_accusations(result: Result) -> int:
 
 
 def time_to_detect(result: Result) -> float:
-    """Return the mean time, s, from the first fault of word of a pursuer until an honest teammate distrusts it.
+    """Return the mean time, s, from the first Byzantine fault of a pursuer until an honest teammate distrusts it.
 
     The mean is over the pursuers that are distrusted before the end of the run; nan if there are none.
     """
@@ -51,31 +51,31 @@ def time_to_detect(result: Result) -> float:
 
 
 def damage_per_liar(result: Result, metric: Callable[[Result], float | None]) -> float:
-    """Return by how much the faults of word raise a metric, divided by the number of pursuers that have them.
+    """Return by how much the Byzantine faults raise a metric, divided by the number of pursuers that have them.
 
-    The reference is a new run with the same seed and without faults of word; all other random draws are the same.
+    The reference is a new run with the same seed and without Byzantine faults; all other random draws are the same.
 
     Args:
         result: the result of a run.
         metric: the metric; it should have a value in both runs.
 
     Raises:
-        ValueError: if no pursuer has a fault of word, or the metric is None in one of the runs.
+        ValueError: if no pursuer has a Byzantine fault, or the metric is None in one of the runs.
     """
     liars, values = len(first_lies(result)), (metric(result), metric(honest_run(result)))
     if not liars:
-        raise ValueError(f"no pursuer has a fault of word in the run with seed {result.seed}")
+        raise ValueError(f"no pursuer has a Byzantine fault in the run with seed {result.seed}")
     if values[0] is None or values[1] is None:
         raise ValueError(f"the metric has no value in a run with seed {result.seed}")
     return (values[0] - values[1]) / liars
 
 
 def captures_lost(result: Result) -> int:
-    """Return how many fewer evaders are captured than in a run with the same seed and without faults of word."""
+    """Return how many fewer evaders are captured than in a run with the same seed and without Byzantine faults."""
     return len(captures(honest_run(result))) - len(captures(result))
 
 
 def honest_run(result: Result) -> Result:
-    """Run the scenario with the same seed and without faults of word, and return the result."""
+    """Run the scenario with the same seed and without Byzantine faults, and return the result."""
     honest = result.scenario.model_copy(update={"fault": result.scenario.network_faults})
     return run(honest, result.seed)

@@ -349,7 +349,7 @@ class Summary(Mapping[str, Any]):
         false_accusations, note="of honest pursuers by honest ones", given=checks_announcements, more_is="worse"
     )
     time_to_detect: float | None = entry(
-        time_to_detect, "s", "from a fault of word to distrust", given=checks_announcements, more_is="worse"
+        time_to_detect, "s", "from a Byzantine fault to distrust", given=checks_announcements, more_is="worse"
     )
     age_mean: float | None = entry(
         age_mean, "s", "averaged over time and pairs", given=messages_recorded, more_is="worse"

@@ -1,6 +1,6 @@
-"""Faults of word: pursuers whose messages are false, forged, old or withheld.
+"""Byzantine faults: pursuers whose messages are false, forged, old or withheld.
 
-They are Byzantine faults (Lamport, Shostak & Pease 1982, "The Byzantine Generals Problem"). A fault of word names its
+The term is that of Lamport, Shostak & Pease (1982, "The Byzantine Generals Problem"). A Byzantine fault names its
 pursuers or a random share of the team. While it lasts, the messages of such a pursuer are replaced; its protocol,
 beliefs and motion are not changed, except that with `acts = "stay"` it does not chase. `desim.pursuit.lying` applies
 these models in a run.
@@ -102,8 +102,8 @@ class Speaker:
 # The faults.
 
 
-class FaultOfWord(Window):
-    """Base of the faults of word: the pursuers concerned, and how they act."""
+class ByzantineFault(Window):
+    """Base of the Byzantine faults: the pursuers concerned, and how they act."""
 
     node: Node | None = None
     """The number of the pursuer; give this or `share`."""
@@ -147,14 +147,14 @@ class FaultOfWord(Window):
         return None
 
 
-class Silent(FaultOfWord):
+class Silent(ByzantineFault):
     """A pursuer sends nothing, but still receives and decides."""
 
     kind: Literal["silent"] = "silent"
 
 
-class FalseAnnouncements(FaultOfWord):
-    """Base of the faults of word with false announcements: what is false about the capture time and the position.
+class FalseAnnouncements(ByzantineFault):
+    """Base of the Byzantine faults with false announcements: what is false about the capture time and the position.
 
     A lie has an effect if the announcement contains what it falsifies: the payload "time" has a capture time, "state" a
     position, and each payload the action. The claims of auctions have the action and, as a bid, the capture time.
@@ -237,7 +237,7 @@ class Equivocate(FalseAnnouncements):
         return {j: chase if each < 0.5 else stay for j, each in zip(neighbours, drawn, strict=True)}
 
 
-class ReplayAttack(FaultOfWord):
+class ReplayAttack(ByzantineFault):
     """A pursuer announces again what it announced some time ago, as if it were new."""
 
     kind: Literal["replay"] = "replay"
@@ -251,7 +251,7 @@ class ReplayAttack(FaultOfWord):
         return me.id, old[-1] if old else body
 
 
-class Selective(FaultOfWord):
+class Selective(ByzantineFault):
     """A pursuer withholds what it should forward: records of others, and tokens; its own announcements are honest."""
 
     kind: Literal["selective"] = "selective"
@@ -263,7 +263,7 @@ class Selective(FaultOfWord):
         return bool(me.rng.random() < self.drop)
 
 
-class Slander(FaultOfWord):
+class Slander(ByzantineFault):
     """A pursuer accuses honest teammates with each of its announcements (`announce.trust` "accusations")."""
 
     kind: Literal["slander"] = "slander"
@@ -280,7 +280,7 @@ class Slander(FaultOfWord):
 
 
 class RandomLies(Value):
-    """Random faults of word with random parameters, for soak tests."""
+    """Random Byzantine faults with random parameters, for soak tests."""
 
     kind: Literal["random_lies"] = "random_lies"
     rate: Rate = 1.0
@@ -290,14 +290,14 @@ class RandomLies(Value):
     end: Extent = inf
     """Time by which all faults have ended, s."""
 
-    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[FaultOfWord]:
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[ByzantineFault]:
         """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
         t, end = 0.0, min(self.end, horizon)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
             until = min(t + max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION), self.end)
             yield self._lie(int(rng.integers(size)), {"start": t, "end": until}, rng)
 
-    def _lie(self, pursuer: int, window: dict[str, float], rng: np.random.Generator) -> FaultOfWord:
+    def _lie(self, pursuer: int, window: dict[str, float], rng: np.random.Generator) -> ByzantineFault:
         acts: Any = ("protocol", "stay")[rng.integers(2)]
         action: Any = ("truth", "chase", "stay", "opposite")[rng.integers(4)]
         phi = (None, "constant", "scaled", "random", "plausible")[rng.integers(5)]
@@ -309,29 +309,31 @@ class RandomLies(Value):
         return kind(node=pursuer, acts=acts, **window, **own)
 
 
-LIES: tuple[type[FaultOfWord], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
-"""The faults of word."""
+LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
+"""The Byzantine faults."""
 PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies)
-"""The kinds of `[[fault]]` in a scenario: those of the network, and the faults of word."""
+"""The kinds of `[[fault]]` in a scenario: those of the network, and the Byzantine faults."""
 
 
 def is_lie(fault: object) -> bool:
-    """Return whether a fault of a scenario is a fault of word, or a plan of them."""
-    return isinstance(fault, FaultOfWord | RandomLies)
+    """Return whether a fault of a scenario is a Byzantine fault, or a plan of them."""
+    return isinstance(fault, ByzantineFault | RandomLies)
 
 
-def draw_lies(faults: Sequence[object], size: int, horizon: float, seed: int) -> list[tuple[Misbehaviour, FaultOfWord]]:
-    """Draw the faults of word of a run: for each pursuer concerned, its misbehaviour and the model that determines it.
+def draw_lies(
+    faults: Sequence[object], size: int, horizon: float, seed: int
+) -> list[tuple[Misbehaviour, ByzantineFault]]:
+    """Draw the Byzantine faults of a run: for each pursuer concerned, its misbehaviour and the model behind it.
 
     Each model has a random stream of its own; faults of the network are left out.
     """
-    drawn: list[tuple[Misbehaviour, FaultOfWord]] = []
+    drawn: list[tuple[Misbehaviour, ByzantineFault]] = []
     for number, fault in enumerate(faults):
         if is_lie(fault):
             rng = stream(seed, "faults of word", number)
             models = fault(size, horizon, rng) if isinstance(fault, RandomLies) else [fault]
             for model in models:
-                assert isinstance(model, FaultOfWord)
+                assert isinstance(model, ByzantineFault)
                 kind = str(dict(model)["kind"])
                 for pursuer in model.liars(size, rng):
                     one = Misbehaviour(node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn))

@@ -1,7 +1,7 @@
 """The messages of a team of which some members misbehave: what they say replaces what their protocols say.
 
 An agent sends through a `Voice`, which in an honest team is the network (`desim.pursuit.voice`). Otherwise it is a
-`LyingTeam`, which replaces the messages of the pursuers whose faults of word (`desim.pursuit.lies`) are active.
+`LyingTeam`, which replaces the messages of the pursuers whose Byzantine faults (`desim.pursuit.lies`) are active.
 """
 
 from collections import defaultdict
@@ -23,13 +23,13 @@ from desim.kernel.transport import Transport
 from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import PAYLOADS, Announcements, Forwarded, relayed_records
-from desim.pursuit.lies import FaultOfWord, ReplayAttack, Silent, Speaker
+from desim.pursuit.lies import ByzantineFault, ReplayAttack, Silent, Speaker
 from desim.pursuit.trust import PORT as ACCUSATIONS
 from desim.pursuit.views import View
 
 PORT = "forged announcements"
 """The port at which announcements arrive that are not broadcast in the name of their sender."""
-Lie = tuple[Misbehaviour, FaultOfWord]
+Lie = tuple[Misbehaviour, ByzantineFault]
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
 
@@ -44,7 +44,7 @@ class LyingTeam:
         announcements: the content of announcements.
         seed: the seed of the run.
         set_action: sets the action of a pursuer in the world.
-        lies: the faults of word; see `desim.pursuit.lies.draw_lies`.
+        lies: the Byzantine faults; see `desim.pursuit.lies.draw_lies`.
         trace: receives the events `FaultStarted` and `FaultEnded`.
     """
 
@@ -73,7 +73,7 @@ class LyingTeam:
     # What the pursuers do.
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Set the action of a pursuer, or 0 if it should chase and a fault of word lets it stay."""
+        """Set the action of a pursuer, or 0 if it should chase and a Byzantine fault lets it stay."""
         self._set_action(pursuer, 0 if self._stays(pursuer) else action)
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:

@@ -21,7 +21,7 @@ from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.kernel.units import nanoseconds
-from desim.pursuit.lies import FalseAnnouncements, FaultOfWord, Liar, Selective, Silent, Slander
+from desim.pursuit.lies import ByzantineFault, FalseAnnouncements, Liar, Selective, Silent, Slander
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.trust import Accusations, Credulous, Trimmed, tolerated_liars
@@ -238,7 +238,7 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
         yield "clocks.sync", "it costs messages, and all clocks are right (`fault.kind` clock_skew makes them wrong)"
     for k, fault in enumerate(scenario.fault):
-        if isinstance(fault, Fault | FaultOfWord) and fault.start >= scenario.horizon:
+        if isinstance(fault, Fault | ByzantineFault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
     yield from _lie_warnings(scenario)
     yield from _trust_warnings(scenario)
@@ -260,12 +260,12 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about faults of word without an effect."""
+    """Yield the warnings about Byzantine faults without an effect."""
     payload = None if scenario.protocol_traits.claim_size else scenario.announce.payload
     forwards = DisseminationTraits.of(scenario.announce.dissemination).relays
     token = scenario.schedule_traits.spreads_to is not None
     for k, fault in enumerate(scenario.fault):
-        if not isinstance(fault, FaultOfWord):
+        if not isinstance(fault, ByzantineFault):
             continue
         if not scenario.announces and fault.acts == "protocol" and not isinstance(fault, Silent | FalseAnnouncements):
             yield f"fault.{k}", f"it has no effect, because pursuers announce nothing under {scenario.protocol_name!r}"

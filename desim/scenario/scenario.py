@@ -39,7 +39,7 @@ from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.dynamics import Dynamics, Simple
 from desim.pursuit.flow import Environment
-from desim.pursuit.lies import PURSUER_FAULTS, FaultOfWord, is_lie
+from desim.pursuit.lies import PURSUER_FAULTS, ByzantineFault, is_lie
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
 from desim.scenario.named_metrics import MetricName
@@ -201,7 +201,7 @@ class Scenario(Value):
 
     @property
     def network_faults(self) -> tuple[Any, ...]:
-        """The faults that are not faults of word: those of robots, radios, clocks and the network."""
+        """The faults that are not Byzantine: those of robots, radios, clocks and the network."""
         return tuple(each for each in self.fault if not is_lie(each))
 
     @property
@@ -290,7 +290,7 @@ class Scenario(Value):
             except ValueError as error:
                 yield ("protocol", part), str(error)
         for k, fault in enumerate(self.fault):
-            if isinstance(fault, FaultOfWord):
+            if isinstance(fault, ByzantineFault):
                 named = fault.named().items()
                 yield from ((("fault", k, key), no_pursuer.format(each)) for key, each in named if each >= count)
             key = "groups" if isinstance(fault, Partition) else "node"

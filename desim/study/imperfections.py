@@ -95,7 +95,7 @@ def without_faults(scenario: Scenario) -> Scenario:
 
 
 def without_lies(scenario: Scenario) -> Scenario:
-    """Return the scenario without faults of word; `announce.trust` is kept."""
+    """Return the scenario without Byzantine faults; `announce.trust` is kept."""
     return scenario.model_copy(update={"fault": scenario.network_faults})
 
 

@@ -1,4 +1,4 @@
-"""Faults of word: what is announced instead, by whom and to whom, and that nothing else changes."""
+"""Byzantine faults: what is announced instead, by whom and to whom, and that nothing else changes."""
 
 from math import inf
 
@@ -51,7 +51,7 @@ HALF = round(0.5 * SECOND)
 
 
 def team(*faults, payload="time", protocol=None, **changes):
-    """Return a scenario of six pursuers, with faults of word."""
+    """Return a scenario of six pursuers, with Byzantine faults."""
     given = {
         "team": Team(count=6, speeds=1.5, active_at_start=0.0),
         "protocol": protocol or LocalMin(schedule=POISSON),
