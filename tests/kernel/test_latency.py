@@ -418,3 +418,9 @@ def test_a_base_and_a_jitter_are_declared_as_the_latency_of_a_network_is(part):
     misspelt = type("Misspelt", (SimpleNamespace,), {"__call__": len, "quantile": len, "start_runs": len})()
     with pytest.raises(ValidationError, match="'start_runs', did you mean 'start_run'"):
         PerPair(**{part: misspelt})
+
+
+def test_both_directions_of_a_link_have_the_same_uniform_unless_asked_otherwise():
+    there, back = LinkContext(2, np.array([5]), seed=3), LinkContext(5, np.array([2]), seed=3)
+    assert there.uniform("x") == back.uniform("x") != there.uniform("y")
+    assert there.uniform("x", symmetric=False) != back.uniform("x", symmetric=False)

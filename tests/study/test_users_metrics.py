@@ -92,6 +92,8 @@ def test_a_metric_is_in_the_rows_the_table_the_files_the_view_and_the_figure(tmp
     with Store(store, read_only=True) as kept:
         assert SweepResult.of(kept) == found
         assert SweepResult.of(kept).units == {"half": "s", "late": ""}
+        for row in SweepResult.of(kept).groups[0].rows:
+            assert f"half: {row.summary['half']:.6g} s" in str(row.summary).splitlines()
 
 
 @pytest.mark.slow

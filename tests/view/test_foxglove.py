@@ -93,11 +93,15 @@ def test_the_frames_of_robots_with_inertia_are_turned_to_their_headings(tmp_path
 
 
 def test_the_colours_of_the_players_follow_their_actions(exported):
-    """0 and 1 chase at first, 0 alone from 150 ms on, none from 400 ms on, 2 alone from 800 ms on until the capture."""
+    """0 and 1 chase at first, 0 alone from 150 ms on, none from 400 ms on, 2 alone from 800 ms on until the capture.
+
+    The players are spread over 10 m at the start; a body is a fiftieth of that.
+    """
     shown = []
     for t, content in exported(history(samples=range(0, 1001, 100)))["/players"]:
         parts = {each["id"]: (*each["cubes"], *each["spheres"]) for each in content["entities"]}
         assert all(len(each) == 1 for each in parts.values())
+        assert {tuple(each[0]["size"].values()) for each in parts.values()} == {(0.2, 0.2, 0.2)}
         assert {each["frame_id"] for each in content["entities"]} == set(parts)
         blues = [round(parts[f"pursuer {k}"][0]["color"]["b"] * 255) for k in range(3)]
         shown.append((t // MS, blues, parts["evader 1"][0]["color"]["a"]))
