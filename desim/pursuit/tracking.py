@@ -39,11 +39,13 @@ class Measurement(NamedTuple):
 
 def merged(one: Measurement, other: Measurement) -> Measurement:
     """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
-    first, second = _matrix(one.covariance), _matrix(other.covariance)
-    weight = product(first, inverse(plus(first, second)))  # of the other
-    dx, dy = times(weight, [other.x - one.x, other.y - one.y])
-    (xx, xy), (_, yy) = plus(first, product(weight, first), -1.0)
-    return one._replace(x=one.x + dx, y=one.y + dy, covariance=Covariance(xx, xy, yy))
+    (a, b, c), (xx, xy, yy) = one.covariance, other.covariance
+    xx, xy, yy = a + xx, b + xy, c + yy
+    dx, dy, determinant = other.x - one.x, other.y - one.y, xx * yy - xy * xy
+    k, m = (a * yy - b * xy) / determinant, (b * xx - a * xy) / determinant  # the weight of the other, row by row
+    n, w = (b * yy - c * xy) / determinant, (c * xx - b * xy) / determinant
+    covariance = Covariance(a - k * a - m * b, b - k * b - m * c, c - n * b - w * c)
+    return Measurement(one.stamp, one.observer, one.x + k * dx + m * dy, one.y + n * dx + w * dy, covariance)
 
 
 def _matrix(covariance: Covariance) -> Matrix:
@@ -208,13 +210,13 @@ class Filter:
 
     def _append(self, seen: Measurement) -> None:
         """Process a sighting that is at least as new as all before."""
-        is_shared = bool(self._merged) and self._merged[-1].stamp == seen.stamp
-        self._merged.append(merged(self._merged[-1], seen) if is_shared else seen)
-        before = bisect_left(self._merged, seen.stamp, key=attrgetter("stamp")) - 1
-        if before < 0:
-            self._tracks.append(self._model.start(self._merged[-1]))
-        else:
-            self._tracks.append(self._model.update(self._tracks[before], self._merged[-1]))
+        before = len(self._tracks)
+        if self._merged and self._merged[-1].stamp == seen.stamp:
+            before = bisect_left(self._merged, seen.stamp, key=attrgetter("stamp"))
+            seen = merged(self._merged[-1], seen)
+        self._merged.append(seen)
+        track = self._model.update(self._tracks[before - 1], seen) if before else self._model.start(seen)
+        self._tracks.append(track)
 
     def _is_too_old(self, seen: Measurement) -> bool:
         """Return whether a sighting is older than all that are kept, and these are not all there were."""
