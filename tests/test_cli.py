@@ -159,6 +159,7 @@ def test_a_page_of_the_other_command_is_suggested_for_a_folder(file, tmp_path):
     accepted("sweep", path, "-n", 1, "-o", sweep, "--set", "sweep.grid={ 'evader.speed' = [1.0] }")
     play = "make a page that plays a run: desim replay"
     assert refused("report", run) == [f"{run}: is the folder of a single run, not of a sweep; {play} '{run}'"]
+    assert refused("merge", run, "-o", tmp_path / "merged") == [f"{run}: is the folder of a run, not of a sweep"]
     assert refused("report", runs) == [f"{runs}: is the folder of single runs, not of a sweep; {play} {runs}/seed-7"]
     (said,) = refused("replay", sweep)
     assert said.startswith(f"{sweep}: is the folder of a sweep or an explanation, which keeps metrics only; ")

@@ -413,6 +413,7 @@ JUNK += [
     b"[[",
     b"\n[team]\n",
     b"9" * 5000,
+    b"0x" + b"f" * 5000,
     b"[" * 2000,
     b"a." * 500 + b"b = 1",
 ]
@@ -502,6 +503,7 @@ def overrides(draw) -> str:
 @fuzz(0.12)
 @given(changes=st.lists(overrides(), min_size=1, max_size=3))
 @example(changes=["seed=" + "9" * 5000])
+@example(changes=["seed=0x" + "f" * 5000])
 @example(changes=["horizon=" + "[" * 5000])
 @example(changes=["a." * 20_000 + "b=1"])
 @example(changes=["horizon={ " + "a." * 20_000 + "b = 1 }"])

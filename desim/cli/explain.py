@@ -30,7 +30,7 @@ from desim.config.trust import without_symlink
 
 @click.command()
 @FILE
-@click.option("-n", "--runs", type=click.IntRange(min=2), help="Runs of each variant; default: 100.")
+@click.option("-n", "--runs", type=click.IntRange(2, 1_000_000), help="Runs of each variant; default: 100.")
 @SEED
 @JOBS
 @CLUSTER
@@ -73,7 +73,7 @@ def explain(
         )
         provenance.write(folder, made)
         store.note_command(str(Path.cwd()), sys.argv)
-        with working(jobs, cluster, store) as workers:
+        with working(jobs, cluster, store, variants.plan.runs) as workers:
             found = variants.carry_out(store, workers, shown)
         text = json.dumps(found.document(), indent=2)
         without_symlink(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")

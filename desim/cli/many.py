@@ -13,6 +13,7 @@ import click
 from desim.cli.options import (
     ALLOW_IMPORT,
     CLUSTER,
+    COUNT,
     FAILED,
     FILE,
     GRID,
@@ -30,7 +31,7 @@ from desim.cli.options import (
     storing,
     working,
 )
-from desim.config.file_names import STORE
+from desim.config.file_names import STORE, TRACE
 from desim.config.trust import without_symlink
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option(
     "-n",
     "--runs",
-    type=click.IntRange(min=1),
+    type=COUNT,
     help="Runs of each configuration, or their maximum with --until; default: sweep.reps, or 10000 with --until.",
 )
 @SEED
@@ -157,11 +158,11 @@ def sweep(
 
         def note() -> None:
             store.note_command(str(Path.cwd()), sys.argv)
-            count = len(plan.configurations) * plan.reps
+            count = plan.runs
             made = provenance.document("sweep", scenario, seed=plan.root, runs=count, folder=file.parent)
             provenance.write(folder, made)
 
-        with working(jobs, cluster, store) as workers:
+        with working(jobs, cluster, store, plan.runs) as workers:
             found = carry_out(
                 plan,
                 store,
@@ -220,7 +221,9 @@ def _stores_in(folder: Path) -> list[Path]:
     """Return the files of the stores in a folder; end the program if it has none."""
     from desim.study.folder import contents
 
-    return sorted(folder.glob("sweep*.sqlite")) or fail(f"{folder}: {contents(folder)}")
+    has_run = (folder / TRACE).exists()
+    why = "is the folder of a run, not of a sweep" if has_run else contents(folder)
+    return sorted(folder.glob("sweep*.sqlite")) or fail(f"{folder}: {why}")
 
 
 def _plan_text(

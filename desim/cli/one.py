@@ -12,6 +12,7 @@ import click
 
 from desim.cli.options import (
     ALLOW_IMPORT,
+    COUNT,
     JOBS,
     JSON,
     METRIC,
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 @click.option(
     "-n",
     "--runs",
-    type=click.IntRange(min=1),
+    type=COUNT,
     help="Number of runs, with seeds s, s + 1, ...; default: 1, or with --from the recorded number.",
 )
 @JOBS

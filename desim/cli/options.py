@@ -1,5 +1,6 @@
 """Shared parts of the commands: options, reading of scenarios, output, and errors."""
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from desim.study.store import Store
     from desim.study.workers import Workers
 
+COUNT = click.IntRange(1, 1_000_000)
+"""The number of runs, with the bounds of `sweep.reps`."""
 FAILED = 3
 """Exit code if some of many runs failed."""
 WRONG_INPUT = 2
@@ -262,8 +265,8 @@ def storing(folder: Path | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers"]:
-    """Yield the workers for a sweep or an explanation.
+def working(jobs: int, cluster: str | None, store: "Store", runs: int) -> Iterator["Workers"]:
+    """Yield the workers for the runs of a sweep or an explanation.
 
     A KeyboardInterrupt receives a note on how to resume. A RunError, such as that of --fail-fast, ends the program.
     """
@@ -271,7 +274,7 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
     from desim.study.workers import workers_for
 
     try:
-        with workers_for(jobs if cluster is None else cluster) as workers:
+        with workers_for(jobs if cluster is None else cluster, runs) as workers:
             yield workers
     except KeyboardInterrupt as error:
         error.add_note(f"{len(store)} runs are in {store.path}; the same command resumes")
@@ -282,8 +285,16 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
 
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
-    """Print a text that may contain untrusted parts, with control characters escaped."""
-    click.echo(escaped(text) + end, nl=False, err=err)
+    """Print a text that may contain untrusted parts, with control characters escaped.
+
+    If stderr is full, this and all later messages are dropped, so that results and the exit code remain.
+    """
+    try:
+        click.echo(escaped(text) + end, nl=False, err=err)
+    except OSError:
+        if not err:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def fail(text: str) -> NoReturn:

@@ -1,7 +1,8 @@
 """The folder of a run: its trace, summary, scenario, figure and provenance."""
 
 import json
-from collections.abc import Container, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
@@ -14,6 +15,7 @@ from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
 from desim.config.trust import regular_or_missing, without_symlink
 from desim.kernel.events import (
+    LOST,
     MESSAGES,
     TRANSPORT,
     Broadcast,
@@ -181,8 +183,6 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     """
     folder, trace = Path(folder), Trace()
     trace.events += events(folder)
-    if [type(event) for event in trace.events[-2:]] != [MessageCounts, Ended]:
-        raise ValueError(f"{folder / TRACE}: is not complete: its last events should be MessageCounts and Ended")
     for number, why in _inconsistencies(trace.events):
         raise ValueError(f"{folder / TRACE}: line {number} {why}")
     path = folder / provenance.FILE
@@ -210,7 +210,8 @@ def events(folder: str | Path) -> Iterator[Event]:
     """Yield the events of the run in a folder one by one; unlike `read`, it does not hold the trace in memory.
 
     Raises:
-        ValueError: if a line of the trace is not a valid event, or if the trace has another format.
+        ValueError: if a line of the trace is not a valid event, if the trace has another format, or if it is not
+            complete.
         OSError: if the trace cannot be read.
     """
     file = Path(folder) / TRACE
@@ -219,9 +220,25 @@ def events(folder: str | Path) -> Iterator[Event]:
             first = list(islice(lines, 1))
             _check_format(first)
             for start in events_of(first, (Started,)):
-                yield from events_of(chain(first, lines), EVENTS, _limits(start))
+                yield from _complete(events_of(chain(first, lines), EVENTS, _limits(start)))
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
+
+
+def _complete(found: Iterable[Event]) -> Iterator[Event]:
+    """Yield the events of a trace.
+
+    Raises:
+        ValueError: if an event has too many or too few arrivals, or the trace does not end as that of a whole run.
+    """
+    before, last = None, None
+    for number, event in enumerate(found, start=1):
+        if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
+            raise ValueError(f"line {number} has {len(event.dst)} receivers and {len(event.arrival)} arrivals")
+        before, last = last, type(event)
+        yield event
+    if (before, last) != (MessageCounts, Ended):
+        raise ValueError("is not complete: its last events should be MessageCounts and Ended")
 
 
 def _check_format(first: Sequence[str]) -> None:
@@ -280,6 +297,9 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
+    lost = defaultdict[tuple[int, int], list[int]](
+        list
+    )  # by transmission and receiver, the lines of those without Lost
     for number, event in enumerate(found, start=1):
         if event.t < t:
             yield number, "is earlier than the line before"
@@ -289,14 +309,19 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
                 yield number, f"is a second {type(event).__name__}"
             once.add(type(event))
         elif isinstance(event, Broadcast | Queued):
-            if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
-                yield number, f"has {len(event.dst)} receivers and {len(event.arrival)} arrivals"
             receivers[event.transmission] = receivers.get(event.transmission, ()) + event.dst
+            for dst, arrival in event.fates() if isinstance(event, Broadcast) else ():
+                if arrival == LOST:
+                    lost[event.transmission, dst].append(number)
         elif isinstance(event, Sent):
             receivers[event.transmission] = (*receivers.get(event.transmission, ()), event.dst)
+            if event.arrival == LOST:
+                lost[event.transmission, event.dst].append(number)
         elif isinstance(event, Lost):
             if event.dst not in receivers.get(event.transmission, ()):
                 yield number, f"loses a message that was not sent: {event.transmission} to {event.dst}"
+            elif lost[event.transmission, event.dst]:
+                lost[event.transmission, event.dst].pop()
         elif isinstance(event, FaultStarted):
             if any(node >= size for node in nodes_of(event.fault)):
                 yield number, f"names a node that is not one of 0 to {size - 1}"
@@ -306,6 +331,9 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
                 yield number, "ends a fault that did not begin"
             else:
                 broken.remove(event.fault)
+    for (_, dst), numbers in lost.items():
+        for number in numbers:
+            yield number, f"has no arrival at {dst}, but no event says that this message was lost"
 
 
 def can_plot() -> bool:

@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Callable
 from typing import Any
 
-from desim.scenario.toml_lines import MAX_PARTS, deep_key
+from desim.scenario.toml_lines import MAX_PARTS, deep_key, tables_of
 
 
 def key_and_value(text: str) -> tuple[str, Any]:
@@ -47,7 +47,7 @@ def _parsed(text: str) -> Any:
             cannot be read.
     """
     try:
-        tables = tomllib.loads(f"value = {text}")
+        tables = tables_of(f"value = {text}")
     except tomllib.TOMLDecodeError as error:
         if text.startswith(('"', "'", "[", "{")):
             raise ValueError(f"{text!r} is not a TOML value") from error

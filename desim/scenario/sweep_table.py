@@ -54,7 +54,7 @@ Values = Annotated[
 class Sweep(Value):
     """A sweep of a scenario over a grid of its keys and over seeds (`desim sweep`)."""
 
-    reps: Annotated[int, Field(ge=1, le=1_000_000_000, strict=True)] = 30
+    reps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 30
     """Number of runs of each configuration."""
     seeds: Literal["common", "independent"] = "common"
     """common: run k of every configuration has the seed of the first run plus k (common random numbers), so that

@@ -2,7 +2,6 @@
 
 import os
 import re
-import tomllib
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_errors import BASE, explain
-from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, unreadable
+from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, tables_of, unreadable
 
 
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
@@ -130,7 +129,7 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         line = text.count("\n", 0, deep) + 1
         raise ScenarioError(f"{file}:{line}: not TOML: a key of more than {MAX_PARTS} parts")
     try:
-        tables = tomllib.loads(text)
+        tables = tables_of(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
     return Source(str(file), tables, key_lines(text), allow_import=allow_import)

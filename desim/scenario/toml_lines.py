@@ -9,6 +9,18 @@ KeyPath = tuple[str | int, ...]
 """The place of a value in a file: keys and list indices, from the top."""
 
 
+def tables_of(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text, see `tomllib.loads`.
+
+    Raises:
+        ValueError: also for a hexadecimal, octal or binary number that is too long to be printed, as for a decimal one.
+        RecursionError: if tables are nested too deeply.
+    """
+    tables = tomllib.loads(text)
+    repr(tables)  # raises the error
+    return tables
+
+
 def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the line on which each key of a valid TOML text is first set or occurs in a table header.
 
@@ -36,7 +48,7 @@ def unreadable(text: str) -> int | None:
 
 def _is_readable(statement: str) -> bool:
     try:
-        tomllib.loads(statement)
+        tables_of(statement)
     except (ValueError, RecursionError):
         return False
     return True

@@ -46,7 +46,7 @@ def run_many(
     measured: list[Any] = [None] * len(tasks)
     with (
         progress(len(tasks), label, "run") as bar,
-        workers_for(jobs if len(tasks) > 1 else 1) as workers,
+        workers_for(jobs, len(tasks)) as workers,
         closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):
         for k, outcome in outcomes:

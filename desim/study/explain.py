@@ -59,7 +59,7 @@ def explain(
     """
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
         variants.plan.register(kept)
         return variants.carry_out(kept, workers, shown)
 

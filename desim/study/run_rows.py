@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Set
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, Json, TypeAdapter, create_model
+from pydantic import BaseModel, ConfigDict, Field, Json, create_model
 
 from desim.analysis.metrics import METRICS, Summary
 from desim.config.json_numbers import from_json, to_json
@@ -33,7 +33,7 @@ _FIELDS: dict[str, Any] = {name: (kind | None, None) for name, kind in get_type_
 _Numbers = create_model("Numbers", __base__=_Metrics, **_FIELDS)
 """The model of a summary in JSON; a run that was stored before a metric existed lacks it."""
 RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
-RUN_ADAPTER = TypeAdapter[Any](RUN)
+RUN_ADAPTER = adapter_of(RUN)
 
 
 class RunRows(StoreFile):

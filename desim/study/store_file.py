@@ -19,6 +19,7 @@ from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.interrupts import deferred
 from desim.study.store_connection import connected, use_rollback_journal, use_write_ahead_log
 
 FORMAT = "3"
@@ -221,8 +222,12 @@ class StoreFile:
 
 @cache
 def adapter_of(kind: Any) -> TypeAdapter[Any]:
-    """Return the pydantic adapter that checks values against a type."""
-    return TypeAdapter(kind)
+    """Return the pydantic adapter that checks values against a type.
+
+    Interrupts are deferred: pydantic drops one that is raised while it compiles a pattern, which then matches nothing.
+    """
+    with deferred():
+        return TypeAdapter(kind)
 
 
 def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:

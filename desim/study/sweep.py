@@ -113,6 +113,11 @@ class SweepPlan:
         scenarios = [configuration.scenario for configuration in self.configurations]
         yield from sweep_warnings(self.base, tuple(self.configurations[0].settings), scenarios)
 
+    @property
+    def runs(self) -> int:
+        """The number of runs, or the largest number with `until`."""
+        return len(self.configurations) * self.reps
+
     def seed(self, configuration: Configuration, replication: int) -> int:
         """Return the seed of a run: `root` plus its number, or a hash if the configurations do not share seeds."""
         if self.common:
@@ -224,7 +229,7 @@ def sweep(
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
     if until is not None:
         check_target(*until, plan.metrics)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:
         plan.register(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 

@@ -192,10 +192,11 @@ class Cluster(Workers):
         self._client.close()
 
 
-def workers_for(executor: Executor | int | str) -> Workers:
+def workers_for(executor: Executor | int | str, calls: int | None = None) -> Workers:
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
-    The number 0 stands for the number of cores. With the number 1, calls are made in this process.
+    The number 0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls,
+    if it is known. With the number 1, calls are made in this process.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
@@ -208,6 +209,8 @@ def workers_for(executor: Executor | int | str) -> Workers:
     if executor < 0:
         raise ValueError(f"the number of workers should be at least 0, got {executor}")
     count = executor or os.cpu_count() or 1
+    if calls is not None:
+        count = max(min(count, calls), 1)
     return InProcess() if count == 1 else Processes(count)
 
 

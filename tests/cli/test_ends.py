@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -70,6 +71,22 @@ def test_a_full_stdout_is_reported_in_one_line(file, tmp_path, monkeypatch, caps
             main([*args, *([] if args == ("--help",) else [str(file())])])
     assert ended.value.code == 2
     assert capsys.readouterr().err.splitlines()[-1] == "stdout: cannot be written: No space left on device"
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [(("run", "--set", "horizonn=1"), 2), (("sweep", "-n", "2", "-o", "out"), 0)],
+    ids=["run", "sweep"],
+)
+def test_with_a_full_stderr_results_and_the_exit_code_remain(file, tmp_path, args, code):
+    command = [sys.executable, "-m", "desim", *args, str(file())]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, cwd=tmp_path, stderr=full, stdout=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == code
+    assert (tmp_path / "out" / "sweep.txt").exists() == (args[0] == "sweep")
+    assert bool(ended.stdout) == (args[0] == "sweep")
 
 
 @pytest.mark.parametrize("runs", [(), ("-n", "2")])

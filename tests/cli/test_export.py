@@ -138,6 +138,16 @@ def test_after_an_error_the_older_file_is_as_it_was(recorded, tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["trace.jsonl", "x.csv"]
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".pcapng", ".mcap"])
+def test_a_trace_without_its_end_is_refused(recorded, tmp_path, suffix):
+    lines = (recorded / "trace.jsonl").read_text().splitlines()
+    (tmp_path / "trace.jsonl").write_text("\n".join(lines[:-2]) + "\n")
+    (tmp_path / "run.json").write_bytes((recorded / "run.json").read_bytes())
+    to = tmp_path / f"x{suffix}"
+    assert refused("export", tmp_path, to).startswith(f"{tmp_path}/trace.jsonl: is not complete: ")
+    assert not to.exists()
+
+
 @pytest.mark.parametrize(("suffix", "package", "extra"), [("parquet", "pyarrow", "parquet"), ("mcap", "mcap", "mcap")])
 def test_a_package_that_is_missing_is_named_with_its_extra(recorded, tmp_path, monkeypatch, suffix, package, extra):
     for name in [each for each in sys.modules if each.partition(".")[0] == package]:

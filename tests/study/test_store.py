@@ -5,6 +5,7 @@ import os
 import random
 import resource
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic_core import core_schema
 
 import desim.study.store_file as module
 from desim.analysis.metrics import summary
@@ -658,3 +660,19 @@ def test_a_replaced_digit_is_detected_anywhere_in_a_row(tmp_path, good):
             path.write_bytes(found)
             with pytest.raises(StoreError, match=f"^{path}: runs: .*does not match its checksum"):
                 Store(path, read_only=True)
+
+
+def test_an_interrupt_while_an_adapter_is_built_is_raised_afterwards():
+    """Pydantic drops one that is raised while it compiles a pattern, and builds an adapter that refuses everything."""
+    built = []
+
+    class Interrupting:
+        @classmethod
+        def __get_pydantic_core_schema__(cls, *_):
+            signal.raise_signal(signal.SIGINT)
+            built.append(cls)
+            return core_schema.any_schema()
+
+    with pytest.raises(KeyboardInterrupt):
+        module.adapter_of(Interrupting)
+    assert built == [Interrupting]

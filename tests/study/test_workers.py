@@ -160,6 +160,13 @@ def test_a_number_is_of_processes_and_0_of_one_per_core(monkeypatch, given, kind
     assert found.count == count
 
 
+def test_there_are_no_more_processes_than_calls(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 5)
+    monkeypatch.setattr(places, "_pool", lambda count, *, kept: None)
+    assert [workers_for(given, calls).count for given, calls in ((60, 2), (3, 9), (0, 4))] == [2, 3, 4]
+    assert {type(workers_for(60, calls)) for calls in (0, 1)} == {InProcess}
+
+
 def test_a_negative_number_of_workers_is_refused():
     with pytest.raises(ValueError, match="at least 0, got -1"):
         workers_for(-1)
