@@ -219,8 +219,8 @@ def events(folder: str | Path) -> Iterator[Event]:
         try:
             first = list(islice(lines, 1))
             _check_format(first)
-            for start in events_of(first, (Started,)):
-                yield from _complete(events_of(chain(first, lines), EVENTS, _limits(start)))
+            starts = list(events_of(first, (Started,)))
+            yield from _complete(events_of(chain(first, lines), EVENTS, _limits(starts[0])) if starts else ())
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
 

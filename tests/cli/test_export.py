@@ -138,10 +138,11 @@ def test_after_an_error_the_older_file_is_as_it_was(recorded, tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["trace.jsonl", "x.csv"]
 
 
+@pytest.mark.parametrize("kept", [slice(-2), slice(0)], ids=["some", "none"])
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".pcapng", ".mcap"])
-def test_a_trace_without_its_end_is_refused(recorded, tmp_path, suffix):
-    lines = (recorded / "trace.jsonl").read_text().splitlines()
-    (tmp_path / "trace.jsonl").write_text("\n".join(lines[:-2]) + "\n")
+def test_a_trace_without_its_end_is_refused(recorded, tmp_path, suffix, kept):
+    lines = (recorded / "trace.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "trace.jsonl").write_text("".join(lines[kept]))
     (tmp_path / "run.json").write_bytes((recorded / "run.json").read_bytes())
     to = tmp_path / f"x{suffix}"
     assert refused("export", tmp_path, to).startswith(f"{tmp_path}/trace.jsonl: is not complete: ")
