@@ -15,6 +15,7 @@ from desim.kernel.latency import Gamma
 from desim.pursuit.traits import ProtocolTraits
 from desim.results import provenance
 from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load
 from desim.study import batch
 from desim.study.batch import run_many
@@ -142,6 +143,12 @@ def test_an_unknown_key_is_reported_with_the_tables_that_have_it(file, text, sug
     path = file(f"{text}\n")
     (said,) = refused("check", path)
     assert said.startswith(f"{path}:1: {suggestion}")
+
+
+@pytest.mark.parametrize("command", ["run", "sweep", "explain"])
+def test_the_number_of_runs_has_the_bound_of_its_key(file, command):
+    (most,) = (each.le for each in Sweep.model_fields["reps"].metadata if hasattr(each, "le"))
+    assert f"<=x<={most}" in refused(command, file(DUEL), "-n", most + 1)[-1]
 
 
 def test_the_key_that_is_suggested_for_an_override_can_be_set(file):

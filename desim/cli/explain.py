@@ -9,6 +9,7 @@ import click
 from desim.cli.options import (
     ALLOW_IMPORT,
     CLUSTER,
+    COUNT,
     FAILED,
     FILE,
     JOBS,
@@ -30,7 +31,7 @@ from desim.config.trust import without_symlink
 
 @click.command()
 @FILE
-@click.option("-n", "--runs", type=click.IntRange(2, 1_000_000), help="Runs of each variant; default: 100.")
+@click.option("-n", "--runs", type=click.IntRange(2, COUNT.max), help="Runs of each variant; default: 100.")
 @SEED
 @JOBS
 @CLUSTER

@@ -158,8 +158,7 @@ def sweep(
 
         def note() -> None:
             store.note_command(str(Path.cwd()), sys.argv)
-            count = plan.runs
-            made = provenance.document("sweep", scenario, seed=plan.root, runs=count, folder=file.parent)
+            made = provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=file.parent)
             provenance.write(folder, made)
 
         with working(jobs, cluster, store, plan.runs) as workers:
@@ -221,9 +220,11 @@ def _stores_in(folder: Path) -> list[Path]:
     """Return the files of the stores in a folder; end the program if it has none."""
     from desim.study.folder import contents
 
-    has_run = (folder / TRACE).exists()
-    why = "is the folder of a run, not of a sweep" if has_run else contents(folder)
-    return sorted(folder.glob("sweep*.sqlite")) or fail(f"{folder}: {why}")
+    found = sorted(folder.glob("sweep*.sqlite"))
+    if not found:
+        has_run = (folder / TRACE).exists()
+        fail(f"{folder}: {'is the folder of a run, not of a sweep' if has_run else contents(folder)}")
+    return found
 
 
 def _plan_text(

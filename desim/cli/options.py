@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from desim.study.workers import Workers
 
 COUNT = click.IntRange(1, 1_000_000)
-"""The number of runs, with the bounds of `sweep.reps`."""
+"""The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
 FAILED = 3
 """Exit code if some of many runs failed."""
 WRONG_INPUT = 2
