@@ -9,9 +9,8 @@ courses between the samples. It is exact in a static game; for other games `desi
 the error. Each evader has its own timeline; the timelines of all evaders have the same pieces.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,14 +66,10 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     if not positions_known(result):
         raise ValueError(NO_POSITIONS)
     start, end, scenario = started(result), ended(result).t, result.scenario
-    speed, pursuit = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
-    speeds, radius = np.array(start.speeds), scenario.capture.radius
-    radial_time = RadialTime(speeds, speed, radius)
-    dynamics, environment = scenario.pursuer_dynamics, scenario.environment
+    pursuit = evader_pursuits(result)[evader - 1]
     horizon, static = nanoseconds(scenario.horizon), scenario.motion.static
     path, size = _Path(result, evader), len(start.active)
-    inertial_time = partial(dynamics.capture_times, speeds=speeds, evader_speed=speed, radius=radius)
-    time_in_flow = partial(capture_times_in_flow, environment, speeds=speeds, evader_speed=speed, radius=radius)
+    capture_times = _capture_times(result, evader, path)
     active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
     acts = [each.t for each in [*changes(result), *captures(result)]]
@@ -83,19 +78,39 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     for first in range(0, len(times) - 1, step):
         own = times[first : first + step + 1]
         middle = (own[:-1] + own[1:]) / 2
-        gaps = path.gaps(middle)
-        if not dynamics.is_simple:
-            phi = np.array([*map(inertial_time, gaps, path.courses(middle))]).reshape(len(middle), size)
-        elif environment.keeps_distances:
-            phi = radial_time(lengths(gaps))
-        else:
-            known = zip(gaps, path.pursuers(middle), middle.tolist(), strict=True)
-            found = [time_in_flow(at[0] + gap[0], at, lengths(gap), now=int(t)) for gap, at, t in known]
-            phi = np.array(found).reshape(len(middle), size)
+        phi = capture_times(middle)
         phi[broken.during(own)] = np.inf
         phi[own[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
         yield Timeline(own, active.during(own), phi, left)
+
+
+def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floats], Floats]:
+    """Return a function from (k,) times, ns, to the (k, N) capture times, s, of an evader."""
+    scenario, speeds = result.scenario, np.array(started(result).speeds)
+    dynamics, environment = scenario.pursuer_dynamics, scenario.environment
+    evader_speed, radius = scenario.evaders[evader - 1].speed, scenario.capture.radius
+
+    def with_inertia(t: Floats) -> Floats:
+        own = zip(path.gaps(t), path.courses(t), strict=True)
+        return np.array([dynamics.capture_times(*each, speeds, evader_speed, radius) for each in own])
+
+    def in_flow(t: Floats) -> Floats:
+        own = zip(path.gaps(t), path.pursuers(t), t.tolist(), strict=True)
+        found = [
+            capture_times_in_flow(
+                environment, at[0] + gaps[0], at, lengths(gaps), speeds, evader_speed, radius, int(now)
+            )
+            for gaps, at, now in own
+        ]
+        return np.array(found)
+
+    if not dynamics.is_simple:
+        return with_inertia
+    if not environment.keeps_distances:
+        return in_flow
+    radial_time = RadialTime(speeds, evader_speed, radius)
+    return lambda t: radial_time(lengths(path.gaps(t)))
 
 
 def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
