@@ -310,8 +310,8 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
             once.add(type(event))
         elif isinstance(event, Broadcast | Queued):
             receivers[event.transmission] = receivers.get(event.transmission, ()) + event.dst
-            for dst, arrival in event.fates() if isinstance(event, Broadcast) else ():
-                if arrival == LOST:
+            if isinstance(event, Broadcast) and LOST in event.arrival:
+                for dst in (node for node, arrival in event.fates() if arrival == LOST):
                     lost[event.transmission, dst].append(number)
         elif isinstance(event, Sent):
             receivers[event.transmission] = (*receivers.get(event.transmission, ()), event.dst)
