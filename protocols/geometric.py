@@ -42,7 +42,6 @@ from protocols.schedules import ticks
 
 Measure = Callable[[TeamEstimate], Floats]
 """A function that returns the (n,) measures of the n pursuers in an estimate of the team."""
-STILL = Environment()
 
 
 class Geometric(Value):
@@ -142,7 +141,7 @@ class Velocity:
     velocity of an evader that the flow carries is relative to the flow.
     """
 
-    def __init__(self, time_constant: float, environment: Environment = STILL):
+    def __init__(self, time_constant: float, environment: Environment):
         self._time_constant, self._environment = time_constant, environment
         self._seen: tuple[float, complex] | None = None
         self._velocity: complex | None = None

@@ -13,7 +13,10 @@ Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False,
 
 
 LEAST = 1e-6
-"""Least standard deviation in a covariance of a sighting, m, and relative to the largest; so it has an inverse."""
+"""Least standard deviation that the covariance of a sighting assumes, m, or as a share of the largest.
+
+With it, every covariance has an inverse.
+"""
 
 
 class Covariance(NamedTuple):

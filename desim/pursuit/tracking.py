@@ -108,7 +108,8 @@ class AlphaBeta(Value):
         period = (seen.stamp - track.stamp) / SECOND
         x, y, vx, vy = _moved(track.state, period)
         deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
-        alpha, beta = gains(period**2 * self.acceleration / deviation) if deviation > LEAST else (1.0, 1.0)
+        is_exact = deviation < 2.0 * LEAST
+        alpha, beta = (1.0, 1.0) if is_exact else gains(period**2 * self.acceleration / deviation)
         dx, dy, rate = seen.x - x, seen.y - y, beta / period
         return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
 

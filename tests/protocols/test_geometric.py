@@ -17,6 +17,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
+from desim.pursuit.flow import Environment
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
@@ -52,6 +53,9 @@ def wavering(state, rng):
     second = np.argsort(state.distances)[1]
     gap = -complex(state.offsets[second])
     return gap / abs(gap) * complex(np.exp(1j * rng.uniform(-0.3, 0.3)))
+
+
+STILL = Environment()
 
 
 def scattered(protocol, seed, *, count=12, horizon=2000.0, speeds=0.91, **changes):
@@ -195,10 +199,16 @@ def test_by_intercept_time_the_owner_is_the_first_to_meet_an_evader_on_a_straigh
     assert by_phi.trace.of(Decided)[1].t > switch
 
 
-@pytest.mark.parametrize("flow", [(0.8, -0.3), {"kind": "harmonic", "amplitude": (0.8, -0.5), "period": 2.0}])
+@pytest.mark.parametrize(
+    "flow",
+    [
+        {"kind": "uniform", "velocity": (0.8, -0.3)},
+        {"kind": "harmonic", "amplitude": (0.8, -0.5), "period": 2.0},
+    ],
+    ids=lambda flow: flow["kind"],
+)
 def test_by_intercept_time_a_flow_that_carries_all_changes_no_decision(flow):
     scenario = scattered(Argmin(by="intercept_time", slot=0.05), 3, evader=Evader(strategy="zigzag"), horizon=5.0)
-    flow = flow if isinstance(flow, dict) else {"kind": "uniform", "velocity": flow}
     still, carried = (
         run(Scenario(**dict(scenario) | {"environment": {"flow": each}})).trace.of(Decided)
         for each in ({"kind": "none"}, flow)
@@ -271,7 +281,7 @@ def meets(gap, w, v, radius):
 @given(st.floats(0.01, 2.0), st.floats(0.01, 1.0), st.integers(1, 30))
 def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots):
     """At rest first, then at 2 + 1j m/s: the estimate lacks exp(-t / T) of it."""
-    velocity = Velocity(time_constant)
+    velocity = Velocity(time_constant, STILL)
     assert velocity(0.0, 5j) == 0j
     assert velocity(slot, 5j) == 0j
     for k in range(1, slots + 1):
@@ -281,7 +291,7 @@ def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots)
 
 def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
     """Nor is the way between two sights with a gap between them taken for a velocity."""
-    velocity = Velocity(0.0)
+    velocity = Velocity(0.0, STILL)
     velocity(1.0, 1 + 0j)
     assert velocity(1.5, 2 + 0j) == 2 + 0j
     assert velocity(2.0, complex(np.nan, np.nan)) == 2 + 0j
@@ -290,8 +300,8 @@ def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
 
 
 def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_follows_at_once():
-    assert [Velocity(9.0)(0.0, 1j), 0j] == [0j, 0j]
-    slow, quick = Velocity(9.0), Velocity(0.0)
+    assert [Velocity(9.0, STILL)(0.0, 1j), 0j] == [0j, 0j]
+    slow, quick = Velocity(9.0, STILL), Velocity(0.0, STILL)
     for velocity in (slow, quick):
         velocity(1.0, 1 + 0j)
         assert velocity(1.5, 2 + 0j) == pytest.approx(2 + 0j)

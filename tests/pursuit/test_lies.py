@@ -1,4 +1,4 @@
-"""Byzantine faults: what is announced instead, by whom and to whom, and that nothing else changes."""
+"""Byzantine faults: content, sender and receivers of the false announcements; the rest of a run is unchanged."""
 
 from math import inf
 

@@ -89,6 +89,7 @@ def test_a_filter_is_nearer_to_the_truth_than_single_sightings(estimator, period
     "noise",
     [
         PositionNoise(deviation=0.0),
+        RangeBearingNoise(range=0.0, bearing=0.0),
         RangeBearingNoise(range=0.0, bearing=1e-3),
         RangeBearingNoise(range=0.01, bearing=0.0),
     ],
@@ -102,7 +103,8 @@ def test_noise_may_be_zero(noise, estimator, fusion):
     sensing = Sensing(noise=noise, estimator=estimator, fusion=fusion, period=0.1)
     at = [0.26 + 0.05 * k for k in range(20)]
     errors = looked(sensing, at, lambda me: abs(me.evader() - me.global_state.evader(1)))
-    assert max(errors) < (1e-4 if isinstance(noise, PositionNoise) else 0.1)
+    is_exact = not any(dict(noise)[key] for key in dict(noise) if key != "kind")
+    assert max(errors) < (1e-4 if is_exact else 0.1)
 
 
 def test_decisions_count_the_mean_distance():

@@ -113,6 +113,15 @@ def test_sightings_of_one_time_are_merged_by_their_inverse_covariances(model):
         assert found.state == pytest.approx(track.state, rel=1e-9)
 
 
+def test_a_sighting_as_old_as_the_window_still_has_a_track_before_it():
+    seen, _ = sightings(6, 31)
+    window = seen[-1].stamp - seen[-11].stamp
+    late = seen[-11]._replace(observer=1, x=seen[-11].x + 0.4)
+    whole = filtered(Kalman(), [*seen, late]).track
+    assert filtered(Kalman(), [*seen, late], window).track == whole
+    assert filtered(Kalman(), [*seen, late], window - 1).track == filtered(Kalman(), seen).track != whole
+
+
 def test_merged_sightings_are_a_kalman_filter_of_each_by_itself():
     """Of other covariances: one is sure along x, the other along y."""
     (first, _, last), _ = sightings(5, 3)

@@ -111,9 +111,10 @@ def test_a_limit_ends_under_a_profiler():
 
 @pytest.fixture
 def look(monkeypatch):
-    """Return what lets the watcher look once, after which its exception is raised, if it raises one; no time passes.
+    """Yield a function that lets the watching thread check the limit once, without any time passing.
 
-    New threads are profiled: the watcher of Python 3.11 would wait for ever for this thread, which waits for it.
+    If that thread raises its exception, the function does not return. New threads are profiled: in Python 3.11 each of
+    the two threads would otherwise wait for the other.
     """
     watched = []
 
