@@ -394,6 +394,6 @@ export function start(root, transport, options) {
   return {
     stop() { status.textContent = "ended"; wrong.textContent = "The program that served this page has ended: run desim play again."; for (const each of element.querySelectorAll("header button, .keys input, .keys select")) if (each !== theme) each.disabled = true; },
     remove() { running?.abort(); stopComparing(); darkness.removeEventListener("change", followTheme); element.remove(); },
-    change, get replay() { return replay(); }, get runs() { return runs; }, get changes() { return joined(now); }, get pinned() { return pinned; },
+    change, get replay() { return replay(); }, get runs() { return runs; }, get changes() { return joined(now); }, get pinned() { return pinned; }, page,
   };
 }

@@ -7,10 +7,12 @@ seconds after its last page was closed.
 
 import json
 import secrets
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -22,15 +24,15 @@ from desim.view.play import Answer, Playground, Session, is_request, style
 LINGER = 5.0
 """The time, s, for which the server waits for another page after the last one was closed, for example by a reload."""
 BEAT = 1.0
-"""The time between two signs of life, s: lines that the server sends to each open page.
+"""The time between two signs of life, s: lines that the server sends to each browser with open pages.
 
-The server notices that a page was closed when it cannot send the next line.
+The server notices that the last page was closed when it cannot send the next line.
 """
 MAX_BODY = 1_000_000
 """The largest body of a request, bytes."""
 POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; connect-src 'self';"
-    " form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+    " worker-src 'self'; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
 )
 """The content security policy: the page loads nothing from elsewhere, and connects to this server only.
 
@@ -38,7 +40,9 @@ The policy does not require a nonce for scripts. The frame of the replay inherit
 replay have no nonce, because the same page is also written to files.
 """
 PATIENCE = 10.0
-"""The time-out for a browser that does not send the rest of its request, s."""
+"""The time in which a browser must have sent its whole request, s."""
+MAX_COMPARISONS = 100
+"""The largest number of comparisons that are kept; the oldest are dropped, as their pages may have been closed."""
 
 
 class PlayServer(ThreadingHTTPServer):
@@ -57,6 +61,10 @@ class PlayServer(ThreadingHTTPServer):
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
         self._pages, self._closed_at = 0, float("inf")
         self._lock = threading.Lock()
+        self._comparisons: dict[str, Iterator[Answer]] = {}
+        """By page, the comparison whose next answers the page will ask for."""
+        self._incoming: dict[socket.socket, float] = {}
+        """By connection, the time at which its request must have arrived."""
 
     @property
     def address(self) -> str:
@@ -68,21 +76,54 @@ class PlayServer(ThreadingHTTPServer):
         threading.Thread(target=self._watch, daemon=True).start()
         self.serve_forever(poll_interval=0.1)
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Handle a request in a thread of its own; it is incoming from now on."""
+        self._incoming[request] = time.monotonic() + PATIENCE
+        super().process_request(request, client_address)
+
+    def arrived(self, request: socket.socket) -> None:
+        """Note that a request has arrived as a whole."""
+        self._incoming.pop(request, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.arrived(request)
+        super().shutdown_request(request)
+
+    def begin_comparison(self, page: str, answers: Iterator[Answer]) -> None:
+        """Keep a comparison, in place of an earlier one of the same page."""
+        with self._lock:
+            self._comparisons.pop(page, None)
+            self._comparisons[page] = answers
+            if len(self._comparisons) > MAX_COMPARISONS:
+                del self._comparisons[next(iter(self._comparisons))]
+
+    def next_of_comparison(self, page: str) -> Answer:
+        """Return the next answer of the comparison of a page; after the last one, an empty answer."""
+        answer = next(self._comparisons.get(page, iter(())), None)
+        if answer is None:
+            self._comparisons.pop(page, None)
+        return answer or {}
+
     def page_opened(self) -> None:
-        """Note that one more page is open."""
+        """Note that one more page, or one more browser with pages, is open."""
         with self._lock:
             self._pages += 1
             self._closed_at = float("inf")
 
     def page_closed(self) -> None:
-        """Note that a page was closed."""
+        """Note that a page, or all pages of a browser, were closed."""
         with self._lock:
             self._pages -= 1
             if not self._pages:
                 self._closed_at = time.monotonic()
 
     def _watch(self) -> None:
-        while time.monotonic() < self._closed_at + LINGER:
+        while (now := time.monotonic()) < self._closed_at + LINGER:
+            for request in [request for request, limit in list(self._incoming.items()) if limit < now]:
+                self.arrived(request)
+                with suppress(OSError):  # the browser may have closed the connection
+                    request.shutdown(socket.SHUT_RDWR)
             time.sleep(0.1)
         self.shutdown()
 
@@ -120,12 +161,14 @@ class _Handler(BaseHTTPRequestHandler):
         return cast("PlayServer", self.server)
 
     def do_GET(self) -> None:
-        """Answer with the page, or with signs of life as long as the page is open."""
-        self._answer({"": self._page, "alive": self._alive})
+        """Answer with the page, or with signs of life as long as a page is open."""
+        self._play.arrived(self.connection)
+        self._answer({"": self._page, "life.js": self._life, "alive": self._alive})
 
     def do_POST(self) -> None:
         """Run the scenario, compare runs over seeds, save a run, or cancel a comparison; answer with the result."""
-        self._answer({"run": self._run, "seeds": self._seeds, "save": self._save, "cancel": self._cancel})
+        routes = {"run": self._run, "seeds": self._seeds, "more": self._more, "save": self._save}
+        self._answer(routes | {"cancel": self._cancel})
 
     def log_message(self, *_: Any) -> None:
         """Print nothing."""
@@ -160,6 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
             # If a part of the request stays unread, the client may miss the answer.
             while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):
                 left -= len(rest)
+            self._play.arrived(self.connection)
             try:
                 found: Any = json.loads(body) if int(length) <= MAX_BODY else None
             except (ValueError, RecursionError):
@@ -191,6 +235,9 @@ class _Handler(BaseHTTPRequestHandler):
     def _page(self) -> None:
         self._send("text/html", page(self._play.session.playground).encode())
 
+    def _life(self) -> None:
+        self._send("text/javascript", files("desim.view").joinpath("play_life.js").read_bytes())
+
     def _alive(self) -> None:
         self._play.page_opened()
         try:
@@ -208,15 +255,19 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(self._play.session.run(body["now"], body["pinned"], body["page"]))
 
     def _seeds(self) -> None:
+        """Begin a comparison, and answer with its first answer; the others are those of `_more`."""
         if (body := self._body()) is None:
             return
-        self._begin("application/x-ndjson")
+        if body["pinned"] is None:
+            self.send_error(HTTPStatus.BAD_REQUEST, "No pinned run")
+            return
         found = self._play.session.compare(body["now"], body["pinned"], body["count"], body["page"])
-        try:
-            for line in _lines(found):
-                self.wfile.write(line)
-        except OSError:  # the page has been closed
-            found.close()
+        self._play.begin_comparison(body["page"], _or_error(found))
+        self._send_json(self._play.next_of_comparison(body["page"]))
+
+    def _more(self) -> None:
+        if (body := self._body()) is not None:
+            self._send_json(self._play.next_of_comparison(body["page"]))
 
     def _save(self) -> None:
         if (body := self._body()) is not None:
@@ -228,10 +279,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json({})
 
 
-def _lines(answers: Iterator[Answer]) -> Iterator[bytes]:
-    """Yield answers as lines of JSON; if computing them raises an exception, the last line has the key `error`."""
+def _or_error(answers: Iterator[Answer]) -> Iterator[Answer]:
+    """Yield answers; if computing them raises an exception, the last answer has the key `error`."""
     try:
-        for each in answers:
-            yield json.dumps(each, allow_nan=False).encode() + b"\n"
+        yield from answers
     except Exception as error:
-        yield json.dumps({"error": f"{type(error).__name__}: {error}"}).encode() + b"\n"
+        yield {"error": f"{type(error).__name__}: {error}"}

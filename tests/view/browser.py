@@ -23,11 +23,11 @@ class Page:
     """A page of a browser, and all that it logged, threw or asked for since it was opened."""
 
     def __init__(self, commands, answers):
-        self._commands, self._answers, self._rest, self._number = commands, answers, b"", 0
+        self.commands, self.answers, self._rest, self._number = commands, answers, b"", 0
         self._session = None
         self.errors, self.requests = [], []
-        target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.send("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             self.send(f"{domain}.enable")
 
@@ -37,7 +37,7 @@ class Page:
         command = {"id": self._number, "method": method, "params": params}
         if self._session is not None:
             command["sessionId"] = self._session
-        os.write(self._commands, json.dumps(command).encode() + b"\0")
+        os.write(self.commands, json.dumps(command).encode() + b"\0")
         while True:
             answer = self._next()
             if answer.get("id") == self._number:
@@ -48,8 +48,8 @@ class Page:
         """Return the next answer or event, having logged errors and requests."""
         until = time.monotonic() + TIMEOUT
         while b"\0" not in self._rest:
-            ready, _, _ = select.select([self._answers], [], [], max(until - time.monotonic(), 0.0))
-            chunk = os.read(self._answers, 1 << 20) if ready else b""
+            ready, _, _ = select.select([self.answers], [], [], max(until - time.monotonic(), 0.0))
+            chunk = os.read(self.answers, 1 << 20) if ready else b""
             assert chunk, "the browser does not answer"
             self._rest += chunk
         line, _, self._rest = self._rest.partition(b"\0")
@@ -65,12 +65,22 @@ class Page:
             self.requests.append(params["request"]["url"])
         return message
 
+    def to_front(self):
+        """Show the page: the browser draws no frames of a hidden one, and a replay waits for its first frame."""
+        self.send("Page.bringToFront")
+
+    def close(self):
+        """Close the page."""
+        self._session = None
+        self.send("Target.closeTarget", targetId=self._target)
+
     def open(self, path, width=1200, height=850, theme="light"):
         """Open a file, in a window of a size (px)."""
         self.visit(path.resolve().as_uri(), width, height, theme)
 
     def visit(self, address, width=1280, height=800, theme="light"):
         """Open an address, in a window of a size (px)."""
+        self.to_front()
         self.resize(width, height, theme)
         self.errors.clear()
         self.requests.clear()

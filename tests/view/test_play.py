@@ -5,6 +5,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -31,7 +32,7 @@ from desim.view.play import Playground, Session, _differences
 from desim.view.play_server import PlayServer
 from scenarios.study import SCENARIOS
 from tests.command import accepted, refused
-from tests.view.browser import in_chromium
+from tests.view.browser import Page, in_chromium
 
 RELAY = SCENARIOS / "relay.toml"
 SMALL = ("team.count=6", "horizon=1.0")
@@ -370,6 +371,7 @@ def test_other_hosts_and_other_origins_are_refused(server):
         {"now": "a"},
         {"now": [1]},
         {"now": [], "pinned": 3},
+        {"now": [], "pinned": None},
         {"now": [], "page": 3},
         {"now": [], "count": 10**6},
         {"now": ["x" * 10**6]},
@@ -382,15 +384,40 @@ def test_a_request_of_another_form_is_refused(server, body):
 
 
 @pytest.mark.slow
-def test_a_comparison_arrives_line_by_line(server):
+def test_a_comparison_arrives_pair_by_pair(server):
     path = urlsplit(server.address).path
-    body = {"now": [*SMALL, "network.latency.value=0.3"], "pinned": list(SMALL), "count": 2}
-    status, _, text = asked(server, "POST", f"{path}seeds", body, Origin=server.address.removesuffix(path))
-    assert status == 200
-    assert [json.loads(line)["done"] for line in text.splitlines()] == [1, 2]
-    wrong = body | {"now": ["team.count=0"]}
-    _, _, text = asked(server, "POST", f"{path}seeds", wrong, Origin=server.address.removesuffix(path))
-    assert "team.count" in json.loads(text)["error"]
+    ask = partial(asked, server, "POST", Origin=server.address.removesuffix(path))
+    body = {"now": [*SMALL, "network.latency.value=0.3"], "pinned": list(SMALL), "count": 2, "page": "a"}
+    answers = [json.loads(ask(path + name, body)[2]) for name in ("seeds", "more", "more", "more")]
+    assert [answer.get("done") for answer in answers] == [1, 2, None, None]
+    assert "team.count" in json.loads(ask(f"{path}seeds", body | {"now": ["team.count=0"]})[2])["error"]
+
+
+def test_comparisons_of_pages_that_were_closed_are_dropped(server, monkeypatch):
+    monkeypatch.setattr(play_server, "MAX_COMPARISONS", 2)
+    for page in ("a", "b", "b", "c"):
+        server.begin_comparison(page, iter([{"done": page}]))
+    assert [server.next_of_comparison(page) for page in ("a", "b", "c", "c")] == [{}, {"done": "b"}, {"done": "c"}, {}]
+
+
+def test_a_request_that_takes_too_long_to_arrive_is_ended(small, monkeypatch):
+    """A byte every 20 ms keeps a time-out of the socket alone from ending it."""
+    monkeypatch.setattr(play_server, "PATIENCE", 0.1)
+    with PlayServer(Session(small, InProcess())) as made:
+        thread = Thread(target=made.serve_until_closed)
+        thread.start()
+        with socket.create_connection(made.server_address) as connection:
+            begun = time.monotonic()
+            with pytest.raises(OSError, match=r"Broken pipe|reset by peer"):
+                while time.monotonic() < begun + 30.0:
+                    connection.send(b"x")
+                    time.sleep(0.02)
+        made.shutdown()
+        made.page_opened()
+        made.page_closed()
+        thread.join(30)
+        assert not thread.is_alive()
+        assert not made._incoming
 
 
 def test_a_wrong_file_is_refused_as_by_run(tmp_path):
@@ -711,6 +738,44 @@ def test_nothing_is_wider_than_the_window(played, width, height, theme):
     wide = "[...document.querySelectorAll('.play button, .play input, .play select')].filter(each => each.offsetWidth)"
     assert played.value(f"{wide}.filter(each => each.getBoundingClientRect().right > innerWidth + 1).length") == 0
     played.until(f"document.documentElement.dataset.theme === '{theme}'")
+
+
+@in_chromium
+@pytest.mark.slow
+def test_eight_pages_of_a_browser_run_and_compare_at_the_same_time(browser, address):
+    """A browser opens at most six connections to a host."""
+    pages = [browser, *(Page(browser.commands, browser.answers) for _ in range(7))]
+    for page in pages:
+        page.visit(address)
+        page.until("window.play && play.runs === 1")
+    for page in pages:
+        page.to_front()
+        page.value(f"({SLIDE})('network.latency.value', 600)")
+        page.until("play.runs === 2")
+        page.value("[...document.querySelectorAll('button')].find(each => each.textContent === '30 seeds').click()")
+    for page in pages:
+        page.until("/^([2-9]|[1-3][0-9]) of 30 seeds/.test(document.querySelector('.seeds h2')?.textContent)")
+    for page in pages[1:]:
+        page.close()
+    browser.to_front()
+    browser.value(f"({SLIDE})('network.latency.value', 300)")
+    browser.until("play.runs === 3")
+
+
+@in_chromium
+@pytest.mark.slow
+@on_linux
+def test_all_pages_say_that_the_program_has_ended(browser, tmp_path):
+    with program(RELAY, "--set", "horizon=0.5", cwd=tmp_path) as (process, found):
+        pages = [browser, Page(browser.commands, browser.answers)]
+        for page in pages:
+            page.visit(found)
+            page.until("window.play && play.runs === 1")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 128 + signal.SIGTERM
+        for page in pages:
+            page.until("document.querySelector('.status').textContent === 'ended'")
+    pages[1].close()
 
 
 @in_chromium
