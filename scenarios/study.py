@@ -10,6 +10,7 @@ import click
 
 from desim.cli.program import Program
 from desim.config.json_numbers import to_json
+from desim.config.trust import write_whole
 from desim.results import provenance
 from desim.results.run_folder import can_plot
 from desim.study.batch import run_many, seeds_from
@@ -56,11 +57,11 @@ class Options:
         click.echo(text if self.as_json else table)
         self.out.mkdir(parents=True, exist_ok=True)
         stem = self.out / self.name
-        stem.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+        write_whole(stem.with_suffix(".json"), f"{text}\n".encode())
         provenance.write(
             self.out, provenance.document(self.name, seed=self.seed, runs=self.runs), f"{self.name}.{provenance.FILE}"
         )
-        stem.with_suffix(".txt").write_text(table + "\n", encoding="utf-8")
+        write_whole(stem.with_suffix(".txt"), f"{table}\n".encode())
         if figure is not None:
             self.save_figures(lambda: [(self.name, figure())])
 

@@ -31,7 +31,7 @@ from desim.analysis.palette import (
 )
 from desim.analysis.trace_index import captures, sampled
 from desim.config.file_names import PICTURE_SUFFIXES, files
-from desim.config.trust import escaped, without_symlink
+from desim.config.trust import escaped, write_whole
 from desim.kernel.units import seconds
 from desim.simulation.run import Result
 
@@ -170,7 +170,9 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
         figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
         for each in paths:
             kind = each.suffix.lower()
-            figure.savefig(without_symlink(each), format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
+            stream = BytesIO()  # on a full disk, the writer of PDF would raise an AttributeError
+            figure.savefig(stream, format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
+            write_whole(each, stream.getvalue())
     return paths
 
 

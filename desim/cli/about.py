@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli import completion
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, making, source_of
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, limited, making, source_of
 from desim.cli.plot import picture_paths, write_picture
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Output file of --plot: .svg, .png or .pdf. Default: FILE.links as SVG and PNG in the working directory.",
 )
+@limited
 @ALLOW_IMPORT
 @SET
 def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...]) -> None:

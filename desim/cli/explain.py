@@ -17,6 +17,7 @@ from desim.cli.options import (
     METRIC,
     SEED,
     SET,
+    TIMEOUT,
     echo,
     fail,
     folder_for,
@@ -26,7 +27,7 @@ from desim.cli.options import (
     working,
 )
 from desim.config.file_names import STORE
-from desim.config.trust import without_symlink
+from desim.config.trust import write_whole
 
 
 @click.command()
@@ -37,6 +38,7 @@ from desim.config.trust import without_symlink
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
 @METRIC
+@TIMEOUT
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -48,6 +50,7 @@ def explain(
     cluster: str | None,
     out: Path | None,
     metrics: tuple[str, ...],
+    timeout: float | None,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -75,10 +78,10 @@ def explain(
         provenance.write(folder, made)
         store.note_command(str(Path.cwd()), sys.argv)
         with working(jobs, cluster, store, variants.plan.runs) as workers:
-            found = variants.carry_out(store, workers, shown)
+            found = variants.carry_out(store, workers, shown, timeout=timeout)
         text = json.dumps(found.document(), indent=2)
-        without_symlink(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
-        without_symlink(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
+        write_whole(folder / "explain.json", f"{text}\n".encode())
+        write_whole(folder / "explain.txt", f"{found.table()}\n".encode())
         if can_plot():
             from desim.analysis.plots import save
             from desim.study.figures import waterfall

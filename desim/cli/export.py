@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.many import store_files
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, storing
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, storing
 from desim.cli.recorded import check_recorded_options, is_recorded, result_of
 from desim.config.file_names import STORE, TRACE
 
@@ -38,6 +38,7 @@ KINDS = (
     " repeated.",
 )
 @SEED
+@limited
 @ALLOW_IMPORT
 @SET
 def export(source: Path, file: Path, kinds: tuple[str, ...], seed: int | None, overrides: tuple[str, ...]) -> None:

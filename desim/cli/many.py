@@ -32,7 +32,7 @@ from desim.cli.options import (
     working,
 )
 from desim.config.file_names import STORE, TRACE
-from desim.config.trust import without_symlink
+from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
     from desim.study.result import SweepResult
@@ -257,7 +257,7 @@ def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) 
     """Write the table of a sweep to its folder, and a figure if matplotlib is installed."""
     from desim.results.run_folder import can_plot
 
-    without_symlink(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
+    write_whole(folder / "sweep.txt", f"{table}\n".encode())
     if can_plot():
         from desim.analysis.plots import save
         from desim.study.figures import file_name

@@ -2,17 +2,18 @@
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from desim.cli import completion
 from desim.config.file_names import files, folder_name
-from desim.config.trust import escaped, without_symlink
-from desim.simulation.watchdog import checked_limit
+from desim.config.trust import escaped, without_symlink, write_whole
+from desim.simulation.watchdog import checked_limit, within
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
@@ -29,7 +30,9 @@ WRONG_INPUT = 2
 RAISED = 1
 """Exit code if a metric of a user raises an exception or returns a wrong type."""
 OUT_OF_TIME = 1
-"""Exit code if a run exceeds its time limit."""
+"""Exit code if a run or a command exceeds its time limit."""
+OUT_OF_MEMORY = 1
+"""Exit code if the memory is full."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))
 
@@ -123,6 +126,24 @@ TIMEOUT = click.option(
     callback=_limit,
     help="End a run after this wall time, and print what each pursuer is waiting for.",
 )
+
+
+def limited(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the option --timeout, which limits it as a whole."""
+
+    @click.option(
+        "--timeout",
+        type=float,
+        metavar="SECONDS",
+        callback=_limit,
+        help="End the command after this wall time; if a run is under way, print what each pursuer is waiting for.",
+    )
+    @wraps(command)
+    def within_limit(*args: Any, timeout: float | None, **options: Any) -> None:
+        with nullcontext() if timeout is None else within(timeout):
+            command(*args, **options)
+
+    return within_limit
 
 
 def source_of(
@@ -225,7 +246,7 @@ def write(page: bytes, path: Path) -> None:
     """Write a page, and create missing folders; end the program if the page cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        without_symlink(path).write_bytes(page)
+        write_whole(path, page)
     except OSError as error:
         fail(f"{path}: cannot be written: {error.strerror}")
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making, page_at, storing, write
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, making, page_at, storing, write
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     " sources named A and B.",
 )
 @SEED
+@limited
 @ALLOW_IMPORT
 @SET
 def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
@@ -72,6 +73,7 @@ def _size(result: "Result") -> str:
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page; default: report.html in DIR.")
+@limited
 def report(folder: Path, out: Path | None) -> None:
     """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
     from desim.view.report import Study

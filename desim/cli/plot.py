@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, making
 from desim.cli.recorded import SOURCE, is_recorded, results_of
 from desim.config.file_names import PICTURE_SUFFIXES, files
 
@@ -134,6 +134,7 @@ class Pair(click.ParamType[tuple[str, str]]):
 )
 @click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second of a film.")
 @SEED
+@limited
 @ALLOW_IMPORT
 @SET
 def plot(

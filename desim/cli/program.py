@@ -12,7 +12,7 @@ from typing import Any
 import click
 import click.utils
 
-from desim.cli.options import OUT_OF_TIME, echo, fail
+from desim.cli.options import OUT_OF_MEMORY, OUT_OF_TIME, echo, fail
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
 from desim.simulation.watchdog import TimedOut
@@ -39,6 +39,13 @@ class Program(click.Command):
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
+        except MemoryError:
+            echo(
+                "out of memory: shorten the horizon, simulate fewer nodes, or record less (record.trajectory,"
+                ' record.messages = "file")',
+                err=True,
+            )
+            ctx.exit(OUT_OF_MEMORY)
         except HiddenPackageError as error:
             fail(str(error))
         except ValueError as error:

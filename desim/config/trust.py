@@ -78,9 +78,14 @@ def regular_or_missing(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield the path PATH.part of a file to be written, which replaces `path` at the end; after an error, remove it.
 
+    A device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
+
     Raises:
         OSError: if the file cannot be replaced.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        yield path
+        return
     part = without_symlink(path.with_name(f"{path.name}.part"))
     try:
         yield part
@@ -88,6 +93,16 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file; one that is there already is replaced only when the new one is complete.
+
+    Raises:
+        OSError: if the file cannot be written; then an older one is still there.
+    """
+    with replacing(path) as part:
+        part.write_bytes(content)
 
 
 @contextmanager

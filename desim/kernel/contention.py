@@ -19,7 +19,7 @@ from desim.kernel.carrier_sense import CarrierSense
 from desim.kernel.clock import NEVER, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
-from desim.kernel.medium import Radio
+from desim.kernel.medium import Radio, airtime_of
 from desim.kernel.network_state import NetworkState
 from desim.kernel.seeds import stream
 from desim.kernel.transmitter import Transmittable
@@ -132,7 +132,7 @@ class Contention(Generic[Item]):
         return self._air.busy_time()
 
     def _airtime(self, item: Item) -> int:
-        return nanoseconds(self._medium.airtime(item.size, item.src))
+        return airtime_of(self._medium.airtime, item.size, item.src)
 
     def _needs_ack(self, item: Item) -> bool:
         return self._acknowledges and item.to_one

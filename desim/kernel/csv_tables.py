@@ -13,6 +13,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
+MAX_CELLS = 20_000_000
+"""Maximum number of cells that are read of a Parquet file: about 400 MB of text."""
 KEPT = 8
 """Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
 
@@ -56,11 +58,17 @@ def _csv_of(parquet: bytes, columns: Columns) -> str:
 
     file = ParquetFile(BufferReader(parquet))
     names = file.schema_arrow.names
-    cells = file.read(columns=[name for name in names if name in columns]).to_pydict()
+    read = [name for name in names if name in columns]
+    # A few kB can hold as many equal rows as their writer likes, so the bound is on what they say, not on their size.
+    if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
+        raise ValueError(
+            f"{file.metadata.num_rows:,} rows of {len(read)} columns are {size:,} cells, above {MAX_CELLS:,}"
+        )
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
-    if file.metadata.num_rows and cells:
+    for batch in file.iter_batches(columns=read) if read else ():
+        cells = batch.to_pydict()
         writer.writerows(zip(*(cells.get(name, repeat(None)) for name in names), strict=False))
     return text.getvalue()
 

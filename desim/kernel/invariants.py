@@ -15,9 +15,8 @@ from desim.kernel.access import CsmaCa
 from desim.kernel.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Partition, TracedFault
 from desim.kernel.interference import Collision
-from desim.kernel.medium import Radio
+from desim.kernel.medium import Radio, airtime_of
 from desim.kernel.transport_frames import carried
-from desim.kernel.units import nanoseconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -286,7 +285,7 @@ class OneFrame:
         if not isinstance(event, Broadcast) and (not isinstance(event, Sent) or self._acknowledges):
             return
         self._check(event.t)
-        end = event.t + nanoseconds(self._medium.airtime(event.size, event.src))
+        end = event.t + airtime_of(self._medium.airtime, event.size, event.src)
         nodes = set(event.dst) if isinstance(event, Broadcast) else {event.dst}
         self._frames.setdefault(event.transmission, (event, end, set()))[2].update(nodes)
 

@@ -1,14 +1,16 @@
 """Models of the medium: the airtime of a message of a given size, and how nodes share the channel."""
 
+from collections.abc import Callable
 from math import ceil, inf
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Flag, Limit, Value
+from desim.config.model import MAX_TIME, Flag, Limit, Value
 from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
+from desim.kernel.units import nanoseconds
 
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
@@ -35,6 +37,22 @@ class Medium(Protocol):
         ...
 
     def __call__(self, size: int) -> float: ...  # noqa: D102
+
+
+def airtime_of(medium: Callable[..., float], *message: int) -> int:
+    """Return the airtime that a medium gives a message, ns; a longer one than `MAX_TIME` ends after every run.
+
+    Args:
+        medium: the model, or its method `airtime`.
+        message: the arguments of the call: the size of the message, bytes, and perhaps its sender.
+
+    Raises:
+        ValueError: if the airtime is no number of seconds, or is negative.
+    """
+    airtime = medium(*message)
+    if not airtime >= 0.0:
+        raise ValueError(f"an airtime should be a time >= 0 s, got {airtime!r} for a message of {message[0]} bytes")
+    return nanoseconds(min(airtime, MAX_TIME))
 
 
 class Radio(Value):
@@ -157,7 +175,7 @@ class LoRa(Radio):
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
     frequencies: tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...] | None = None
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
-    bandwidth: Annotated[float, Field(gt=0, le=1e9, strict=True)] = 125_000.0
+    bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
     """CR: the code rate is 4 / (4 + CR), from 4/5 to 4/8."""

@@ -11,8 +11,7 @@ from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
 from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.medium import Medium
-from desim.kernel.units import nanoseconds
+from desim.kernel.medium import Medium, airtime_of
 
 
 class Transmittable(Protocol):
@@ -138,7 +137,7 @@ class Transmitter(Generic[Item]):
         del self.recent[: bisect_left(self.recent, (before - 2 * self._longest - self._lag,))]
 
     def _begin(self, channel: int, item: Item) -> None:
-        now, airtime = self._env.now, nanoseconds(self._medium(item.size))
+        now, airtime = self._env.now, airtime_of(self._medium, item.size)
         self._free_at[channel] = now + airtime
         self._busy += airtime
         if self._medium.half_duplex and not self._medium.shared:

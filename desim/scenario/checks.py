@@ -28,6 +28,10 @@ from desim.pursuit.trust import Accusations, Credulous, Trimmed, tolerated_liars
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
 
+SAMPLE_SIZE = 130
+"""The memory that the recorded position of a player takes, bytes."""
+LARGE = 1e9
+"""The memory for recorded samples beyond which a warning is given, bytes."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 LONG_LATENCY = 0.1
 """The share of the horizon above which a mean latency gives a warning.
@@ -49,6 +53,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if fastest <= max(evader_speeds):
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _inertia_warnings(scenario)
+    yield from _memory_warnings(scenario)
     yield from _flow_warnings(scenario)
     yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
@@ -88,6 +93,20 @@ def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "record.estimates", "no estimate has a covariance (`sensing.estimator` kalman), so none is recorded"
     elif not scenario.record.trajectory:
         yield "record.estimates", "estimates are recorded with the positions, and these are not (`record.trajectory`)"
+
+
+def _memory_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield a warning if the recorded samples may fill the memory."""
+    if not scenario.record.trajectory:
+        return
+    pursuers, evaders = scenario.team.count, len(scenario.evaders)
+    per_sample = pursuers + evaders + (pursuers * evaders if scenario.record.estimates else 0)
+    count = per_sample * scenario.horizon / scenario.record.trajectory
+    if (size := count * SAMPLE_SIZE) > LARGE:
+        yield (
+            "record.trajectory",
+            f"up to {count:,.0f} positions are recorded, about {size / 1e9:,.1f} GB of memory: sample less often",
+        )
 
 
 def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

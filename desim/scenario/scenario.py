@@ -32,7 +32,7 @@ from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronis
 from desim.kernel.faults import Partition, nodes_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
-from desim.kernel.medium import Radio
+from desim.kernel.medium import Radio, airtime_of
 from desim.kernel.topology import Topology
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
@@ -333,7 +333,7 @@ def _channel_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]
     if not sizes:
         return
     what, size = max(sizes.items(), key=lambda each: each[1])
-    airtime, guard = nanoseconds(medium(size)), nanoseconds(access.guard)
+    airtime, guard = airtime_of(medium, size), nanoseconds(access.guard)
     free = nanoseconds(access.slot) - guard
     if airtime > free:
         least = -(-(airtime + guard) // 1000) / 1e6

@@ -42,6 +42,7 @@ def explain(
     store: str | Path | None = None,
     metrics: Metrics | None = None,
     shown: Sequence[str] = tuple(EXPLAINED),
+    timeout: float | None = None,
 ) -> Explanation:
     """Measure the cost of each imperfection of a scenario, in each of the metrics `shown`.
 
@@ -51,7 +52,7 @@ def explain(
 
     Raises:
         ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
-            or a metric has a wrong name, does not exist or is not numeric.
+            `timeout` is out of its range, or a metric has a wrong name, does not exist or is not numeric.
         ScenarioError: if an object of the scenario has no stable hash.
         StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
@@ -61,7 +62,7 @@ def explain(
     variants.check_shown(shown)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
         variants.plan.register(kept)
-        return variants.carry_out(kept, workers, shown)
+        return variants.carry_out(kept, workers, shown, timeout=timeout)
 
 
 @dataclass(frozen=True)
@@ -104,16 +105,26 @@ class Variants:
         for metric in shown:
             check_numeric(metric, dict(self.plan.metrics))
 
-    def carry_out(self, store: Store, workers: Workers, shown: Sequence[str] = tuple(EXPLAINED)) -> Explanation:
+    def carry_out(
+        self,
+        store: Store,
+        workers: Workers,
+        shown: Sequence[str] = tuple(EXPLAINED),
+        *,
+        timeout: float | None = None,
+    ) -> Explanation:
         """Perform the runs that a store lacks, and compare the variants in each of the metrics `shown`.
+
+        A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed.
 
         Raises:
             RunError: if no seed completes in all variants.
-            ValueError: if no metric is shown, or a metric does not exist or is not numeric.
+            ValueError: if no metric is shown, a metric does not exist or is not numeric, or `timeout` is out of its
+                range.
         """
         self.check_shown(shown)
         plan = self.plan
-        groups = carry_out(plan, store, workers, metrics=shown).groups
+        groups = carry_out(plan, store, workers, metrics=shown, timeout=timeout).groups
         by_key = {
             configuration.key: {row.replication: row for row in group.rows}
             for configuration, group in zip(plan.configurations, groups, strict=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import METRICS
-from desim.config.trust import csv_cell
+from desim.config.trust import csv_cell, replacing
 from desim.study.row import Row
 from desim.study.runs import SweepRuns, text
 
@@ -49,10 +49,11 @@ def data_frame(result: SweepRuns) -> "pd.DataFrame":
 def write(result: SweepRuns, file: Path) -> None:
     """Write a row per run to a file; see `SweepResult.write`."""
     if file.suffix == ".parquet":
-        data_frame(result).to_parquet(file, index=False)
+        with replacing(file) as part:
+            data_frame(result).to_parquet(part, index=False)
     elif file.suffix == ".csv":
         columns = _columns(result)
-        with file.open("w", encoding="utf-8", newline="") as stream:
+        with replacing(file) as part, part.open("w", encoding="utf-8", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(map(csv_cell, columns))
             writer.writerows(map(csv_cell, map(record.get, columns)) for record in records(result))

@@ -35,7 +35,7 @@ from desim.analysis.palette import (
 from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.config.trust import without_symlink
+from desim.config.trust import replacing
 from desim.kernel.units import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.study.progress import progress
@@ -100,7 +100,8 @@ def animate(
         )
     first, *rest = frames(result, times)
     pauses = [pause] * len(rest) + [HOLD]
-    first.save(without_symlink(path), "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+    with replacing(path) as part:
+        first.save(part, "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
     return len(times)
 
 

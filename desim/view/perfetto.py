@@ -20,7 +20,7 @@ from typing import Any
 from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import field_names, has_plain, to_json
-from desim.config.trust import without_symlink
+from desim.config.trust import write_whole
 from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.faults import Crash, Misbehaviour
 from desim.kernel.units import SECOND
@@ -68,7 +68,7 @@ def perfetto(result: Result) -> str:
 
 def write(result: Result, path: Path) -> None:
     """Write the timeline of a run to a file."""
-    without_symlink(path).write_text(perfetto(result), encoding="utf-8", newline="\n")
+    write_whole(path, perfetto(result).encode())
 
 
 def _names(size: int, has_messages: bool) -> Iterator[Entry]:

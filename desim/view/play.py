@@ -251,7 +251,8 @@ class Session:
         try:
             return dict(self._result(future))
         except Exception as error:  # the worker died, or the request was cancelled
-            return {"controls": self.playground.controls(now), "errors": {"": f"{type(error).__name__}: {error}"}}
+            why = "a later change came first" if future.cancelled() else f"{type(error).__name__}: {error}"
+            return {"controls": self.playground.controls(now), "errors": {"": why}}
 
     def save(self, changes: Changes) -> Answer:
         """Save a run in a worker; see `Playground.save`."""

@@ -35,7 +35,7 @@ from desim.analysis.trace_index import (
 from desim.config.arrays import Floats
 from desim.config.model import Value
 from desim.config.traits import kind_of, name_of
-from desim.config.trust import escaped, without_symlink
+from desim.config.trust import escaped, write_whole
 from desim.kernel.faults import Crash, Misbehaviour, Partition, TracedFault
 from desim.kernel.graphs import Complete
 from desim.kernel.implicit_complete import is_complete
@@ -102,7 +102,7 @@ class Replay:
         Raises:
             OSError: if the file cannot be written.
         """
-        without_symlink(Path(path)).write_bytes(self.page.encode())
+        write_whole(Path(path), self.page.encode())
         return Path(path)
 
     def __repr__(self) -> str:

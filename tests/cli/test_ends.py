@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,10 @@ from click.testing import CliRunner
 
 from desim.cli import main
 from desim.cli.program import Program
+from desim.config.trust import write_whole
 from desim.kernel.trace_file import TraceFile
 from desim.scenario.toml import load
-from tests.command import desim
+from tests.command import accepted, desim
 
 SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'
 CODE = """\
@@ -211,3 +213,92 @@ def test_a_byte_order_mark_is_no_part_of_a_file(file, tmp_path):
 def test_a_warning_is_one_line_without_the_source_that_gave_it():
     command = Program("warn", callback=lambda: warnings.warn("the store has a rollback journal", stacklevel=1))
     assert CliRunner().invoke(command).stderr == "warning: the store has a rollback journal\n"
+
+
+@pytest.fixture
+def small_disk():
+    """Let no file grow beyond 500 bytes, as on a disk that is nearly full."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("args", "name"),
+    [
+        (("replay",), "a.html"),
+        (("plot",), "a.svg"),
+        (("plot",), "a.png"),
+        (("plot",), "a.pdf"),
+        (("plot", "--kind", "spacetime"), "a.png"),
+        (("plot", "--kind", "film"), "a.gif"),
+        (("plot", "--kind", "perfetto"), "a.json"),
+        (("export",), "a.csv"),
+        (("export",), "a.parquet"),
+        (("export",), "a.pcapng"),
+        (("export",), "a.mcap"),
+    ],
+)
+def test_a_file_that_cannot_be_written_as_a_whole_leaves_the_older_one(file, tmp_path, small_disk, args, name):
+    """What has been shown before stays, and no part of the new file is left beside it."""
+    target = tmp_path / name
+    scenario = file("record.messages = true\n")
+    command = [*args, scenario, *(["-o"] if args[0] != "export" else []), target]
+    accepted(*command)
+    assert target.stat().st_size > 500
+    target.write_text("older\n")
+    small_disk()
+    done = desim(*command)
+    assert done.exit_code == 2
+    assert "cannot be written: File too large" in done.stderr
+    assert target.read_text() == "older\n"
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_pipe_is_written_as_it_is(tmp_path):
+    """A shell gives /dev/fd/63 for >(gzip): there is no file to replace."""
+    pipe = tmp_path / "page.html"
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor(1) as reader:
+        read = reader.submit(pipe.read_bytes)
+        write_whole(pipe, b"page")
+        assert read.result(30) == b"page"
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("command", ["replay", "plot", "export", "check", "report", "explain", "run", "sweep", "play"])
+def test_every_command_that_runs_takes_a_time_limit(command):
+    assert "--timeout" in desim(command, "--help").output
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("args", [("replay",), ("plot",), ("export",)])
+def test_a_command_that_takes_too_long_is_ended(file, tmp_path, monkeypatch, args):
+    """Heartbeats every microsecond would take hours."""
+    monkeypatch.chdir(tmp_path)
+    endless = file("announce.heartbeat = 1e-6\n")
+    done = desim(*args, endless, *(["a.csv"] if args == ("export",) else []), "--timeout", 1)
+    assert done.exit_code == 1
+    assert re.match(r"--timeout: took longer than 1 s: at [\d.e-]+ s of simulated time", done.stderr)
+
+
+def test_too_little_memory_is_told_in_one_line(file, tmp_path, monkeypatch):
+    def fill(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("desim.simulation.run.World", fill)
+    done = desim("run", file())
+    assert done.exit_code == 1
+    assert done.stderr.startswith("out of memory: ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_samples_that_fill_the_memory_are_told_before_the_run(tmp_path):
+    """500,000 samples of 21 players."""
+    scenario = tmp_path / "long.toml"
+    scenario.write_text("horizon = 0.5\n")
+    told = accepted("check", scenario, "--set", "record.trajectory=1e-6").stderr
+    assert "record.trajectory: up to 10,500,000 positions are recorded, about 1.4 GB of memory" in told
+    assert accepted("check", scenario, "--set", "record.trajectory=2e-6").stderr == ""

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
 from desim.kernel.clock import Clock
+from desim.kernel.csv_tables import _csv_of
 from desim.kernel.links import Links
 from desim.kernel.network import Network
 
@@ -68,6 +69,21 @@ def test_a_parquet_file_means_the_same_as_a_csv_file(tmp_path):
     (tmp_path / "rtt.parquet").write_bytes(b"\xff\xfe")
     with pytest.raises(ValidationError, match=r"rtt\.parquet cannot be read: .*Parquet"):
         LatencyTrace(file=tmp_path / "rtt.parquet")
+
+
+def test_the_cells_of_a_parquet_file_are_bounded_before_they_are_read(tmp_path, monkeypatch):
+    """Equal values take next to no room in the file, however many they are."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    rows = 10_000
+    table = pa.table({"t": range(rows), "value": [0.1] * rows})
+    parquet.write_table(table, tmp_path / "long.parquet")
+    assert LatencyTrace(file=tmp_path / "long.parquet").read_from == "long.parquet"
+    monkeypatch.setattr("desim.kernel.csv_tables.MAX_CELLS", 2 * rows - 1)
+    _csv_of.cache_clear()
+    with pytest.raises(ValidationError, match="10,000 rows of 2 columns are 20,000 cells, above 19,999"):
+        LatencyTrace(file=tmp_path / "long.parquet")
 
 
 def test_parquet_needs_pyarrow(tmp_path, monkeypatch):

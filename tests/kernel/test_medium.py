@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from desim import Scenario, Team, run
+from desim.analysis.trace_index import messages
 from desim.kernel.access import Aloha, CsmaCa, Tdma
 from desim.kernel.interference import LoRaInterference
-from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponential
+from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate, LoRa, Unlimited
 from desim.kernel.presets import PRESETS
@@ -25,6 +27,39 @@ def test_a_bitrate_takes_8_bits_a_byte_of_message_and_header_and_an_unlimited_me
     assert Bitrate(bitrate=250_000.0, header=26)(24) == pytest.approx(0.0016, rel=1e-12)
     assert [Bitrate(bitrate=1000.0)(size) for size in (24, 0)] == pytest.approx([0.192, 0.0], rel=1e-12)
     assert [Unlimited()(size) for size in (0, 24, 10**6)] == [0.0, 0.0, 0.0]
+
+
+class Given:
+    """A medium of a user, with the same airtime for every message."""
+
+    shared, half_duplex, queue_limit = False, False, inf
+
+    def __init__(self, airtime):
+        self.airtime = airtime
+
+    def __call__(self, size):
+        return self.airtime
+
+
+@pytest.mark.parametrize("medium", [Given(1e300), Given(inf), Given(10**30), LoRa(bandwidth=1.0, preamble=10**6)])
+@pytest.mark.parametrize("latency", [Constant(value=0.1), Uniform(low=0.0, high=1.0), ShiftedExponential(mean=1e9)])
+def test_a_message_that_is_on_the_air_for_ever_never_arrives(medium, latency):
+    """In whole nanoseconds such a time would not fit 64 bits."""
+    found = run(Scenario(team=Team(count=3), horizon=2.0, network=Links(medium=medium, latency=latency)), 1)
+    counts = messages(found)
+    assert (counts.delivered, counts.in_flight) == (0, counts.sent)
+    assert counts.sent > 0
+
+
+def test_an_airtime_is_a_time():
+    with pytest.raises(ValueError, match=r"an airtime should be a time >= 0 s, got -1\.0 for a message of 24 bytes"):
+        run(Scenario(team=Team(count=3), horizon=2.0, network=Links(medium=Given(-1.0))), 1)
+
+
+def test_a_bandwidth_is_at_least_one_hertz_as_a_bitrate_is_at_least_one_bit_per_second():
+    for wrong in (lambda: LoRa(bandwidth=0.5), lambda: Bitrate(bitrate=0.5)):
+        with pytest.raises(ValidationError, match="greater than or equal to 1"):
+            wrong()
 
 
 def data_sheet(size, factor, bandwidth, rate, preamble, crc, implicit):

@@ -558,6 +558,15 @@ def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_runs_that_take_too_long_fail():
+    endless = GOOD.model_copy(update={"announce": Announcements(heartbeat=1e-6)})
+    with pytest.raises(RunError, match="took longer than 0.05 s"):
+        explain(endless, runs=2, timeout=0.05)
+    with pytest.raises(ValueError, match="a time limit should be"):
+        explain(GOOD, runs=2, timeout=-1.0)
+
+
 def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
     """With the seeds from the first bad one on that is followed by a good one."""
     scenario = LATE.model_copy(update={"protocol": fails_late})
