@@ -318,7 +318,13 @@ def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
+MAX_LINE = 2000
+"""Maximum length of a line of an error message, characters; a name in a file can be as long as the file."""
+
+
 def fail(text: str) -> NoReturn:
-    """Print an error and end the program with exit code `WRONG_INPUT`."""
-    echo(text, err=True)
+    """Print an error, without the middle of very long lines, and end the program with exit code `WRONG_INPUT`."""
+    half = MAX_LINE // 2
+    lines = [line if len(line) <= MAX_LINE else f"{line[:half]} ... {line[-half:]}" for line in text.split("\n")]
+    echo("\n".join(lines), err=True)
     sys.exit(WRONG_INPUT)

@@ -5,7 +5,6 @@ The kind of a table is the value of its key `kind`, which selects one of several
 
 import re
 from collections.abc import Iterator
-from difflib import get_close_matches
 from functools import cache
 from typing import NamedTuple, get_origin
 
@@ -14,6 +13,7 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
+from desim.config.suggestion import close_to
 from desim.scenario.scenario import Scenario
 
 
@@ -71,7 +71,7 @@ def homes_of(name: str) -> list[Key]:
     If there are none, return the outermost keys with the most similar last part; [] if no last part is similar.
     """
     names = {key.place[-1] for key in all_keys()}
-    wanted = name if name in names else next(iter(get_close_matches(name, names, n=1, cutoff=0.8)), None)
+    wanted = name if name in names else next(iter(close_to(name, names, cutoff=0.8)), None)
     found = [key for key in all_keys() if key.place[-1] == wanted]
     return [key for key in found if len(key.place) == len(found[0].place)]
 

@@ -1,7 +1,6 @@
 """The errors of a scenario file in words: where each is, what is allowed there, and what may have been meant."""
 
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from pydantic import BaseModel, Tag
@@ -10,6 +9,7 @@ from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import fields_of, markers_of
+from desim.config.suggestion import close_to
 from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
@@ -177,7 +177,7 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     """Return a list with the allowed word to suggest for an invalid one; an empty list if none is similar."""
-    return [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
+    return [RENAMED[word]] if RENAMED.get(word) in allowed else close_to(word, allowed)
 
 
 def _other_key(place: KeyPath, allowed: Sequence[str]) -> str:

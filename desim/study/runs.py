@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from desim.analysis.metrics import check_numeric, words
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.config.arrays import Floats
+from desim.config.suggestion import close_to
 from desim.study.configurations import in_words, label
 from desim.study.row import Row
 from desim.study.run_table import RunTable
@@ -154,7 +154,7 @@ class SweepRuns:
             ValueError: if the grid has no such key.
         """
         if key not in self.keys:
-            near = get_close_matches(key, self.keys, n=1)
+            near = close_to(key, self.keys)
             hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
             raise ValueError(f"the grid has no key {key}{hint}")
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())

@@ -17,7 +17,7 @@ from desim.cli.program import Program
 from desim.config.trust import write_whole
 from desim.kernel.trace_file import TraceFile
 from desim.scenario.toml import load
-from tests.command import accepted, desim
+from tests.command import accepted, desim, refused
 
 SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'
 CODE = """\
@@ -302,3 +302,13 @@ def test_samples_that_fill_the_memory_are_told_before_the_run(tmp_path):
     told = accepted("check", scenario, "--set", "record.trajectory=1e-6").stderr
     assert "record.trajectory: up to 10,500,000 positions are recorded, about 1.4 GB of memory" in told
     assert accepted("check", scenario, "--set", "record.trajectory=2e-6").stderr == ""
+
+
+def test_an_error_repeats_no_name_of_a_hundred_thousand_characters(tmp_path):
+    scenario = tmp_path / "long.toml"
+    scenario.write_text(f"{'x' * 10**6} = 1\nhorizonn = 1\n")
+    first, second = refused("check", scenario).splitlines()
+    assert len(first) < 2100
+    assert first.startswith(f"{scenario}:1: xxx")
+    assert "unknown key" in first
+    assert "did you mean 'horizon'" in second
