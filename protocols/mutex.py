@@ -24,6 +24,7 @@ from pydantic import Field
 
 from desim.config.model import Duration, Rate, Value
 from desim.kernel.message_size import HEADER, NUMBER
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Record
 from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
@@ -79,7 +80,7 @@ class LocalMutex(Value):
         neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
-        airtime = degree * sum(map(me.airtime, request_and_reply(me)))
+        airtime = degree * portable_sum(map(me.airtime, request_and_reply(me)))
         return max(1.0 / self.rate + 2.0 * latency + airtime, (degree + 1) * latency) / me.team_size
 
     def message_size(self, pursuers: int, announcement: int) -> int:
@@ -117,7 +118,7 @@ class CriticalSection:
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
-        sending_time = len(me.neighbours()) * sum(map(me.interval, request_and_reply(me)))
+        sending_time = len(me.neighbours()) * portable_sum(map(me.interval, request_and_reply(me)))
         self._time_out = RetransmissionTimer(me, sending_time, min_timeout)
         self._highest = 0  # highest Lamport time of the requests so far
         self._own_request: Stamp | None = None  # stamp of its own request; None without one

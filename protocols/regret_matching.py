@@ -22,6 +22,7 @@ from itertools import count
 from typing import Literal
 
 from desim.config.model import Probability
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit.agent import Agent
 from protocols.best_response import RevisionProbability
 from protocols.rule import LearningRule, current_action
@@ -51,7 +52,7 @@ class RegretMatching(LearningRule):
             for action, utility in utilities.items():
                 regret[action] += weight * (utility - utilities[current] - regret[action])
             positive = [max(regret[action], 0.0) for action in utilities]
-            total = sum(positive)
+            total = portable_sum(positive)
             revises = me.rng.random() < self.alpha
             if total > 0.0 and revises:
                 yield list(utilities)[categorical([r / total for r in positive], me.rng)]

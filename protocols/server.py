@@ -37,6 +37,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.model import Period, Value
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
@@ -173,7 +174,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
         effect: the time at which an order sent now takes effect, ns.
     """
     segments = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
-    return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(segments) if action != evader)
+    return portable_sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(segments) if action != evader)
 
 
 def apply_order(me: Agent, order: Order) -> None:

@@ -18,6 +18,7 @@ Robust to loss: yes. The token is retransmitted until its receipt arrives. A nei
 
 from collections.abc import Callable, Iterable
 
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
@@ -76,7 +77,7 @@ def loss_timeout(me: Agent, holding_time: float, time_outs: Iterable[float]) -> 
     """
     hops = 3 * me.team_size + 2 * me.id
     longest_hop = me.latency + me.interval(full_token(me))
-    return hops * (longest_hop + holding_time) + sum(time_outs)
+    return hops * (longest_hop + holding_time) + portable_sum(time_outs)
 
 
 class Probes:

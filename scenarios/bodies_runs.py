@@ -12,6 +12,7 @@ from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import seconds
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.dynamics import Acceleration, Dynamics, Simple, TurnRate
@@ -130,7 +131,7 @@ def _cell(
 
     return Cell(
         *key,
-        sum(run.captured for run in runs) / len(runs),
+        portable_sum(run.captured for run in runs) / len(runs),
         estimate([run.duration for run in runs]),
         estimate(times[key]),
         estimate(late(motion)),
@@ -148,10 +149,10 @@ def differences(some: Sequence[float], others: Sequence[float]) -> list[float]:
 
 def ratio(parts: Sequence[float], counts: Sequence[int]) -> Estimate:
     """Return the quotient of two sums over runs, with the standard error of a ratio (Cochran 1977, section 6.3)."""
-    total = sum(counts)
+    total = portable_sum(counts)
     if not total:
         return Estimate(nan, inf, len(counts))
-    found = sum(parts) / total
+    found = portable_sum(parts) / total
     error = estimate([part - found * count for part, count in zip(parts, counts, strict=True)]).standard_error
     return Estimate(found, error * len(counts) / total, len(counts))
 

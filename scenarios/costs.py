@@ -34,6 +34,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
 from desim.kernel.units import SECOND, seconds
@@ -283,7 +284,7 @@ def table_1(_: Options) -> list[Cost]:
         before = os.times()
         took = command("-m", "scenarios.table1", *arguments)
         after = os.times()
-    cpu_time = sum(after[2:4]) - sum(before[2:4])
+    cpu_time = portable_sum(after[2:4]) - portable_sum(before[2:4])
     return [
         Cost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
         Cost("CPU time of both cores", cpu_time, "s"),

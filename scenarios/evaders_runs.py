@@ -18,6 +18,7 @@ from desim.analysis.statistics import estimate, wilson
 from desim.kernel.events import Sent
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import (
     ConstantHeading,
@@ -193,7 +194,7 @@ def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, refer
         survival.half_width,
         paired.mean,
         paired.half_width,
-        sum(run.captured for run in runs) / len(runs),
+        portable_sum(run.captured for run in runs) / len(runs),
         active.mean,
         active.half_width,
         estimate([run.handovers for run in runs]).mean,
@@ -243,8 +244,8 @@ def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Seq
     pairs = list(zip(runs, reference, strict=True))
     longer = estimate([run.survival - other.survival for run, other in pairs])
     more = estimate([run.active_time - other.active_time for run, other in pairs])
-    count, duration = len(runs), sum(run.survival for run in runs)
-    caught = sum(run.captured for run in runs)
+    count, duration = len(runs), portable_sum(run.survival for run in runs)
+    caught = portable_sum(run.captured for run in runs)
     return Sighted(
         radius,
         made,
@@ -258,8 +259,8 @@ def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Seq
         active.half_width,
         more.mean,
         more.half_width,
-        sum(run.never_seen for run in runs) / count,
-        sum(run.lost for run in runs) / count,
-        sum(run.reports for run in runs) / duration,
-        sum(run.report_transmissions for run in runs) / duration,
+        portable_sum(run.never_seen for run in runs) / count,
+        portable_sum(run.lost for run in runs) / count,
+        portable_sum(run.reports for run in runs) / duration,
+        portable_sum(run.report_transmissions for run in runs) / duration,
     )

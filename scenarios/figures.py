@@ -20,6 +20,7 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import ended, started, trace_index
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import SECOND, seconds
 from desim.scenario.scenario import Recording
 from scenarios.study import Options, study
@@ -230,7 +231,7 @@ def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
                 name,
                 f"{estimate([each.active_time for each in runs]).mean:.2f}",
                 f"{estimate([each.end for each in runs]).mean:.2f}",
-                f"{sum(each.captured for each in runs)}/{len(runs)}",
+                f"{portable_sum(each.captured for each in runs)}/{len(runs)}",
                 f"{estimate(starts).mean:.2f}" if starts else "-",
                 f"{estimate([float(each.handovers) for each in runs]).mean:.1f}",
             )

@@ -23,6 +23,7 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
 from desim.config.arrays import Points
+from desim.kernel.portable_math import portable_sum
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Recording, Scenario
 from desim.study.batch import run_many, seeds_from
@@ -107,7 +108,7 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
     tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(FIRST_SEED, runs[delta])]
     times = iter(run_many(tasks, 0, f"{len(candidates)} candidates", active_time))
     ratios = [estimate([next(times) for _ in range(runs[d])]).mean / published[d] for _, d in cells]
-    return [sum(log(r) ** 2 for r in ratios[k : k + len(runs)]) for k in range(0, len(ratios), len(runs))]
+    return [portable_sum(log(r) ** 2 for r in ratios[k : k + len(runs)]) for k in range(0, len(ratios), len(runs))]
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:

@@ -13,6 +13,7 @@ from desim.kernel.faults import ClockSkew
 from desim.kernel.latency import Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.lies import ByzantineFault, Equivocate, Liar, ReplayAttack, Silent, Spoof
 from desim.pursuit.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
@@ -166,7 +167,7 @@ def _reference(key: tuple[str, str, str, str, float]) -> tuple[str, str, str, st
 
 
 def _cell(key: tuple[str, str, str, str, float], runs: Sequence[Run], reference: Sequence[Run]) -> Cell:
-    caught = sum(run.captured for run in runs)
+    caught = portable_sum(run.captured for run in runs)
     return Cell(
         *key,
         caught / len(runs),

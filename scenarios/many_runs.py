@@ -11,6 +11,7 @@ from desim import Result, Scenario
 from desim.analysis.metrics import end_time
 from desim.analysis.statistics import estimate, wilson
 from desim.config.arrays import Floats
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Started
@@ -241,7 +242,7 @@ def summarize_negotiations(key: Key, outcomes: Sequence[Outcome]) -> Negotiation
     """Return the results of the static games of one key."""
     size, name, slots, tau = key
     shares = [each.share for each in outcomes]
-    count, mean = sum(each.best for each in outcomes), estimate(shares)
+    count, mean = portable_sum(each.best for each in outcomes), estimate(shares)
     ends = wilson(count, len(outcomes))
     return NegotiationSummary(
         *size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends

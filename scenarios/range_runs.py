@@ -13,6 +13,7 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate, wilson
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.topology import Topology
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
@@ -111,7 +112,7 @@ def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
     for phi, hearing, graph in (game(base, seed) for seed in seeds):
         unsettled += not equilibria(phi, base.horizon, LocalMean(), hearing)
         components.append(nx.number_weakly_connected_components(graph))
-        independent.append(sum(greedy_maximal_independent_set(phi, base.horizon, hearing)))
+        independent.append(portable_sum(greedy_maximal_independent_set(phi, base.horizon, hearing)))
     low, high = wilson(unsettled, len(seeds))
     share = unsettled / len(seeds)
     return Games(team, range, len(seeds), share, low, high, float(np.mean(components)), float(np.mean(independent)))

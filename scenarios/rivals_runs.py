@@ -9,6 +9,7 @@ from desim.analysis.metrics import Summary, time_to_relay
 from desim.analysis.statistics import estimate
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
@@ -152,10 +153,11 @@ def cell(
     relays = [time for _, time in found if time is not None]
     active = estimate([run.active_time for run in runs])
     paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
-    saved = sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))
+    saved = portable_sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))
     regrets = [_gap(run) - _gap(other) for run, (other, _) in zip(runs, prompt, strict=True)]
-    sent, kilobytes = sum(run.transmissions for run in runs), sum(run.bytes_sent for run in runs) / 1000.0
-    duration = sum(run.end_time for run in runs)
+    sent = portable_sum(run.transmissions for run in runs)
+    kilobytes = portable_sum(run.bytes_sent for run in runs) / 1000.0
+    duration = portable_sum(run.end_time for run in runs)
     return Cell(
         *key,
         active.mean,

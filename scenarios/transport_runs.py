@@ -15,6 +15,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.message_size import HEADER
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.transport_frames import piece_size
 from desim.pursuit.announcements import Announcements
 from desim.scenario.players import Evader, Team
@@ -201,7 +202,7 @@ def _cell(
 ) -> Cell:
     """Return the results of one way in one setting, given its runs, those of `REFERENCE` and those at rest."""
     times, others = (np.array([run.value for run in each]) for each in (runs, reference))
-    caught = sum(run.captured for run in runs) / len(runs)
+    caught = portable_sum(run.captured for run in runs) / len(runs)
     age, rate = (estimate([run.value for run in ages]), budget_of(ages).bytes) if ages else (None, None)
     return Cell(name, value, way, estimate(times), estimate(times - others), caught, budget_of(runs).bytes, age, rate)
 
@@ -223,8 +224,10 @@ def _with_equal_bytes(
 
 def budget_of(runs: Sequence[Run]) -> Budget:
     """Return what some runs took per second."""
-    duration = sum(run.duration for run in runs)
-    return Budget(sum(run.bytes for run in runs) / duration, sum(run.changes for run in runs) / duration)
+    duration = portable_sum(run.duration for run in runs)
+    sent = portable_sum(run.bytes for run in runs)
+    changes = portable_sum(run.changes for run in runs)
+    return Budget(sent / duration, changes / duration)
 
 
 def _pursued(result: Result) -> Run:

@@ -1,4 +1,4 @@
-"""What the source may use: the direction of imports, and no arithmetic that depends on the processor."""
+"""What the source may use: the direction of imports, and no arithmetic that depends on the processor or on Python."""
 
 import ast
 import re
@@ -218,6 +218,76 @@ def test_no_last_digit_depends_on_the_processor():
 def test_a_digit_that_depends_on_the_processor_would_be_detected(line):
     assert rounded_by_processor(line)
     assert not rounded_by_processor("from math import exp; exp(a) + math.log(b) + np.sqrt(c) + (a * b).sum()")
+
+
+INTEGERS = {"len", "bool", "int", "isinstance"}
+"""Functions whose values are integers or truth values."""
+
+
+def is_count(term):
+    """Return whether a term of a sum is evidently an integer: a literal, a comparison, or a value of `INTEGERS`."""
+    if isinstance(term, ast.Call):
+        return isinstance(term.func, ast.Name) and term.func.id in INTEGERS
+    literal = isinstance(term, ast.Constant) and isinstance(term.value, int)
+    return literal or isinstance(term, ast.Compare) or (isinstance(term, ast.UnaryOp) and isinstance(term.op, ast.Not))
+
+
+def counts(call):
+    """Return whether a call of `sum` adds evident integers: `sum(1 for ...)`, `sum(map(len, ...))`."""
+    if call.keywords:  # a start
+        return False
+    match call.args:
+        case [ast.GeneratorExp() | ast.ListComp() as terms]:
+            return is_count(terms.elt)
+        case [ast.Call(func=ast.Name("map"), args=[ast.Name(function), *_])]:
+            return function in INTEGERS
+    return False
+
+
+def sums_that_may_round(source):
+    """Return the line of each use of the built-in `sum` for terms that are not evidently integers."""
+    nodes = list(ast.walk(ast.parse(source)))
+    calls = [node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    integral = {call.func for call in calls if counts(call)}
+    named = [node for node in nodes if isinstance(node, ast.Name) and node.id == "sum" and node not in integral]
+    owned = [node for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node) == "builtins.sum"]
+    imported = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module == "builtins"]
+    return sorted(node.lineno for node in (*named, *owned, *imported))
+
+
+@pytest.mark.slow
+def test_no_sum_depends_on_the_version_of_python():
+    """`sum` compensates for the rounding of floats from Python 3.12 on, and of complex numbers from 3.14 on."""
+    lines = {name_of(path): sums_that_may_round(path.read_text(encoding="utf-8")) for path in MODULES}
+    assert {name: numbers for name, numbers in lines.items() if numbers} == {}  # use `portable_sum`
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sum(times)",
+        "sum(x * y for x, y in pairs)",
+        "sum([x for x in values])",
+        "sum(map(energy, runs))",
+        "sum((0.1, 0.2))",
+        "sum(run.captured and run.time for run in runs)",
+        "sum((1 for run in runs), 0.1)",
+        "sum(1.0 for run in runs)",
+        "sum((len(x) for x in runs), start=0.1)",
+        "add = sum",
+        "map(sum, rows)",
+        "functools.reduce(sum, rows)",
+        "import builtins; builtins.sum(rows)",
+        "from builtins import sum as add",
+    ],
+)
+def test_a_sum_that_may_round_would_be_detected(line):
+    assert sums_that_may_round(line)
+
+
+def test_sums_of_integers_and_of_arrays_are_allowed():
+    lines = "sum(1 for _ in a); sum(map(len, a)); sum(len(b) for b in a); sum(b > 0 for b in a); a.sum(); np.sum(a)"
+    assert not sums_that_may_round(lines)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ import numpy as np
 
 from desim.analysis.trace_index import captures, ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
+from desim.kernel.portable_math import inner_product, portable_sum
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
@@ -117,7 +118,7 @@ def activity(result: Result) -> Steps:
 def pressure(result: Result) -> list[Steps]:
     """Return n_j(t), the number of pursuers of each evader j, up to its capture or the end of the run."""
     return [
-        _step_function(sum(pursuit.start), ((t, by) for t, _, by in pursuit.steps), pursuit.end)
+        _step_function(portable_sum(pursuit.start), ((t, by) for t, _, by in pursuit.steps), pursuit.end)
         for pursuit in evader_pursuits(result)
     ]
 
@@ -169,7 +170,8 @@ def energy(result: Result) -> float:
     own = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
     for change, before in changes_with_previous(result):
         own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
-    return float(sum(speed**2 * time for speed, time in zip(started(result).speeds, own, strict=True)) / SECOND)
+    squares = [speed**2 for speed in started(result).speeds]
+    return inner_product(squares, own) / SECOND
 
 
 def switches(result: Result) -> int:
@@ -208,7 +210,7 @@ def handovers(result: Result) -> int:
 
     Before the new pursuer is the only one, no pursuer or several may chase the evader for a time.
     """
-    return sum(max(len(chain) - 1, 0) for chain in _relays(result))
+    return portable_sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 
 def ping_pongs(result: Result, within: float = 1.0) -> int:
@@ -217,7 +219,8 @@ def ping_pongs(result: Result, within: float = 1.0) -> int:
     The term comes from cellular networks (3GPP TR 36.839, in which the minimum time of stay, here `within`, is 1 s).
     """
     return sum(
-        before == after and back - there < nanoseconds(within)
+        1
         for chain in _relays(result)
         for (_, before), (there, _), (back, after) in zip(chain, chain[1:], chain[2:], strict=False)
+        if before == after and back - there < nanoseconds(within)
     )

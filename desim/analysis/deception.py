@@ -5,6 +5,7 @@ from math import nan
 
 from desim.analysis.trace_index import captures
 from desim.kernel.faults import FaultStarted, Misbehaviour
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import seconds
 from desim.pursuit.events import Distrusted
 from desim.pursuit.trust import Credulous
@@ -32,8 +33,9 @@ def false_accusations(result: Result) -> int:
     """
     lies = first_lies(result)
     return sum(
-        event.distrusted and lies.get(event.suspect, event.t + 1) > event.t and event.pursuer not in lies
+        1
         for event in result.trace.of(Distrusted)
+        if event.distrusted and lies.get(event.suspect, event.t + 1) > event.t and event.pursuer not in lies
     )
 
 
@@ -47,7 +49,7 @@ def time_to_detect(result: Result) -> float:
         begun = lies.get(event.suspect)
         if event.distrusted and event.pursuer not in lies and begun is not None and event.t >= begun:
             found.setdefault(event.suspect, event.t - begun)
-    return seconds(sum(found.values())) / len(found) if found else nan
+    return seconds(portable_sum(found.values())) / len(found) if found else nan
 
 
 def damage_per_liar(result: Result, metric: Callable[[Result], float | None]) -> float:

@@ -235,7 +235,7 @@ class InertiaWatcher:
         steps: tuple[float, float],
     ) -> None:
         """Compare two successive displacements (m) of a player, and the times (s) that they take."""
-        slack, duration = 10.0 * (ROUNDING + self._places.error), sum(steps) / 2.0
+        slack, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
         if isinstance(dynamics, Acceleration):
             if abs(steps[0] - steps[1]) > ROUNDING:
                 return

@@ -57,6 +57,7 @@ from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.config.suggestion import did_you_mean
 from desim.kernel.events import Cause
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import seconds
 from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
@@ -127,7 +128,7 @@ def end_time(result: Result) -> float:
 def mean_capture_time(result: Result) -> float:
     """Return the time of capture, s, averaged over the captured evaders; nan if none was captured."""
     times = [seconds(each.t) for each in captures(result)]
-    return sum(times) / len(times) if times else nan
+    return portable_sum(times) / len(times) if times else nan
 
 
 def capture_times(result: Result) -> dict[str, float]:

@@ -27,6 +27,7 @@ from typing import TypeGuard
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.kernel.portable_math import portable_sum
 
 NORMAL_975 = 1.959963984540054
 """The 97.5 % quantile of the standard normal distribution."""
@@ -202,6 +203,6 @@ def _is_present(value: float | None) -> TypeGuard[float]:
 def _half_width(values: Sequence[float]) -> float:
     """Return half the width of the 95 % interval of the mean: Wilson for truth values, else the t interval."""
     if all(isinstance(value, bool | np.bool_) for value in values):
-        low, high = wilson(int(sum(values)), len(values))
+        low, high = wilson(int(portable_sum(values)), len(values))
         return (high - low) / 2.0
     return estimate(values).half_width

@@ -7,6 +7,7 @@ from typing import Any
 from desim.analysis.metrics import METRICS, Summary, title, users_metrics, words
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.config.json_numbers import json_number
+from desim.kernel.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 
 PER_EVADER = {"captures", "mean_capture_time"}
@@ -46,13 +47,13 @@ def run_table(scenario: Scenario, run: Summary, wall_time: float, shown: Sequenc
 
 def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -> str:
     """Return the table of several runs: means with their 95 % intervals; `wall_time` in s."""
-    captured = sum(run.captured for run in runs)
+    captured = portable_sum(run.captured for run in runs)
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(scenario, runs)]
     seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
-    rate = sum(run.messages_sent for run in runs) / wall_time
+    rate = portable_sum(run.messages_sent for run in runs) / wall_time
     return (
         _heading(scenario, seeds)
         + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval\n"

@@ -7,6 +7,7 @@ from math import nan
 
 from desim.analysis.trace_index import transport
 from desim.kernel.events import TransportCounts
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import seconds
 from desim.simulation.run import Result
 
@@ -77,7 +78,7 @@ def given_up(result: Result) -> int:
     Raises:
         ValueError: if no message needed a transport.
     """
-    return sum(_counts(result).given_up.values())
+    return portable_sum(_counts(result).given_up.values())
 
 
 def deadlines_missed(result: Result) -> int:

@@ -27,6 +27,7 @@ from desim.kernel.events import ClockCorrected, Trace
 from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.network import Network
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.transport import BestEffort
@@ -163,7 +164,7 @@ class Synchroniser:
         offsets.append((received - sent + answered - clock.uncorrected) // 2)
         if len(offsets) < self._model.exchanges:
             return
-        clock.correct(round(sum(offsets) / len(offsets)))
+        clock.correct(round(portable_sum(offsets) / len(offsets)))
         offsets.clear()
         if self._trace is not None:
             self._trace.append(ClockCorrected(self._env.now, node, clock.correction))

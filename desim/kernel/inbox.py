@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import simpy
 
 from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Arrival
 from desim.kernel.units import SECOND
 
@@ -133,7 +134,7 @@ class Inboxes:
 
     def in_flight(self) -> int:
         """Return the number of messages in flight, counted once per receiver."""
-        return sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
+        return portable_sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Record
 
 HEADER = 16
@@ -59,13 +60,13 @@ def _size(body: Any) -> int:
     if isinstance(body, Record):
         return size_of(body.body)
     if isinstance(body, COLLECTIONS):
-        return NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else sum(map(_size, body))
+        return NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
     if body is None:
         return 0
     if isinstance(body, str | bytes):
         return len(body.encode() if isinstance(body, str) else body)
     if isinstance(body, dict):
-        return sum(_size(key) + _size(each) for key, each in body.items())
+        return portable_sum(_size(key) + _size(each) for key, each in body.items())
     if isinstance(body, np.ndarray):
         return NUMBER * body.size * (2 if np.iscomplexobj(body) else 1)
     return 2 * NUMBER if isinstance(body, complex | np.complexfloating) else NUMBER

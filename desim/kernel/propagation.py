@@ -18,6 +18,7 @@ from desim.kernel.link_draws import as_nanoseconds, booleans_of, buffered, times
 from desim.kernel.link_overrides import link_overrides, overrides_of_run
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import ROOM, stream
@@ -192,7 +193,7 @@ class LinkSampler:
             found += [time - now for time in per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))]
             if len(found) > 10_000:
                 break
-        return sum(found) / len(found) / SECOND if found else 0.0
+        return portable_sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""

@@ -8,6 +8,7 @@ still be lost on arrival is stored when its outcome is decided (`Records.insert`
 from collections.abc import Collection, Sequence
 
 from desim.kernel.clock import Clock
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.record_tables import OwnTables, SharedTable
 from desim.kernel.records import Arrival, Predicate, Record, Table
 
@@ -137,7 +138,8 @@ class Records:
         """Return the number of records in flight, counted once per receiver."""
         now = self._env.now
         shared = [record for arrival, record in self._shared.waiting if arrival > now]
-        return self._own.in_flight(now) + sum(self._size - 1 - self._shared.unreached(record) for record in shared)
+        not_arrived = portable_sum(self._size - 1 - self._shared.unreached(record) for record in shared)
+        return self._own.in_flight(now) + not_arrived
 
     def _apply_arrived(self, node: int) -> None:
         """Move arrived records to the shared table and to the table of a node."""

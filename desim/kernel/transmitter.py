@@ -12,6 +12,7 @@ from typing import Generic, Protocol, TypeVar
 
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.medium import Medium, airtime_of
+from desim.kernel.portable_math import portable_sum
 
 
 class Transmittable(Protocol):
@@ -114,7 +115,7 @@ class Transmitter(Generic[Item]):
 
     def busy_time(self) -> int:
         """Return the total time, ns, that the channels have been busy so far."""
-        return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
+        return self._busy - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def during(self, first: int, last: int) -> dict[int, list[tuple[int, int]]]:
         """Return start and end of each recent transmission that may concern receptions, by node.

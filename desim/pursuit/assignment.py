@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from desim.config.arrays import Floats
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit import game
 
 Profile = tuple[int, ...]
@@ -45,7 +46,7 @@ def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
         actions: (N,) action of each pursuer.
         reward: the time left, r, s.
     """
-    return sum(game.potential(times, chasing, reward) for times, chasing in _games(phi, actions))
+    return portable_sum(game.potential(times, chasing, reward) for times, chasing in _games(phi, actions))
 
 
 def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
@@ -115,7 +116,7 @@ def optimal_assignment(phi: ArrayLike, reward: float) -> dict[int, int]:
 def optimum(phi: ArrayLike, reward: float) -> float:
     """Return the greatest global utility over all profiles, s; see `optimal_assignment`."""
     worth = _worth(phi, reward)
-    return float(sum(worth[i, j - 1] for i, j in optimal_assignment(phi, reward).items()))
+    return float(portable_sum(worth[i, j - 1] for i, j in optimal_assignment(phi, reward).items()))
 
 
 def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:

@@ -22,6 +22,7 @@ from desim.config.traits import Traits
 from desim.config.trust import resolve_path
 from desim.kernel import portable_math
 from desim.kernel.csv_tables import header_of, rows_of
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import SECOND
 
 Component = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
@@ -209,7 +210,7 @@ class RecordedFlow(UniformFlow):
         differences = [abs(self.velocity_at(t) - last) for t in times]
         before = differences[0] * max(times[0] - begin, 0.0)
         pieces = zip(pairwise(times), pairwise(differences), strict=True)
-        return last, before + sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
+        return last, before + portable_sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
 
     @property
     def top_speed(self) -> float:

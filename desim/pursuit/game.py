@@ -17,6 +17,7 @@ from math import exp, inf
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.kernel.portable_math import portable_sum
 
 Profile = tuple[bool, ...]
 """Whether each pursuer is active."""
@@ -25,7 +26,7 @@ Profile = tuple[bool, ...]
 def potential(phi: Sequence[float], active: Sequence[bool], reward: float) -> float:
     """Return the global utility U_E of a profile, s: `reward` less the mean capture time of the active pursuers."""
     chasing = [phi_i for phi_i, a in zip(phi, active, strict=True) if a and phi_i < inf]
-    return reward - sum(chasing) / len(chasing) if chasing else 0.0
+    return reward - portable_sum(chasing) / len(chasing) if chasing else 0.0
 
 
 def wonderful_life_utility(phi: Sequence[float], active: Sequence[bool], reward: float, i: int) -> float:
@@ -43,7 +44,7 @@ def gain(own: float, others: Sequence[float], reward: float) -> float:
         reward: the time left, r, s.
     """
     n = len(others)
-    return (sum(others) / n - own) / (n + 1) if n else reward - own
+    return (portable_sum(others) / n - own) / (n + 1) if n else reward - own
 
 
 Gain = Callable[[float, Sequence[float], float], float]
@@ -127,7 +128,7 @@ def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]
         return [1.0 / len(utilities)] * len(utilities)
     most = max(utilities)
     weights = [exp((each - most) * inverse_temperature) for each in utilities]
-    total = sum(weights)
+    total = portable_sum(weights)
     return [weight / total for weight in weights]
 
 

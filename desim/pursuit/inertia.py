@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Integers, Points
 from desim.kernel.clock import Clock
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import SECOND
 from desim.pursuit.dynamics import Course, Dynamics, Piece
 from desim.pursuit.kinematics import CaptureTest, Kinematics
@@ -136,7 +137,8 @@ def first_contact(target: Piece, player: Piece, radius: float, begin: float, end
         if gap <= ROUNDING * (1.0 + distance):
             return t - begin
         curves = [each for each in (target, player) if t < each.curved]
-        bound, stop = sum(each.curvature for each in curves), min((each.curved for each in curves), default=inf)
+        bound = portable_sum(curve.curvature for curve in curves)
+        stop = min((curve.curved for curve in curves), default=inf)
         velocity = target.velocity_at(t) - player.velocity_at(t)
         rate = (offset.real * velocity.real + offset.imag * velocity.imag) / distance
         closing = sqrt(rate * rate + 2.0 * bound * gap) - rate

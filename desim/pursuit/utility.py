@@ -16,6 +16,7 @@ from pydantic import Field
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import Value
+from desim.kernel.portable_math import portable_sum
 from desim.pursuit import game
 from desim.pursuit.traits import UtilityTraits
 
@@ -144,7 +145,7 @@ class EdgePenalty(Value):
 
     def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
-        return reward - own - self.factor * reward * sum(chances)
+        return reward - own - self.factor * reward * portable_sum(chances)
 
 
 UTILITIES = OneOf(

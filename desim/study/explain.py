@@ -19,6 +19,7 @@ from typing import Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
+from desim.kernel.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 from desim.study.configurations import Configuration, without_metrics
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
@@ -159,7 +160,7 @@ def _cost(
     as_it_is = values.pop(AS_IT_IS)
     saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
-    interaction = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
+    interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         EXPLAINED.get(metric) or words(metric),
         unit_of(metric, {name: each.unit for name, each in own}),

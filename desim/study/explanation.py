@@ -13,6 +13,7 @@ from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, wilson
 from desim.analysis.tables import aligned, as_json, from_json, number, with_half_width
 from desim.config.html import html_table
+from desim.kernel.portable_math import portable_sum
 
 EXPLAINED: Mapping[str, str] = MappingProxyType(
     {"active_time": "sum of active times", "end_time": "capture time, or horizon"}
@@ -220,7 +221,7 @@ class Explanation:
         interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
         rest = cost.interaction.mean
         if cost.interacts:
-            total = sum(part.mean.mean for part in cost.parts.values())
+            total = portable_sum(part.mean.mean for part in cost.parts.values())
             yield (
                 f"the effects interact, beyond {interval}: in {metric} the parts add up to {total:+.3f}{unit}, and all"
                 f" together cost {cost.together.mean.mean:+.3f}{unit}"

@@ -18,6 +18,7 @@ from typing import Any, Self, TypeVar
 
 from desim.config.interrupts import SIGNALS, deferred
 from desim.config.trust import NO_CWD_IMPORT
+from desim.kernel.portable_math import portable_sum
 from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
@@ -166,7 +167,7 @@ class Cluster(Workers):
         except ConnectionError:
             self._client.close()
             raise
-        super().__init__(self._client.get_executor(pure=False), sum(self._client.nthreads().values()), address)
+        super().__init__(self._client.get_executor(pure=False), portable_sum(self._client.nthreads().values()), address)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
         """Wait until at least one of the given calls has ended, and return all that have.

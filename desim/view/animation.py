@@ -36,6 +36,7 @@ from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import replacing
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.study.progress import progress
@@ -286,7 +287,7 @@ class _Scene:
     def _status_text(self, t: int, chases: dict[int, int]) -> str:
         """Return the caption of a frame, without the time."""
         count, by = self._paths.count, ended(self._result).capturer
-        captured = sum(self._is_captured(evader, t) for evader in self._captured)
+        captured = portable_sum(self._is_captured(evader, t) for evader in self._captured)
         if count > 1:
             last = f", the last by {by}" if captured == count else f", {len(chases)} active"
             return f"captured {captured} of {count}{last}"

@@ -10,6 +10,7 @@ from matplotlib.text import Text
 
 from desim.analysis.plots import Axes
 from desim.config.arrays import Floats
+from desim.kernel.portable_math import portable_sum
 
 LabelPosition = tuple[float, float]
 SIZE = 6.0
@@ -49,7 +50,7 @@ def label_points(
     texts: list[Text] = []
     for name, place, anchor in zip(names, places, everything, strict=False):
         boxes = _beside(anchor, WIDTH * SIZE * len(name), HEIGHT * SIZE)
-        costs = [sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
+        costs = [portable_sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
         best = boxes[int(np.argmin(costs))]
         taken.append(best)
         x, y = (best[:2] - anchor).tolist()

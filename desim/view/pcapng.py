@@ -16,6 +16,7 @@ from pathlib import Path
 
 from desim.analysis.trace_index import NO_MESSAGES
 from desim.kernel.events import MESSAGES, Broadcast, Event, MessageCounts, Sent
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.trace_file import body_json
 
 SECTION_HEADER, INTERFACE, PACKET = 0x0A0D0D0A, 1, 6
@@ -81,7 +82,8 @@ def _headers(event: Broadcast | Sent, dst: int) -> bytes:
     addresses = NETWORK + event.src, NETWORK + dst
     start = struct.pack(">BBHHHBB", 0x45, 0, total, event.transmission & 0xFFFF, 0, 1, 17)
     words = struct.unpack(">10H", start + struct.pack(">HII", 0, *addresses))
-    checksum = 0xFFFF - (sum(words) % 0xFFFF or 0xFFFF)  # the complement of their sum in ones' complement (RFC 1071)
+    # The complement of the sum of the words in ones' complement (RFC 1071).
+    checksum = 0xFFFF - (portable_sum(words) % 0xFFFF or 0xFFFF)
     return start + struct.pack(">HII", checksum, *addresses) + struct.pack(">HHHH", PORT, PORT, datagram, 0)
 
 

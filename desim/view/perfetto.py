@@ -23,6 +23,7 @@ from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import write_whole
 from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.faults import Crash, Misbehaviour
+from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
@@ -142,7 +143,7 @@ def _counts(result: Result) -> Iterator[Entry]:
     on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
 
     def counts(t: int, evaders: Iterable[int]) -> Iterator[Entry]:
-        yield _entry("C", "active pursuers", TEAM, t, args={"number": sum(on.values())})
+        yield _entry("C", "active pursuers", TEAM, t, args={"number": portable_sum(on.values())})
         for evader in evaders if len(on) > 1 else ():
             yield _entry("C", f"pursuers on {evader}", TEAM, t, args={"number": on[evader]})
 
