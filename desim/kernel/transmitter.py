@@ -5,7 +5,7 @@ queue: ideal medium access without overhead or collisions.
 """
 
 from bisect import bisect_left
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import Generic, Protocol, TypeVar
@@ -80,7 +80,12 @@ class Transmitter(Generic[Item]):
         self._env, self._medium = env, medium
         self._leave, self._wait, self._drop = leave, wait, drop
         self.channels = 1 if medium.shared else size
-        self._waiting: list[deque[Item]] = [deque() for _ in range(self.channels)]
+        # A shared channel serves the transmissions of all nodes in order, and a full node drops its own oldest. As each
+        # waiting transmission is in the queue of its channel and in that of its node, both take constant time.
+        self._waiting: list[OrderedDict[int, Item]] = [OrderedDict() for _ in range(self.channels)]
+        """The waiting transmissions of each channel, by number."""
+        self._of_node: list[deque[Item]] = [deque() for _ in range(size)]
+        """The waiting transmissions of each node."""
         self._free_at = [0] * self.channels
         self._busy = 0
         self.recent: list[tuple[int, int, int]] = []
@@ -88,30 +93,34 @@ class Transmitter(Generic[Item]):
 
     def enqueue(self, item: Item) -> None:
         """Start a transmission now, or when the channel is free."""
-        channel = 0 if self._medium.shared else item.src
+        channel = self._channel(item.src)
         waiting = self._waiting[channel]
         if not waiting and self._env.now >= self._free_at[channel]:
             self._begin(channel, item)
             return
         self._wait(item)
-        waiting.append(item)
+        waiting[item.number] = item
+        of_node = self._of_node[item.src]
+        of_node.append(item)
         if len(waiting) == 1:
             self._await_turn(channel)
-        of_node = [each for each in waiting if each.src == item.src]
         if len(of_node) > self._medium.queue_limit:
-            waiting.remove(of_node[0])
-            self._drop(of_node[0])
+            oldest = of_node.popleft()
+            del waiting[oldest.number]
+            self._drop(oldest)
 
     def flush(self, src: int) -> list[Item]:
         """Remove and return all waiting transmissions of a node."""
-        taken = [item for waiting in self._waiting for item in waiting if item.src == src]
-        for channel, waiting in enumerate(self._waiting):
-            self._waiting[channel] = deque(item for item in waiting if item.src != src)
+        taken = list(self._of_node[src])
+        self._of_node[src].clear()
+        waiting = self._waiting[self._channel(src)]
+        for item in taken:
+            del waiting[item.number]
         return taken
 
     def waiting(self) -> Iterator[Item]:
         """Yield the waiting transmissions."""
-        return (item for waiting in self._waiting for item in waiting)
+        return (item for waiting in self._waiting for item in waiting.values())
 
     def busy_time(self) -> int:
         """Return the total time, ns, that the channels have been busy so far."""
@@ -137,6 +146,10 @@ class Transmitter(Generic[Item]):
         """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""
         del self.recent[: bisect_left(self.recent, (before - 2 * self._longest - self._lag,))]
 
+    def _channel(self, node: int) -> int:
+        """Return the number of the channel on which a node transmits."""
+        return 0 if self._medium.shared else node
+
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, airtime_of(self._medium, item.size)
         self._free_at[channel] = now + airtime
@@ -153,6 +166,8 @@ class Transmitter(Generic[Item]):
         waiting = self._waiting[channel]
         if not waiting or self._env.now < self._free_at[channel]:
             return  # the transmission that waited has been removed, or has already started
-        self._begin(channel, waiting.popleft())
+        _, item = waiting.popitem(last=False)
+        self._of_node[item.src].popleft()
+        self._begin(channel, item)
         if waiting:
             self._await_turn(channel)

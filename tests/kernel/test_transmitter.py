@@ -343,7 +343,12 @@ def test_bytes_and_transmissions_count_once_and_messages_per_receiver():
 class Item(NamedTuple):
     src: int
     size: int
-    name: str = ""
+    name: str = "A"
+
+    @property
+    def number(self):
+        """Names differ by their letter."""
+        return ord(self.name)
 
 
 def leaving(medium, given, until=20.0):
@@ -429,3 +434,85 @@ def test_messages_of_no_length_leave_at_once_and_in_order():
             radio.enqueue(Item(0, 3 if name == "C" else 0, name))
 
     assert leaving(medium(), given) == [(0, "A"), (0, "B"), (0, "C"), (3, "D"), (3, "E")]
+
+
+# The cost of a queue.
+
+
+class Counted(NamedTuple):
+    """A transmission that counts how often its sender is looked at."""
+
+    number: int
+    sender: int
+    looks: list[int]
+    size: int = 1
+    receivers: tuple[int, ...] = ()
+    to_one: bool = False
+
+    @property
+    def src(self):
+        self.looks[0] += 1
+        return self.sender
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("limit", [0.0, 1.0, 50.0, inf])
+def test_a_message_that_waits_costs_the_same_whatever_the_queue_holds(shared, limit):
+    """Two nodes send 200 messages each at once; a walk through the queue for each would look at 40,000."""
+    clock, looks, left, dropped = Clock(), [0], [], []
+    transmitter = Transmitter(
+        clock,
+        medium(shared=shared, queue_limit=limit),
+        2,
+        leave=lambda item, airtime: left.append(item.number),
+        wait=lambda item: None,
+        drop=lambda item: dropped.append(item.number),
+    )
+    for number in range(400):
+        transmitter.enqueue(Counted(number, number % 2, looks))
+    clock.run()
+    assert looks[0] <= 4 * 400
+    assert sorted(left + dropped) == list(range(400))
+    assert left == sorted(left)
+    assert len(dropped) == (0 if limit == inf else 400 - len(left))
+
+
+@given(st.data(), st.booleans(), st.sampled_from([0.0, 1.0, 3.0, inf]))
+def test_queues_are_those_of_lists(data, shared, limit):
+    """The plain way: each channel has a list, and a full node removes its first transmission in it."""
+    clock, events = Clock(), []
+    transmitter = Transmitter(
+        clock,
+        medium(shared=shared, queue_limit=limit),
+        3,
+        leave=lambda item, airtime: events.append(("leave", item.number)),
+        wait=lambda item: None,
+        drop=lambda item: events.append(("drop", item.number)),
+    )
+    expected, queues, on_air = [], [[] for _ in range(3)], [None] * 3
+    actions = st.one_of(st.tuples(st.just("send"), st.integers(0, 2)), st.tuples(st.just("flush"), st.integers(0, 2)))
+    for number, (action, node) in enumerate(data.draw(st.lists(actions, max_size=30))):
+        queue, channel = queues[0 if shared else node], 0 if shared else node
+        if action == "flush":
+            flushed = [item for item in queue if item.src == node]
+            assert transmitter.flush(node) == flushed
+            queue[:] = [item for item in queue if item.src != node]
+            continue
+        item = Counted(number, node, [0])
+        transmitter.enqueue(item)
+        if on_air[channel] is None:
+            on_air[channel] = number
+            expected.append(("leave", number))
+            continue
+        queue.append(item)
+        of_node = [waiting for waiting in queue if waiting.src == node]
+        if len(of_node) > limit:
+            queue.remove(of_node[0])
+            expected.append(("drop", of_node[0].number))
+    assert events == expected
+    assert list(transmitter.waiting()) == [item for queue in queues for item in queue]
+    clock.run()
+    left = [number for what, number in events[len(expected) :]]
+    assert sorted(left) == sorted(item.number for queue in queues for item in queue)
+    if shared:
+        assert left == [item.number for item in queues[0]]
