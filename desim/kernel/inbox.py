@@ -1,6 +1,6 @@
 """Inboxes: queues of received messages that wake waiting processes."""
 
-from bisect import bisect_left
+from bisect import bisect_left, insort
 from math import inf
 from typing import Any, NamedTuple
 
@@ -28,6 +28,8 @@ class Message(NamedTuple):
 
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
+FEW = 16
+"""The ratio of all messages to new ones from which on the new ones are inserted rather than all sorted."""
 
 
 class Inbox:
@@ -81,10 +83,18 @@ class Inbox:
 
     def _in_order(self) -> list[Letter]:
         """Return all messages in the order of arrival."""
-        if self._sorted < len(self._letters):
-            self._letters.sort()
-            self._sorted = len(self._letters)
-        return self._letters
+        letters = self._letters
+        if self._sorted < len(letters):
+            if FEW * (len(letters) - self._sorted) < len(letters):
+                # Sorting compares all messages in flight. Inserting a few new ones does not: it only moves pointers.
+                fresh = letters[self._sorted :]
+                del letters[self._sorted :]
+                for letter in fresh:
+                    insort(letters, letter)
+            else:
+                letters.sort()
+            self._sorted = len(letters)
+        return letters
 
     def _expect_first(self) -> None:
         """Schedule a wake-up at the first arrival, or trigger the event at once if a message is waiting."""
