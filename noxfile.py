@@ -25,6 +25,21 @@ def oldest(session: nox.Session) -> None:
     session.run("pytest", *session.posargs)
 
 
+@nox.session(venv_backend="uv", default=False)
+def digests(session: nox.Session) -> None:
+    """Compare the digests of runs under all Pythons; the packages that compute have the same versions."""
+    versions = f"{session.create_tmp()}/versions.txt"
+    session.run("uv", "pip", "compile", "-q", f"--python-version={PYTHONS[0]}", "pyproject.toml", "-o", versions)
+    isolated = ("uv", "run", "-q", "--isolated", "--no-project", "--with=.", f"--with-requirements={versions}")
+    printed = {
+        python: session.run(*isolated, f"--python={python}", "python", "-m", "tests.digests", silent=True)
+        for python in PYTHONS
+    }
+    for python, text in printed.items():
+        if text != printed[PYTHONS[0]]:
+            session.error(f"Python {python} and {PYTHONS[0]} differ:\n{text}\n{printed[PYTHONS[0]]}")
+
+
 @nox.session(default=False)
 def slow(session: nox.Session) -> None:
     """Run the slow tests."""
