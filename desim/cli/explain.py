@@ -15,6 +15,7 @@ from desim.cli.options import (
     JOBS,
     JSON,
     METRIC,
+    MIX_VERSIONS,
     SEED,
     SET,
     TIMEOUT,
@@ -39,6 +40,7 @@ from desim.config.trust import write_whole
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
 @METRIC
 @TIMEOUT
+@MIX_VERSIONS
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -51,6 +53,7 @@ def explain(
     out: Path | None,
     metrics: tuple[str, ...],
     timeout: float | None,
+    mix_versions: bool,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -71,7 +74,7 @@ def explain(
         fail(str(with_place(error, source)))
     folder = out or folder_for(scenario, None) / "explain"
     with storing(folder), Store(folder / STORE) as store:
-        variants.plan.register(store)
+        variants.plan.register(store, mix_versions=mix_versions)
         made = provenance.document(
             "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
         )

@@ -20,6 +20,7 @@ from desim.cli.options import (
     JOBS,
     JSON,
     METRIC,
+    MIX_VERSIONS,
     SEED,
     SET,
     TIMEOUT,
@@ -94,6 +95,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
 @METRIC
+@MIX_VERSIONS
 @JSON
 @TIMEOUT
 @ALLOW_IMPORT
@@ -111,6 +113,7 @@ def sweep(
     dry_run: bool,
     fail_fast: bool,
     metrics: tuple[str, ...],
+    mix_versions: bool,
     as_json: bool,
     timeout: float | None,
     overrides: tuple[str, ...],
@@ -148,13 +151,13 @@ def sweep(
     start = time.perf_counter()
     if dry_run:
         with storing(folder), Store(path if path.exists() else None) as store:
-            plan.check(store)
+            plan.check(store, mix_versions=mix_versions)
             text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
         echo(text)
         return
     with storing(folder), Store(path) as store:
         before = len(store)
-        plan.register(store)
+        plan.register(store, mix_versions=mix_versions)
 
         def note() -> None:
             store.note_command(str(Path.cwd()), sys.argv)
@@ -191,7 +194,8 @@ def sweep(
 @click.command()
 @click.argument("stores", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the merged store.")
-def merge(stores: tuple[Path, ...], out: Path) -> None:
+@MIX_VERSIONS
+def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""
     from desim.results import provenance
     from desim.study.store import Store
@@ -200,9 +204,10 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
         for part in parts:
             parts[0].check_same(part.about)
+            parts[0].check_versions(part.versions, f"{part.path} has those of", mix=mix_versions)
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
-            store.merge(part)
+            store.merge(part, mix_versions=mix_versions)
         store.note_command(str(Path.cwd()), sys.argv)
         count, names = len(store), [str(part.path) for part in parts]
         # An empty store has no root seed.

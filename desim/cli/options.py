@@ -119,6 +119,9 @@ def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) ->
         raise click.BadParameter(str(error)) from error
 
 
+MIX_VERSIONS = click.option(
+    "--mix-versions", is_flag=True, help="Mix runs of different versions of Python, numpy, scipy, SimPy or networkx."
+)
 TIMEOUT = click.option(
     "--timeout",
     type=float,

@@ -10,7 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
+ARITHMETIC = ("numpy", "scipy", "simpy", "networkx")
+"""The Python packages that compute the digits of results and the order of events, by distribution name."""
+NUMERICS = (*ARITHMETIC, "pydantic")
 """The Python packages that results depend on, by distribution name."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
@@ -45,6 +47,16 @@ def code() -> str:
     for file in sorted(set(files) - {here / METRICS_MODULE}, key=lambda file: (file.parent.name, file.name)):
         digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def computing_versions() -> dict[str, str]:
+    """Return the versions that decide the last digits of results: of Python and of the packages of `ARITHMETIC`.
+
+    The version of Python has no third number, because bug-fix releases of Python change no arithmetic. Those of the
+    packages may.
+    """
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"python": python} | {name: _version(name) or "unknown" for name in ARITHMETIC}
 
 
 def _versions() -> dict[str, str | None]:

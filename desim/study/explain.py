@@ -44,6 +44,7 @@ def explain(
     metrics: Metrics | None = None,
     shown: Sequence[str] = tuple(EXPLAINED),
     timeout: float | None = None,
+    mix_versions: bool = False,
 ) -> Explanation:
     """Measure the cost of each imperfection of a scenario, in each of the metrics `shown`.
 
@@ -55,14 +56,14 @@ def explain(
         ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
             `timeout` is out of its range, or a metric has a wrong name, does not exist or is not numeric.
         ScenarioError: if an object of the scenario has no stable hash.
-        StoreError: if the store cannot be written, or belongs to other runs.
+        StoreError: if the store cannot be written, belongs to other runs, or has runs of other versions.
         ConnectionError: if a scheduler does not answer.
         RunError: if no seed completes in all variants.
     """
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
-        variants.plan.register(kept)
+        variants.plan.register(kept, mix_versions=mix_versions)
         return variants.carry_out(kept, workers, shown, timeout=timeout)
 
 

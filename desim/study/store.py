@@ -161,17 +161,21 @@ class Store(SweepProperties, RunRows):
         return int(self.database.execute("SELECT count(*) FROM runs").fetchone()[0])
 
     @naming_the_file
-    def merge(self, other: "Store") -> None:
+    def merge(self, other: "Store", *, mix_versions: bool = False) -> None:
         """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 
         A run that succeeded in both has the metrics of both stores.
 
         Raises:
-            StoreError: if the other store belongs to another sweep, or computed a metric by different code.
+            StoreError: if the other store belongs to another sweep, or computed a metric by different code; or if
+                another Python or other packages computed its runs, unless `mix_versions` is set.
         """
         if isinstance(self.path, Path) and isinstance(other.path, Path) and self.path.samefile(other.path):
             return  # with a rollback journal, reading would prevent writing
+        self.check_same(other.about)
+        self.check_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
         self.record_properties(other.about)
+        self.record_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
         codes = {name: code for name, _, code in self.rows("metrics")}
         metrics = {name: (unit, code) for name, unit, code in other.rows("metrics", ROWID)}
         for name, (_, code) in metrics.items():

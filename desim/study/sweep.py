@@ -37,6 +37,9 @@ Job = tuple[Configuration, int]
 MAX_RUNS = 10_000
 """The maximum number of runs of a configuration if `until` is given without `reps`."""
 
+THIS = "this is"
+"""The subject of the error message about other versions, for runs of this process; see `Store.check_versions`."""
+
 
 class RunError(RuntimeError):
     """Raised when a failed run ends a sweep or `desim explain`."""
@@ -125,18 +128,22 @@ class SweepPlan:
         text = f"{self.root}/{configuration.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
-    def check(self, store: Store) -> None:
-        """Raise StoreError if a store belongs to another sweep."""
+    def check(self, store: Store, *, mix_versions: bool = False) -> None:
+        """Raise StoreError if a store belongs to another sweep, or has runs of other versions that may not be mixed."""
         store.check_same(self._properties_as_json())
+        store.check_versions([environment.computing_versions()], THIS, mix=mix_versions)
 
-    def register(self, store: Store) -> None:
-        """Record the properties, the configurations and the metrics of the sweep in a store.
+    def register(self, store: Store, *, mix_versions: bool = False) -> None:
+        """Record the properties, the versions, the configurations and the metrics of the sweep in a store.
 
         Raises:
-            StoreError: if the store belongs to another sweep, or cannot be written.
+            StoreError: if the store belongs to another sweep, or cannot be written; or if another Python or other
+                packages computed its runs, unless `mix_versions` is set.
             ValueError: if a metric holds an object without a stable hash.
         """
+        self.check(store, mix_versions=mix_versions)
         store.record_properties(self._properties_as_json())
+        store.record_versions([environment.computing_versions()], THIS, mix=mix_versions)
         store.register(self.configurations)
         store.register_metrics(units_and_codes(self.metrics))
 
@@ -184,6 +191,7 @@ def sweep(
     fail_fast: bool = False,
     timeout: float | None = None,
     metrics: Metrics | None = None,
+    mix_versions: bool = False,
 ) -> SweepResult:
     """Run each configuration of a grid over a scenario many times, and return the metrics of the runs.
 
@@ -214,12 +222,14 @@ def sweep(
             `desim.simulation.watchdog`.
         metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
             run that lacks one of them is repeated. If a metric raises an exception, its run counts as failed.
+        mix_versions: whether runs may be added to a store of which another Python or other versions of numpy, scipy,
+            SimPy or networkx computed the runs. Last digits may then differ between runs.
 
     Raises:
         ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
         ValueError: if there are no runs, a number is out of its range, the metric of `until` does not exist or is not
             numeric, or a metric of `metrics` has a wrong name, is not a function or has no stable hash.
-        StoreError: if the store cannot be written, or belongs to another sweep.
+        StoreError: if the store cannot be written, belongs to another sweep, or has runs of other versions.
         ConnectionError: if a scheduler does not answer or has no workers.
         BrokenExecutor: if a worker of the user's own executor dies.
         RunError: if a run fails and `fail_fast` is set.
@@ -230,7 +240,7 @@ def sweep(
     if until is not None:
         check_target(*until, plan.metrics)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:
-        plan.register(kept)
+        plan.register(kept, mix_versions=mix_versions)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 
 

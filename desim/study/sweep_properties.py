@@ -1,7 +1,7 @@
 """The properties in a store of the sweep that it belongs to, such as its scenario and the code of its functions."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any
 
@@ -10,6 +10,10 @@ from pydantic import Json
 from desim.config.data_files import in_short
 from desim.study.store_file import HINT, StoreError, StoreFile, adapter_of, naming_the_file, with_checksum
 
+VERSIONS = "versions"
+"""The property with the versions that computed the runs: a list of tables as `environment.computing_versions`."""
+Versions = dict[str, str]
+
 
 class SweepProperties(StoreFile):
     """A store file with the methods that write and read the properties of the sweep; see `StoreFile`."""
@@ -17,8 +21,53 @@ class SweepProperties(StoreFile):
     @property
     @naming_the_file
     def about(self) -> Mapping[str, str]:
-        """The properties of the sweep that the store belongs to, as JSON texts by name."""
-        return MappingProxyType(dict(self.rows("about")))
+        """The properties of the sweep that the store belongs to, as JSON texts by name, without `versions`."""
+        return MappingProxyType({name: value for name, value in self.rows("about") if name != VERSIONS})
+
+    @property
+    @naming_the_file
+    def versions(self) -> list[Versions]:
+        """The versions of Python and of the packages that computed the runs; several if they were mixed."""
+        stored = [value for _, value in self.rows("about", "WHERE name = ?", (VERSIONS,))]
+        adapter = adapter_of(Annotated[list[Versions], Json])
+        return [each for value in stored for each in self.read(adapter, "about", (VERSIONS, value), 1)]
+
+    def check_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+        """Raise StoreError if the runs were computed by other versions, unless these may be mixed.
+
+        Args:
+            versions: the versions that computed, or will compute, further runs.
+            what: the further runs, as the subject of the error message: "this is", "out/b.sqlite has".
+            mix: whether runs of different versions may be in one store.
+        """
+        present = self.versions
+        for other in versions:
+            if present and other not in present and not mix:
+                names = [name for name in present[-1] | other if present[-1].get(name) != other.get(name)]
+                then, now = (
+                    ", ".join(f"{name} {each.get(name, 'unknown')}" for name in names) for each in (present[-1], other)
+                )
+                raise StoreError(
+                    f"{self.path}: has runs of {then}, and {what} {now}, so last digits may differ: mix them with"
+                    f" --mix-versions (in Python mix_versions=True), or choose another folder (-o, in Python store=)"
+                )
+
+    @naming_the_file
+    def record_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+        """Record versions that compute runs of the store.
+
+        Raises:
+            StoreError: as `check_versions`.
+        """
+        self.check_versions(versions, what, mix=mix)
+        if all(each in self.versions for each in versions):
+            return
+        with self.writing() as database:
+            self.check_versions(versions, what, mix=mix)
+            present = self.versions
+            whole = present + [each for each in versions if each not in present]
+            row = with_checksum((VERSIONS, json.dumps(whole)))
+            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?, ?)", row)
 
     @naming_the_file
     def read_property(self, name: str, kind: Any) -> Any:

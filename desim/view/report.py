@@ -57,6 +57,8 @@ class Study:
     """The cost of each imperfection, if `desim explain` computed it."""
     commands: Sequence[tuple[str, Sequence[str]]] = ()
     """The working folder and the words of each command that added runs."""
+    versions: Sequence[Mapping[str, str]] = ()
+    """The versions of Python and of the packages that computed the runs; several if they were mixed."""
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -68,14 +70,14 @@ class Study:
         """
         with Store(folder / STORE, read_only=True, verify=False) as kept:
             result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
-            commands = kept.commands
+            commands, versions = kept.commands, kept.versions
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or base
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         found = flat(scenario, _has_keys).items()
         fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}
-        return cls(result, fixed, made, _explanation(folder), commands)
+        return cls(result, fixed, made, _explanation(folder), commands, versions)
 
     @property
     def runs(self) -> int:
@@ -124,7 +126,7 @@ def report(study: Study) -> str:
         findings=list(findings(study)),
         commands=shell_lines(study.commands),
         asked=None if made is None else wanted(made, study.commands),
-        origin={} if made is None else _origin(made),
+        origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
         panels=[_inline(multiples(result, [each]), f"panel-{each}", words(each)) for each in panels],
         phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
         waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
@@ -255,6 +257,12 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
                 f"{group.in_words()}; seed {row.seed} ({row.status})"
             )
     yield from ((error, SOURCE_LINE.sub(r'File "\1"', trace), which) for (error, trace), which in runs.items())
+
+
+def _computed_by(versions: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Return the versions that computed the runs, as a label and a text, if there are several."""
+    texts = [", ".join(f"{name} {version}" for name, version in each.items()) for each in versions]
+    return {"runs computed by": "; and by ".join(texts)} if len(texts) > 1 else {}
 
 
 def _origin(made: provenance.Document) -> dict[str, str]:

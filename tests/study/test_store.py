@@ -24,15 +24,20 @@ from pydantic_core import core_schema
 
 import desim.study.store_file as module
 from desim.analysis.metrics import summary
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.results import environment
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
 from desim.simulation.run import run
 from desim.study import store_connection
+from desim.study.explain import explain
 from desim.study.result import SweepResult
 from desim.study.row import Row
 from desim.study.store import Store
 from desim.study.store_file import StoreError
 from desim.study.sweep import SweepPlan, sweep
+from desim.view.report import Study, report
 from tests.study import sweeps
 from tests.study.test_workers import command
 
@@ -676,3 +681,84 @@ def test_an_interrupt_while_an_adapter_is_built_is_raised_afterwards():
     with pytest.raises(KeyboardInterrupt):
         module.adapter_of(Interrupting)
     assert built == [Interrupting]
+
+
+# Versions.
+
+OTHER = {"python": "3.99", "numpy": "0.1"}
+
+
+@pytest.fixture
+def elsewhere(monkeypatch):
+    """Let runs be computed by another Python and another numpy, as the store sees it."""
+    here = environment.computing_versions()
+    with monkeypatch.context() as patch:
+        patch.setattr(environment, "computing_versions", lambda: here | OTHER)
+        yield patch
+
+
+def test_runs_of_other_versions_are_refused_unless_mixed(tmp_path, elsewhere):
+    path, scenario, grid = tmp_path / "sweep.sqlite", Scenario(horizon=0.1), {"team.count": [2]}
+    there = environment.computing_versions()
+    sweep(scenario, grid, reps=1, store=path)
+    elsewhere.undo()
+    here = environment.computing_versions()
+    told = f"numpy 0.1, and this is python {here['python']}, numpy {here['numpy']}, so last digits may differ: mix them"
+    with pytest.raises(StoreError, match=f"has runs of python 3.99, {told} with --mix-versions"):
+        sweep(scenario, grid, reps=2, store=path)
+    assert len(sweep(scenario, grid, reps=2, store=path, mix_versions=True).groups[0].rows) == 2
+    assert len(sweep(scenario, grid, reps=3, store=path).groups[0].rows) == 3  # both are in the store now
+    with Store(path, read_only=True) as store:
+        assert store.versions == [there, here]
+
+
+@pytest.mark.slow
+def test_an_explanation_is_computed_by_one_version_too(tmp_path, elsewhere):
+    path, scenario = tmp_path / "explain.sqlite", Scenario(horizon=0.1, network=Links(latency=Constant(value=0.01)))
+    explain(scenario, runs=2, store=path)
+    elsewhere.undo()
+    with pytest.raises(StoreError, match=r"has runs of python 3\.99, numpy 0\.1, and this is python"):
+        explain(scenario, runs=2, store=path)
+    assert explain(scenario, runs=2, store=path, mix_versions=True).costs
+
+
+def test_versions_are_those_of_python_and_of_the_packages_that_compute(monkeypatch):
+    """A bug-fix release of Python changes no arithmetic; one of a package may."""
+    found = environment.computing_versions()
+    assert list(found) == ["python", "numpy", "scipy", "simpy", "networkx"]
+    assert found["numpy"] == np.__version__
+    monkeypatch.setattr(environment.platform, "python_version_tuple", lambda: ("3", "12", "7"))
+    assert environment.computing_versions()["python"] == "3.12"
+
+
+@pytest.mark.slow
+def test_stores_of_other_versions_are_merged_only_if_they_may_be_mixed(tmp_path, file, elsewhere):
+    for part in ("1/2", "2/2"):
+        assert command("sweep", file, "--allow-import", "-n", 1, "--shard", part, "-o", tmp_path / "in").exit_code == 0
+        elsewhere.undo()
+    told = refused("merge", tmp_path / "in", "-o", tmp_path / "out")
+    here = environment.computing_versions()["python"]
+    assert f"has runs of python 3.99, numpy 0.1, and {tmp_path / 'in' / 'sweep.2-of-2.sqlite'} has those of" in told
+    assert f"python {here}" in told
+    assert not (tmp_path / "out" / "sweep.sqlite").exists()
+    assert command("merge", tmp_path / "in", "-o", tmp_path / "out", "--mix-versions").exit_code == 0
+    with Store(tmp_path / "out" / "sweep.sqlite", read_only=True) as store:
+        assert [each["python"] for each in store.versions] == ["3.99", here]
+        with Store() as merged:
+            merged.merge(store)  # mixed already
+            assert merged.versions == store.versions
+
+
+@pytest.mark.slow
+def test_a_sweep_is_planned_and_continued_on_the_command_line_only_with_its_versions(tmp_path, file, elsewhere):
+    words = ("sweep", file, "--allow-import", "-n", 1, "-o", tmp_path / "out")
+    assert command(*words).exit_code == 0
+    elsewhere.undo()
+    assert "has runs of python 3.99" in refused(*words)
+    assert "has runs of python 3.99" in refused(*words, "--dry-run")
+    assert command(*words, "--mix-versions", "--dry-run").exit_code == 0
+    assert "has runs of python 3.99" in refused(*words)
+    assert command(*words, "--mix-versions").exit_code == 0
+    page = report(Study.read(tmp_path / "out"))
+    assert "runs computed by" in page
+    assert "python 3.99, numpy 0.1" in page
