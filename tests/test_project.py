@@ -2,9 +2,12 @@
 
 import re
 import tomllib
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -43,6 +46,72 @@ def test_the_workflows_call_sessions_that_nox_has():
 def test_the_hook_of_ruff_has_the_locked_version():
     (locked,) = re.findall(r"^ruff==(.*)$", text("requirements.lock"), re.MULTILINE)
     assert f"ruff-pre-commit\n    rev: v{locked}\n" in text(".pre-commit-config.yaml")
+
+
+# The versions with which desim was last developed.
+
+LISTS = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+DIRECT = [
+    requirement
+    for requirement in map(Requirement, [line for lines in LISTS for line in lines])
+    if requirement.name != PROJECT["name"]
+]
+"""The requirements of desim and of its extras, without those of an extra for another."""
+LOCKED = [Requirement(line) for line in re.findall(r"^[a-z].*$", text("requirements.lock"), re.MULTILINE)]
+
+
+def locked_version(name):
+    """Return the locked version of a distribution in this environment; None if it is not in the lock."""
+    versions = [
+        next(iter(locked.specifier)).version
+        for locked in LOCKED
+        if canonicalize_name(locked.name) == canonicalize_name(name)
+        and (locked.marker is None or locked.marker.evaluate())
+    ]
+    assert len(versions) <= 1
+    return versions[0] if versions else None
+
+
+def unlocked(requirements):
+    """Return the requirements, and those of what is installed for them, that the lock lacks or does not meet."""
+    wrong, seen, pending = [], set(), [(requirement, "pyproject.toml") for requirement in requirements]
+    while pending:
+        requirement, origin = pending.pop()
+        version, key = locked_version(requirement.name), (canonicalize_name(requirement.name), *requirement.extras)
+        if version is None or not requirement.specifier.contains(version, prereleases=True):
+            wrong.append(f"{requirement} of {origin}: {version}")
+        if key in seen:
+            continue
+        seen.add(key)
+        try:
+            installed = distribution(requirement.name)
+        except PackageNotFoundError:  # of an extra that this environment lacks
+            continue
+        if installed.version == version:  # another version may need other packages
+            inner = [Requirement(line) for line in installed.requires or ()]
+            extras = [{"extra": extra} for extra in ("", *requirement.extras)]
+            applied = [each for each in inner if not each.marker or any(map(each.marker.evaluate, extras))]
+            pending += [(each, requirement.name) for each in applied]
+    return wrong
+
+
+@pytest.mark.slow
+def test_the_lock_has_all_that_desim_and_its_extras_require():
+    assert unlocked(DIRECT) == []
+
+
+@pytest.mark.parametrize("line", ["no-such-package", "numpy<1", "hypothesis[no]>=9999"])
+def test_a_requirement_that_the_lock_lacks_would_be_detected(line):
+    (wrong,) = unlocked([Requirement(line)])
+    assert wrong.startswith(str(Requirement(line)))
+
+
+def test_the_lock_has_nothing_that_is_required_no_more():
+    """Whoever requires a package is named below it; `uv pip compile` as in the first lines makes the lock anew."""
+    named = re.findall(
+        r"^(\S+)==.*\n(?:    # .*\n)*?    #(?: via|  ) .*pursuit-desim", text("requirements.lock"), re.MULTILINE
+    )
+    assert set(named) == {canonicalize_name(requirement.name) for requirement in DIRECT}
 
 
 PATHS = re.findall(r"[`(]((?:docs|desim|protocols|tests)/[\w./]*\w)[`)]", CONTRIBUTING)
