@@ -1,6 +1,7 @@
 """What holds in every test: no history of a network breaks its invariants; and runs that tests share."""
 
 import gc
+import signal
 import sys
 from functools import cache
 from importlib import import_module
@@ -22,6 +23,10 @@ settings.register_profile("steady", deadline=None, derandomize=True, max_example
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"
+
+# A shell ignores interrupts in what a script starts in the background, and Python then has no handler for them.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A module that is first imported while a test has patched another would keep the patch for the rest of the process.
 for package in (desim, protocols):
