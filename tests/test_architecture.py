@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -218,6 +219,107 @@ def test_no_last_digit_depends_on_the_processor():
 def test_a_digit_that_depends_on_the_processor_would_be_detected(line):
     assert rounded_by_processor(line)
     assert not rounded_by_processor("from math import exp; exp(a) + math.log(b) + np.sqrt(c) + (a * b).sum()")
+
+
+PRIVATE = {
+    "desim.cli.program": {"click.echo.__code__"},
+    "desim.config.choice": {"SchemaValidator", "__pydantic_core_schema__"},
+    "desim.config.data_files": {"_getframe"},
+    "desim.kernel.clock": {"_eid", "_events", "_generator", "_now", "_ok", "_queue", "_value", "simpy.core"},
+    "desim.kernel.implicit_complete": {"_adj", "_node", "_pred"},
+    "desim.simulation.watchdog": {"PyThreadState_SetAsyncExc", "_current_exceptions"},
+    "desim.study.workers": {"KilledWorker", "_max_workers", "kill_workers"},
+}
+"""The modules that use parts of Python and of other packages which are not documented, or may change, and those parts.
+A new version of a package can break these modules only; each has tests that then fail."""
+COMMON = {"_events", "_now", "_ok", "_queue", "_value"}
+"""Names in `PRIVATE` that classes of desim have, too. They cannot be told apart, and so are not looked for."""
+OF_PYTHON = {"_replace", "_make", "_fields", "_asdict", "_exit"}
+"""Documented names: of named tuples, and of `os`."""
+
+
+def private_parts(source, ours):
+    """Return the private parts of other packages that a program uses: those in `PRIVATE`, and what nobody defines."""
+    listed = set().union(*PRIVATE.values())
+    parts = set()
+    for node in ast.walk(ast.parse(source)):
+        names = []
+        if isinstance(node, ast.Attribute):
+            own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
+            dunder = node.attr.startswith("__")
+            names = [ast.unparse(node), *([] if own or (dunder and node.attr not in listed) else [node.attr])]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
+            names = [node.value] if node.value in listed else []
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module, *(alias.name for alias in node.names)]
+        elif isinstance(node, ast.keyword):
+            names = [node.arg]
+        for name in filter(None, names):
+            private = name.startswith("_") and not name.endswith("__") and name.isidentifier() and name not in ours
+            if (name in listed and name not in COMMON) or (private and name not in OF_PYTHON):
+                parts.add(name)
+    return parts
+
+
+@cache
+def names_of_ours():
+    """Return the names that some module of ours defines: functions, classes, variables, attributes of self."""
+    nodes = [node for path in MODULES for node in ast.walk(tree_of(path))]
+    defined = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    stored = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Store)]
+    own = [node for node in stored if isinstance(node, ast.Attribute) and ast.unparse(node.value) in {"self", "cls"}]
+    return defined | {node.attr for node in own} | {node.id for node in stored if isinstance(node, ast.Name)}
+
+
+@pytest.mark.slow
+def test_private_parts_of_a_package_are_used_in_one_module():
+    paths = [path for path in MODULES if not name_of(path).startswith("scenarios")]
+    uses = {name_of(path): private_parts(path.read_text(encoding="utf-8"), names_of_ours()) for path in paths}
+    expected = {name: parts - COMMON for name, parts in PRIVATE.items()}
+    assert {name: parts for name, parts in uses.items() if parts} == expected
+    users = [name for name, parts in PRIVATE.items() for _ in parts]
+    assert len(users) == len(set().union(*PRIVATE.values()))  # each part has one user
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "graph._adj",
+        "getattr(pool, '_max_workers')",
+        "from simpy.core import Environment",
+        "x._new_private",
+        "f(kill_workers=1)",
+    ],
+)
+def test_a_private_part_would_be_detected(line):
+    assert private_parts(line, set())
+    assert not private_parts("self._x; message._replace(a=1); value.__dict__; cls._y()", set())
+
+
+POSITIONS = {
+    "desim.kernel.inbox:Message": "src stamp body",
+    "desim.kernel.records:Record": "src seq stamp body",
+    "desim.kernel.transmission:Flight": "transmission airtime",
+    "desim.kernel.transmission:Transmission": "number src created size receivers content port reachable to_one",
+    "desim.pursuit.dead_reckoning:TrackSegment": "begun evader aim velocity end",
+    "desim.pursuit.tracking:Measurement": "stamp observer x y covariance",
+}
+"""The fields of the named tuples that are created or read by position, for speed or to be compared."""
+
+
+@pytest.mark.parametrize("place", POSITIONS)
+def test_fields_that_are_read_by_position_keep_their_place(place):
+    module, _, name = place.partition(":")
+    assert " ".join(getattr(import_module(module), name)._fields) == POSITIONS[place]
+
+
+@pytest.mark.slow
+def test_the_tuples_that_are_created_by_position_are_known():
+    """`tuple.__new__` checks neither the number of the fields nor their order."""
+    calls = [node for path in MODULES for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+    made = {ast.unparse(call.args[0]) for call in calls if ast.unparse(call.func) in {"_new", "tuple.__new__"}}
+    assert made
+    assert made <= {place.partition(":")[2] for place in POSITIONS}
 
 
 INTEGERS = {"len", "bool", "int", "isinstance"}

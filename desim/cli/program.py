@@ -10,7 +10,6 @@ from traceback import extract_tb
 from typing import Any
 
 import click
-import click.utils
 
 from desim.cli.options import OUT_OF_MEMORY, OUT_OF_TIME, echo, fail
 from desim.config.interrupts import exit_code, raising
@@ -60,7 +59,7 @@ class Program(click.Command):
         try:
             return super().main(*args, **options)
         except OSError as error:
-            if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # not raised by printing
+            if extract_tb(error.__traceback__)[-1].filename != click.echo.__code__.co_filename:  # not by printing
                 raise
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the flush at exit succeeds
             fail(f"stdout: cannot be written: {error.strerror}")

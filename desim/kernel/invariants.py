@@ -145,7 +145,8 @@ class Conservation:
         self._settle(event.t + 1)
         in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
         found = (self._sent, self._delivered, self._lost.total(), in_flight)
-        same = found == event[1:5] and self._lost == Counter(event.lost_by)
+        counted = (event.sent, event.delivered, event.lost, event.in_flight)
+        same = found == counted and self._lost == Counter(event.lost_by)
         _require(same, f"sent, delivered, lost, in flight are {found}, lost by cause {dict(self._lost)}", event)
 
     def judge(self) -> None:
