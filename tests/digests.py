@@ -1,5 +1,6 @@
-"""Print digests of runs: the trace with all its messages, and the summary; the same under any Python and in any place.
+"""Print digests of runs: the trace with all its messages, and the summary.
 
+They are the same under Python 3.11 to 3.14, in any place and process: `nox -s digests` and .ci/run compare them.
 There is a run of each scenario file, and `LONG`.
 """
 
