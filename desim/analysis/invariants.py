@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
 from desim.analysis.relative_places import RelativePlaces
+from desim.config.traits import inherits
 from desim.kernel.events import Event, Watcher
 from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.kernel.units import SECOND, nanoseconds, seconds
@@ -24,7 +25,7 @@ from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.dynamics import Acceleration, TurnRate
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.flow import UniformFlow
+from desim.pursuit.flow import is_uniform
 from desim.pursuit.guidance import ConstantBearing, apollonius_disc
 from desim.pursuit.state import lengths
 from desim.scenario.scenario import Scenario
@@ -168,7 +169,7 @@ class MotionWatcher:
         if self._last is not None:
             since, before, moved = self._last
             bound = self._moves * self._speeds * (moving - moved) / SECOND
-            if not isinstance(self._environment.flow, UniformFlow) and event.t > since:
+            if not is_uniform(self._environment.flow) and event.t > since:
                 bound = bound + self._environment.top_speed * seconds(event.t - since)
             distance = lengths(places - before)
             slack = ROUNDING * (1.0 + bound) + 1e-12 * lengths(places) + 2.0 * self._places.error
@@ -204,7 +205,7 @@ class InertiaWatcher:
         self._limited = {
             player: each
             for player, each in enumerate(dynamics)
-            if isinstance(each, Acceleration | TurnRate)
+            if (inherits(each, Acceleration) or inherits(each, TurnRate))
             and player not in scenario.team.relays
             and self._places.are_known[player]
         }
@@ -284,7 +285,7 @@ class ApolloniusWatcher:
         """Return whether the assumptions hold in a scenario."""
         has_inertia = scenario.team.has_inertia or any(evader.has_inertia for evader in scenario.evaders)
         return (
-            isinstance(scenario.team.guidance, ConstantBearing)
+            inherits(scenario.team.guidance, ConstantBearing)
             and not has_inertia
             and scenario.environment.is_still
             and scenario.motion.order == "evader_first"

@@ -5,7 +5,7 @@ import numpy as np
 from desim.config.arrays import Points
 from desim.kernel.units import seconds
 from desim.pursuit.events import Sampled, Started
-from desim.pursuit.flow import NoFlow, UniformFlow
+from desim.pursuit.flow import NoFlow, is_uniform
 from desim.pursuit.state import complex_points
 from desim.scenario.scenario import Scenario
 
@@ -27,13 +27,13 @@ class RelativePlaces:
         self._flow = NoFlow() if scenario.motion.static else scenario.environment.flow
         carried = [pursuer not in scenario.team.relays for pursuer in range(scenario.team.count)]
         self._carried = np.array([*carried, *(on_all and evader.record is None for evader in scenario.evaders)])
-        self.are_known = ~self._carried if not isinstance(self._flow, UniformFlow) else np.ones_like(self._carried)
-        change = self._flow.top_acceleration if isinstance(self._flow, UniformFlow) else 0.0  # m/s^2
+        self.are_known = ~self._carried if not is_uniform(self._flow) else np.ones_like(self._carried)
+        change = self._flow.top_acceleration if is_uniform(self._flow) else 0.0  # m/s^2
         self.error = change * scenario.motion.step**2
 
     def __call__(self, event: Started | Sampled) -> Points:
         """Return the (N + M,) positions, m."""
         places = complex_points([*event.pursuers, *event.evaders])
-        if isinstance(self._flow, UniformFlow):
+        if is_uniform(self._flow):
             places = places - self._carried * self._flow.displacement(0.0, seconds(event.t))
         return places

@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core
 from desim.config.model import markers_of
 from desim.config.packages import check_visible
 from desim.config.suggestion import did_you_mean
-from desim.config.traits import Traits, attributes
+from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import ALLOW_HINT, is_trusted
 
 
@@ -69,6 +69,7 @@ class OneOf:
         traits: the class that declares and checks the optional attributes of a model or callable object.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
             {kind = "constant", value = 0.1}. A bare string always stands for a kind.
+        is_closed: whether a callable object must derive from one of `models`, because these are not called.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class OneOf:
         takes: tuple[str, ...] = (),
         traits: type[Traits] = Traits,
         number: tuple[str, str] | None = None,
+        is_closed: bool = False,
     ):
         self.models = models
         self.group = group
@@ -86,6 +88,7 @@ class OneOf:
         self.takes = takes
         self.traits = traits
         self.number = number
+        self.is_closed = is_closed
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return all models by kind: first `models`, then those of `group`, sorted by kind; imports all of them."""
@@ -155,13 +158,41 @@ class OneOf:
         value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
+        if not isinstance(value, dict):
+            self._check_base(value)
         if not callable(value):
             return self._from_table(value, info)
+        self.check(value)
+        return value
+
+    def check(self, value: Any) -> None:
+        """Raise ValueError if a value cannot be called as a model is, or has invalid traits."""
+        if not callable(value):
+            raise ValueError(f"should be a model, which can be called (got {value!r})")
         if missing := [name for name in self.needs if name not in attributes(value, self.needs)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
         self._check_called(value, value)
         self.traits.check(value)
-        return value
+
+    def _check_base(self, value: Any) -> None:
+        """Raise ValueError if a value defines a method that is never called.
+
+        A model that is not called, such as `desim.kernel.access.Ideal`, stands for code of the simulator. A class that
+        derives from it inherits this code, and cannot replace it by a method that the model lacks.
+        """
+        base = next((model for model in self.models if isinstance(value, model)), None)
+        if base is None:
+            if callable(value) and self.is_closed:
+                raise ValueError(f"should be derived from {_or(self.models)} (got {value!r})")
+            return
+        if type(value) is base or positions(base, "__call__"):
+            return
+        for name in dict.fromkeys(name for each in type(value).__mro__ if not is_ours(each) for name in vars(each)):
+            others = [model for model in self.models if callable(getattr(model, name, None)) and positions(model, name)]
+            is_known = name == "__call__" or (others and name[0] != "_")
+            if is_known and not positions(base, name):
+                hint = f": derive it from {_or(others)}" if others else ""
+                raise ValueError(f"{name_of(value)} has a method {name}, which a {base.__name__} never calls{hint}")
 
     def as_table(self, value: Any) -> Any:
         """Return the table that a bare string or number stands for; return any other value unchanged."""
@@ -180,7 +211,11 @@ class OneOf:
         if not self.takes:
             return
         try:
-            signature(function).bind(*first, *self.takes)
+            parameters = signature(function)
+        except (TypeError, ValueError):  # some functions in C have no signature
+            return
+        try:
+            parameters.bind(*first, *self.takes)
         except TypeError as error:
             raise ValueError(
                 f"should accept a call with ({', '.join(self.takes)}); {value!r} does not: {error}"
@@ -209,6 +244,12 @@ class OneOf:
         if isinstance(calls, FunctionType):
             self._check_called(calls, found, None)
         return _constructed(found, kind, parameters, info.context)
+
+
+def _or(models: Sequence[type]) -> str:
+    """Return the names of some classes, at least one, as a list in words."""
+    *names, last = (model.__name__ for model in models)
+    return f"{', '.join(names)} or {last}" if names else last
 
 
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:

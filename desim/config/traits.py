@@ -8,6 +8,10 @@ If the name of an attribute is one letter off the name of a trait, it is probabl
 no effect. `Traits.check` therefore raises an error if the value of the attribute would be valid for the trait, unless
 the function or class with the attribute also has the trait. Only attributes of functions and classes are checked.
 Private attributes, and attributes set in `__init__` or on a `functools.partial`, are not.
+
+A trait may follow from other methods of a model, as a fast way to do the same does, or a bound. A class that overrides
+such a method, but not the trait, then lacks the trait, because the inherited one still follows the overridden method:
+see `Follows`.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -15,12 +19,13 @@ from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
 from types import FunctionType
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from desim.config.model import Value, annotated
 
+Model = TypeVar("Model")
 SHORTEST = 5
 """Minimum length of a trait for which misspellings are looked for; shorter words are one letter off many others."""
 
@@ -36,6 +41,32 @@ class Parameter(BeforeValidator):
 
     def __init__(self, *types: type):
         super().__init__(lambda value: value if isinstance(value, types) else None)
+
+
+class Follows:
+    """Marks a trait that follows from other methods; it counts unless a user's class overrides one of them below it.
+
+    A class overrides a method if a base class has it, too. The trait counts if it is defined in the class that
+    overrides the method or below it. It also counts if it is defined above all overridden methods: these then override
+    what it calls, as `quantile` of `desim.kernel.latency.Uniform` overrides a method that the inherited `draw` calls.
+
+    Args:
+        methods: the names of the methods.
+        not_above: a method above whose class the trait never counts, whether the class overrides the method or not.
+    """
+
+    def __init__(self, *methods: str, not_above: str | None = None):
+        self.methods = methods
+        self.not_above = not_above
+
+    def is_outdated(self, trait: str, model: type) -> bool:
+        """Return whether the trait of a class of models does not follow from its methods."""
+        defined = positions(model, trait)
+        if not defined or is_ours(model):
+            return False
+        if self.not_above is not None and min(positions(model, self.not_above), default=defined[0]) < defined[0]:
+            return True
+        return any(overrides(model, method, defined[0]) for method in self.methods)
 
 
 class Traits(Value):
@@ -54,7 +85,8 @@ class Traits(Value):
             ValueError: if an attribute has a value that its trait cannot have.
         """
         try:
-            return cls.model_validate(attributes(value, cls.model_fields))
+            outdated = cls.outdated(type(value))
+            return cls.model_validate(attributes(value, [name for name in cls.model_fields if name not in outdated]))
         except ValidationError as error:
             first = error.errors()[0]
             name, says = first["loc"][0], first["msg"].removeprefix("Input ")
@@ -75,6 +107,11 @@ class Traits(Value):
                 )
 
     @classmethod
+    def outdated(cls, model: type) -> frozenset[str]:
+        """Return the names of the traits of a class of models that do not count; see `Follows`."""
+        return _outdated(cls, model)
+
+    @classmethod
     def names(cls) -> Iterator[str]:
         """Yield the names of the traits that are not parameters."""
         for name, field in cls.model_fields.items():
@@ -89,6 +126,52 @@ class Traits(Value):
         except ValidationError:
             return False
         return True
+
+
+@lru_cache(maxsize=256)
+def _outdated(traits: type[Traits], model: type) -> frozenset[str]:
+    markers = ((name, marker) for name, field in traits.model_fields.items() for marker in field.metadata)
+    return frozenset(
+        name for name, marker in markers if isinstance(marker, Follows) and marker.is_outdated(name, model)
+    )
+
+
+OURS = frozenset({"desim", "protocols"})
+"""The packages of the built-in models."""
+
+
+def is_ours(model: type) -> bool:
+    """Return whether a class is a built-in model, or any other class of this distribution."""
+    return model.__module__.partition(".")[0] in OURS
+
+
+@lru_cache(maxsize=1024)
+def positions(model: type, name: str) -> tuple[int, ...]:
+    """Return the positions, in the method resolution order of a class, of the classes that define an attribute.
+
+    A method that only raises NotImplementedError does not count.
+    """
+    return tuple(k for k, base in enumerate(model.__mro__) if name in annotated(base) or _defines(base, name))
+
+
+def _defines(base: type, name: str) -> bool:
+    attribute = vars(base).get(name)
+    code = getattr(getattr(attribute, "fget", attribute), "__code__", None)
+    return name in vars(base) and not (code is not None and "NotImplementedError" in code.co_names)
+
+
+def overrides(model: type, method: str, position: int) -> bool:
+    """Return whether a class before `position`, in the method resolution order, overrides a method from there on.
+
+    An attribute that is defined at the position then follows from the overridden method.
+    """
+    defined = positions(model, method)
+    return bool(defined) and defined[0] < position <= defined[-1]
+
+
+def inherits(value: Any, base: type[Model], method: str = "__call__") -> TypeGuard[Model]:
+    """Return whether a value is an instance of a class and does not override a method of it."""
+    return isinstance(value, base) and getattr(type(value), method) is getattr(base, method)
 
 
 def attributes(value: Any, names: Iterable[str]) -> dict[str, Any]:

@@ -161,4 +161,4 @@ class Tdma(Value):
 
 
 Access = Ideal | Aloha | SlottedAloha | Csma | CsmaCa | Tdma
-ACCESSES = OneOf(Ideal, Aloha, SlottedAloha, Csma, CsmaCa, Tdma)
+ACCESSES = OneOf(Ideal, Aloha, SlottedAloha, Csma, CsmaCa, Tdma, is_closed=True)

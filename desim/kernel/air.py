@@ -33,7 +33,8 @@ class Air:
     def __init__(self, env: Clock, medium: Radio, topology: Topology, positions: PositionSource | None, seed: int):
         self._env, self._medium, self._topology, self._positions, self._seed = env, medium, topology, positions, seed
         self._interference = medium.reception
-        self._locks = InterferenceTraits.of(medium.reception).lock
+        traits = InterferenceTraits.of(medium.reception)
+        self._locks, self._has_noise = traits.lock, traits.has_noise
         self._all = np.arange(topology.size)
         self._frames: list[Frame] = []
         self._busy = self._busy_since = 0
@@ -74,7 +75,7 @@ class Air:
 
     def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
         """Return the causes of the losses of a frame that ends now, by receiver."""
-        if not receivers or not (frame.overlapping or self._interference.has_noise):
+        if not receivers or not (frame.overlapping or self._has_noise):
             return {}
         nodes = np.array(receivers)
         overlap = Overlap(
@@ -86,7 +87,12 @@ class Air:
             lambda each: pair_uniform(self._seed, "interference", each.src, nodes, each.draw, symmetric=False),
             self._signal,
         )
-        received = self._interference(overlap)
+        received = np.asarray(self._interference(overlap))
+        if received.dtype != bool or received.shape != nodes.shape:
+            raise ValueError(
+                f"a model of interference should return a boolean for each of {len(nodes)} receivers, got {received!r}"
+                f" from {self._interference!r}"
+            )
         if frame.locked is not None:
             received = received & frame.locked[nodes]
         cause: Cause = "collision" if frame.overlapping else "loss"
@@ -106,5 +112,6 @@ class Air:
 
     def _distances(self, frame: Frame, nodes: Integers) -> Floats:
         """Return the (k,) distances of nodes from the sender of a frame, m."""
-        assert self._positions is not None
+        if self._positions is None:
+            raise ValueError("network.medium.reception: reception by power needs positions")
         return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]

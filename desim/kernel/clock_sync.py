@@ -61,7 +61,7 @@ class TwoWay(Value):
 
 
 ClockSync = Unsynchronised | TwoWay
-CLOCK_SYNCS = OneOf(Unsynchronised, TwoWay)
+CLOCK_SYNCS = OneOf(Unsynchronised, TwoWay, is_closed=True)
 
 
 class TimeRequest(NamedTuple):

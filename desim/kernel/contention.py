@@ -19,7 +19,7 @@ from desim.kernel.carrier_sense import CarrierSense
 from desim.kernel.clock import NEVER, Instant, Phase
 from desim.kernel.events import Cause
 from desim.kernel.interference import Frame
-from desim.kernel.medium import Radio, airtime_of
+from desim.kernel.medium import Radio, airtimes
 from desim.kernel.network_state import NetworkState
 from desim.kernel.seeds import stream
 from desim.kernel.transmitter import Transmittable
@@ -74,6 +74,7 @@ class Contention(Generic[Item]):
         env, topology, positions = state.env, state.topology, state.positions
         access = medium.access
         self._env, self._medium, self._callbacks = env, medium, callbacks
+        self._airtime_of = airtimes(medium)
         self._air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
         self._access = access_method(access, self._nodes, stream(seed, "access"), state.clocks)
@@ -132,7 +133,7 @@ class Contention(Generic[Item]):
         return self._air.busy_time()
 
     def _airtime(self, item: Item) -> int:
-        return airtime_of(self._medium.airtime, item.size, item.src)
+        return nanoseconds(self._airtime_of(item.size, item.src))
 
     def _needs_ack(self, item: Item) -> bool:
         return self._acknowledges and item.to_one

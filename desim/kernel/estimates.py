@@ -3,7 +3,7 @@
 from functools import cached_property
 from typing import Any
 
-from desim.kernel.medium import Medium, Radio
+from desim.kernel.medium import Medium, Radio, airtime_of
 from desim.kernel.message_size import size_of
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.topology import Topology
@@ -33,7 +33,7 @@ class Estimates:
 
     def airtime(self, body: Any) -> float:
         """Return the airtime, s, of a message with this body."""
-        return self._medium(size_of(body))
+        return airtime_of(self._medium, size_of(body))
 
     def interval(self, body: Any) -> float:
         """Return the time, s, for which a message with this body keeps its sender from sending the next one."""
@@ -42,4 +42,4 @@ class Estimates:
     def sending_time(self, size: int) -> float:
         """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
         medium = self._medium
-        return medium.interval(size, self._topology.size) if isinstance(medium, Radio) else medium(size)
+        return medium.interval(size, self._topology.size) if isinstance(medium, Radio) else airtime_of(medium, size)

@@ -202,9 +202,11 @@ class RandomFaults(Value):
         return Jamming(centre=(x, y), radius=float(radius), **window)
 
 
+PLANNED_WITH = ("size", "horizon", "rng")
+"""The arguments of a plan of faults."""
 MIN_FAULT_DURATION = 1e-6
 """Minimum duration of a drawn fault, s."""
-FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew)
+FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH)
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:

@@ -257,4 +257,39 @@ def as_model(name: str, value: Any) -> Any:
     return Constant(value=float(value)) if name == "latency" else Bernoulli(p=float(value))
 
 
-GRAPHS = OneOf(Complete, Ring, Star, Grid, Edges)
+def edge_model(name: str, value: Any) -> Any:
+    """Return an edge attribute as a model, or an order; see `as_model`.
+
+    Raises:
+        ValueError: if the attribute is invalid, or no model.
+    """
+    model = as_model(name, value)
+    if name != "order":
+        try:
+            (LATENCIES if name == "latency" else LOSSES).check(model)
+        except ValueError as error:
+            raise ValueError(f"the {name} of an edge {error}") from error
+    return model
+
+
+def graph_of(model: GraphModel, size: int) -> "nx.Graph[int]":
+    """Return the graph of a model for a network of `size` nodes.
+
+    Raises:
+        ValueError: if the model does not return a simple graph of this size, or an edge attribute is invalid.
+    """
+    import networkx as nx
+
+    graph: object = model(size)
+    if not isinstance(graph, nx.Graph):
+        raise ValueError(f"should be a simple graph of {size} nodes, got {type(graph).__name__}, not a networkx.Graph")
+    if len(graph) != size or graph.is_multigraph():
+        raise ValueError(f"should be a simple graph of {size} nodes, got {graph}")
+    for _, _, attributes in links_with_attributes(graph):
+        for name in ("latency", "loss", "order"):
+            if (value := attributes.get(name)) is not None:
+                edge_model(name, value)
+    return graph
+
+
+GRAPHS = OneOf(Complete, Ring, Star, Grid, Edges, takes=("size",))

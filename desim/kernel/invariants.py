@@ -15,8 +15,9 @@ from desim.kernel.access import CsmaCa
 from desim.kernel.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Partition, TracedFault
 from desim.kernel.interference import Collision
-from desim.kernel.medium import Radio, airtime_of
+from desim.kernel.medium import Radio, airtimes
 from desim.kernel.transport_frames import carried
+from desim.kernel.units import nanoseconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -271,9 +272,9 @@ class OneFrame:
     """
 
     def __init__(self, medium: Radio):
-        if not medium.contends or not isinstance(medium.reception, Collision):
+        if not medium.contends or type(medium.reception) is not Collision:
             raise ValueError('frames that overlap are all lost only where nodes contend and reception is "collision"')
-        self._medium, self._acknowledges = medium, isinstance(medium.access, CsmaCa)
+        self._airtime, self._acknowledges = airtimes(medium), isinstance(medium.access, CsmaCa)
         self._frames: dict[int, tuple[Broadcast | Sent, int, set[int]]] = {}
         """By number of a transmission: its first event, the end of its airtime, ns, and the nodes that get it."""
 
@@ -286,7 +287,7 @@ class OneFrame:
         if not isinstance(event, Broadcast) and (not isinstance(event, Sent) or self._acknowledges):
             return
         self._check(event.t)
-        end = event.t + airtime_of(self._medium.airtime, event.size, event.src)
+        end = event.t + nanoseconds(self._airtime(event.size, event.src))
         nodes = set(event.dst) if isinstance(event, Broadcast) else {event.dst}
         self._frames.setdefault(event.transmission, (event, end, set()))[2].update(nodes)
 

@@ -46,6 +46,10 @@ class Constant(Value):
         """Return the latency, s, which is the same for every u."""
         return np.full_like(u, self.value)
 
+    def mean_latency(self) -> float | None:
+        """Return the latency, s."""
+        return self.value
+
 
 class _Drawn(Value):
     """Base of the models whose draws do not depend on the link."""
@@ -82,6 +86,10 @@ class Uniform(_Drawn):
         """Return the u-quantile low + u (high - low), s."""
         return self.low + u * (self.high - self.low)
 
+    def mean_latency(self) -> float | None:
+        """Return the mean of both bounds, s."""
+        return (self.low + self.high) / 2
+
 
 class ShiftedExponential(_Drawn):
     """A fixed part plus an exponentially distributed one: d0 + Exp(m)."""
@@ -101,6 +109,10 @@ class ShiftedExponential(_Drawn):
         from scipy.special import xlog1py
 
         return self.offset - np.asarray(xlog1py(self.mean, -u))
+
+    def mean_latency(self) -> float | None:
+        """Return the mean d0 + m, s."""
+        return self.offset + self.mean
 
 
 class Gamma(_Drawn):
@@ -123,6 +135,10 @@ class Gamma(_Drawn):
         from scipy.special import gammaincinv
 
         return self.offset + self.scale * np.asarray(gammaincinv(self.shape, u))
+
+    def mean_latency(self) -> float | None:
+        """Return the mean offset + k theta, s."""
+        return self.offset + self.shape * self.scale
 
 
 class Lognormal(_Drawn):
@@ -148,6 +164,10 @@ class Lognormal(_Drawn):
 
         logarithms = sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2
         return self.offset + self.mean * exp(logarithms)
+
+    def mean_latency(self) -> float | None:
+        """Return the mean of both parts together, s."""
+        return self.offset + self.mean
 
     @property
     def _variance(self) -> float:
@@ -188,6 +208,10 @@ class Empirical(_Drawn):
         """Return the empirical u-quantile of the list, s."""
         return np.sort(self.values)[(u * len(self.values)).astype(np.intp)]
 
+    def mean_latency(self) -> float | None:
+        """Return the mean of the list, s."""
+        return fmean(self.values)
+
 
 class Propagation(Value):
     """A fixed part plus distance / propagation speed, for instance for sound under water or light in space."""
@@ -202,29 +226,16 @@ class Propagation(Value):
         """Return fixed + d / c, s."""
         return self.fixed + context.distances / self.speed
 
+    def mean_latency(self) -> float | None:
+        """Return the fixed part, s, because distances are not known."""
+        return self.fixed
 
-BASES = OneOf(
-    Lognormal,
-    Constant,
-    Uniform,
-    ShiftedExponential,
-    Gamma,
-    Empirical,
-    Netem,
-    number=("constant", "value"),
-    traits=LinkTraits,
-)
-JITTERS = OneOf(
-    ShiftedExponential,
-    Constant,
-    Uniform,
-    Gamma,
-    Lognormal,
-    Empirical,
-    Netem,
-    number=("constant", "value"),
-    traits=LinkTraits,
-)
+
+TAKES = ("context", "rng")
+"""The arguments of a latency."""
+_WITH_QUANTILES = (Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Netem)
+BASES = OneOf(*_WITH_QUANTILES, number=("constant", "value"), traits=LinkTraits)
+JITTERS = OneOf(*_WITH_QUANTILES, number=("constant", "value"), takes=TAKES, traits=LinkTraits)
 
 
 class PerPair(Value):
@@ -257,10 +268,16 @@ class PerPair(Value):
         """Return the (k,) base latencies, s, of the links."""
         return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
 
+    def mean_latency(self) -> float | None:
+        """Return the sum of the means of base and jitter, s; None if one of them is not known."""
+        base, jitter = mean_latency(self.base), mean_latency(self.jitter)
+        return None if base is None or jitter is None else base + jitter
+
 
 def _check_quantiles(base: Any) -> None:
     if LinkTraits.of(base).quantile is None:
-        raise ValueError(f"base should have a method quantile(u), {base!r} has none")
+        inherits = " of its own, because the inherited one does not follow" if hasattr(base, "quantile") else ""
+        raise ValueError(f"base should have a method quantile(u){inherits}, {base!r} has none")
 
 
 class _Pairs:
@@ -280,44 +297,22 @@ class _Pairs:
 
 
 def mean_latency(model: Latency) -> float | None:
-    """Return the mean latency, s, of a built-in model; None for a user's model, and for a `PerPair` that contains one.
+    """Return the mean latency, s, of a model with a method `mean_latency`; None if it has none, or returns None.
 
-    For `Propagation` the fixed part is returned, because the distances are not known.
+    Raises:
+        ValueError: if it returns anything else than a number.
     """
-    match model:
-        case Constant():
-            return model.value
-        case Uniform():
-            return (model.low + model.high) / 2
-        case ShiftedExponential() | Lognormal():
-            return model.offset + model.mean
-        case Gamma():
-            return model.offset + model.shape * model.scale
-        case Empirical():
-            return fmean(model.values)
-        case Propagation():
-            return model.fixed
-        case LatencyTrace():
-            return model.mean
-        case Netem():
-            return model.mean()
-        case PerPair():
-            base, jitter = mean_latency(model.base), mean_latency(model.jitter)
-            return None if base is None or jitter is None else base + jitter
-    return None
+    mean = LinkTraits.of(model).mean_latency
+    found = None if mean is None else mean()
+    try:
+        return None if found is None else float(found)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"mean_latency of {model!r} should return a number, s, or None, got {found!r}") from error
 
 
 LATENCIES = OneOf(
-    Constant,
-    Uniform,
-    ShiftedExponential,
-    Gamma,
-    Lognormal,
-    Empirical,
-    Propagation,
-    PerPair,
-    LatencyTrace,
-    Netem,
+    *(*_WITH_QUANTILES, Propagation, PerPair, LatencyTrace),
     number=("constant", "value"),
+    takes=TAKES,
     traits=LinkTraits,
 )

@@ -32,7 +32,12 @@ class Buffer:
         """Return the next `count` converted draws; the array must not be changed."""
         begin, end = self._next, self._next + count
         if self._block is None or end > self._end:
-            fresh = self._convert(self._draw(max(BLOCK, count), self._rng))
+            size = max(BLOCK, count)
+            drawn: Any = self._draw(size, self._rng)
+            if np.shape(drawn) != (size,):
+                got = f"an array of shape {np.shape(drawn)}" if isinstance(drawn, np.ndarray) else repr(drawn)
+                raise ValueError(f"draw({size}, rng) should return an array of {size} draws, got {got}")
+            fresh = self._convert(drawn)
             self._block = fresh if self._block is None else np.concatenate((self._block[begin:], fresh))
             begin, end, self._end = 0, count, len(self._block)
         self._next = end
@@ -53,11 +58,26 @@ def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
     Raises:
         ValueError: if a delay is negative, infinite or NaN.
     """
-    given = np.asarray(delays, dtype=float)
+    try:
+        given = np.asarray(delays, dtype=float)
+    except (TypeError, ValueError):  # not numbers
+        raise ValueError(f"latencies should be finite times >= 0 s, got {delays!r}") from None
     if not ((given >= 0.0) & (given < inf)).all():
         raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
     times: NDArray[np.int64] = np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64)
     return times
+
+
+def as_booleans(losses: Any) -> "NDArray[np.bool_]":
+    """Return the losses that a model drew.
+
+    Raises:
+        ValueError: if they are not booleans.
+    """
+    booleans = np.asarray(losses)
+    if booleans.dtype != bool:
+        raise ValueError(f"losses should be booleans, got {losses!r}")
+    return booleans
 
 
 def times_of(answer: Any, count: int) -> "NDArray[np.int64]":

@@ -60,7 +60,7 @@ class LinkLayer:
                 lose=self._log.give_up,
             )
             self._transmitter = Contention(state, medium, seed, callbacks)
-        elif not isinstance(medium, Unlimited):
+        elif type(medium) is not Unlimited:
             self._transmitter = Transmitter(
                 env, medium, state.topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
             )

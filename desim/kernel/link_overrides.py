@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.graphs import as_model, links_with_attributes
+from desim.kernel.graphs import edge_model, links_with_attributes
 from desim.kernel.links import Links
 from desim.kernel.traits import model_of_run
 
@@ -25,7 +25,7 @@ def link_overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]
     for src, dst, attributes in links_with_attributes(graph):
         for name, overrides in found.items():
             if (value := attributes.get(name)) is not None:
-                overrides.setdefault(src, {})[dst] = as_model(name, value)
+                overrides.setdefault(src, {})[dst] = edge_model(name, value)
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):

@@ -48,9 +48,8 @@ class LatencyTrace(LinkTrace):
         """Return values of the table as one-way latencies, s."""
         return values / self._per_second
 
-    @property
-    def mean(self) -> float:
-        """The mean latency over time and links, s."""
+    def mean_latency(self) -> float | None:
+        """Return the mean latency over time and links, s."""
         return Playback(self).mean()
 
     def start_run(self, size: int) -> "PlayedLatencies":

@@ -3,7 +3,7 @@
 from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from desim.config.model import Extent, Time, Value
 from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link, Order
@@ -90,13 +90,6 @@ class Links(Value):
     messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
-
-    @field_validator("transport")
-    @classmethod
-    def _is_a_transport(cls, given: Any) -> Any:
-        if not isinstance(given, Transport):
-            raise ValueError(f"should be derived from BestEffort, Reliable or Coded (got {given!r})")
-        return given
 
     @model_validator(mode="before")
     @classmethod

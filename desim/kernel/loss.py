@@ -283,5 +283,6 @@ LOSSES = OneOf(
     LossTrace,
     SignalTrace,
     number=("bernoulli", "p"),
+    takes=("context", "rng"),
     traits=LinkTraits,
 )

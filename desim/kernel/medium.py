@@ -10,7 +10,7 @@ from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, Flag, Limit, Value
 from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
-from desim.kernel.units import nanoseconds
+from desim.kernel.traits import MediumTraits
 
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
@@ -37,22 +37,6 @@ class Medium(Protocol):
         ...
 
     def __call__(self, size: int) -> float: ...  # noqa: D102
-
-
-def airtime_of(medium: Callable[..., float], *message: int) -> int:
-    """Return the airtime that a medium gives a message, ns; a longer one than `MAX_TIME` ends after every run.
-
-    Args:
-        medium: the model, or its method `airtime`.
-        message: the arguments of the call: the size of the message, bytes, and perhaps its sender.
-
-    Raises:
-        ValueError: if the airtime is no number of seconds, or is negative.
-    """
-    airtime = medium(*message)
-    if not airtime >= 0.0:
-        raise ValueError(f"an airtime should be a time >= 0 s, got {airtime!r} for a message of {message[0]} bytes")
-    return nanoseconds(min(airtime, MAX_TIME))
 
 
 class Radio(Value):
@@ -229,4 +213,35 @@ class LoRa(Radio):
         return (self.preamble + 4.25 + payload) * symbol
 
 
-MEDIA = OneOf(Unlimited, Bitrate, LoRa, needs=("shared", "half_duplex", "queue_limit"))
+def airtime_of(medium: Medium, size: int) -> float:
+    """Return the airtime, s, of a message of `size` bytes, limited to `MAX_TIME`, which is longer than any run.
+
+    Raises:
+        ValueError: if the medium returns anything else than a finite time of at least 0 s.
+    """
+    return _checked(medium(size), medium)
+
+
+def airtimes(medium: Medium) -> Callable[[int, int], float]:
+    """Return a function of the size of a message, bytes, and the node that transmits it: the airtime, s.
+
+    The function raises ValueError as `airtime_of` does.
+    """
+    of_node = MediumTraits.of(medium).airtime
+    if of_node is None:
+        return lambda size, _: airtime_of(medium, size)
+    return lambda size, node: _checked(of_node(size, node), medium)
+
+
+def _checked(found: Any, medium: Medium) -> float:
+    try:
+        if 0.0 <= found < inf:
+            return min(float(found), MAX_TIME)
+    except (TypeError, ValueError):  # not a number
+        pass
+    raise ValueError(f"an airtime should be a finite time >= 0 s, got {found!r} from {medium!r}")
+
+
+MEDIA = OneOf(
+    Unlimited, Bitrate, LoRa, needs=("shared", "half_duplex", "queue_limit"), takes=("size",), traits=MediumTraits
+)

@@ -91,7 +91,7 @@ class Netem(Value):
             return np.zeros_like(u)
         return np.where(u < undelayed, 0.0, self._delayed(np.maximum(u - undelayed, 0.0) / (1.0 - undelayed)))
 
-    def mean(self) -> float:
+    def mean_latency(self) -> float | None:
         """Return the mean latency, s; that of a uniform distribution is taken over 4096 values."""
         return (1.0 - self._undelayed) * fsum(self._delayed((np.arange(SIZE) + 0.5) / SIZE)) / SIZE
 

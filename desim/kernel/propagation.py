@@ -14,7 +14,7 @@ import numpy as np
 from desim.kernel.latency import Constant
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
-from desim.kernel.link_draws import as_nanoseconds, booleans_of, buffered, times_of
+from desim.kernel.link_draws import as_booleans, as_nanoseconds, booleans_of, buffered, times_of
 from desim.kernel.link_overrides import link_overrides, overrides_of_run
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -66,7 +66,7 @@ class LinkSampler:
         self.duplicates_messages = not _never_loses(links.duplicate)
         """Whether messages may be transmitted twice."""
         self._latency_buffer = buffered(self._latency, self._latency_rng, as_nanoseconds)
-        self._loss_buffer = buffered(self._loss, self._loss_rng)
+        self._loss_buffer = buffered(self._loss, self._loss_rng, as_booleans)
         overrides = link_overrides(links, graph)
         self._latency_overrides = overrides_of_run(overrides["latency"], size)
         self._loss_overrides = overrides_of_run(overrides["loss"], size)
@@ -91,7 +91,7 @@ class LinkSampler:
         """Whether the link models are known never to lose a message."""
         # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
         self._constant = None
-        if isinstance(links.latency, Constant) and not self._latency_overrides:
+        if type(links.latency) is Constant and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
         """Whether `in_order` is needed: latencies may vary, and some link is FIFO or has an order of its own."""
@@ -242,4 +242,4 @@ class _Receivers(NamedTuple):
 
 
 def _never_loses(model: object) -> bool:
-    return isinstance(model, Bernoulli) and model.p == 0.0
+    return type(model) is Bernoulli and model.p == 0.0

@@ -3,6 +3,7 @@
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
+from desim.config.traits import is_ours
 from desim.kernel.positions import Nodes
 from desim.kernel.reception import Disk, ReceptionModel, bound
 from desim.kernel.seeds import ROOM, pair_uniform
@@ -26,7 +27,7 @@ class RangeCheck:
     def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
         self._reception, self._range, self._per_link = reception or Disk(), range, per_link
         self._seed, self._size = seed, size
-        self._is_certain = isinstance(self._reception, Disk)
+        self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
         self._drawn: dict[int, Floats] = {}
         """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
 
@@ -40,6 +41,8 @@ class RangeCheck:
         if self._is_certain:
             return apart <= self._range
         probability = self._reception(apart, self._range)
+        if not self._is_ours:
+            probability = _probabilities(probability, len(apart), self._reception)
         received: Bools = self._draws(src, dst, message) <= probability
         return received
 
@@ -55,3 +58,19 @@ class RangeCheck:
             self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
         kept = self._drawn.get(src)
         return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
+
+
+def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:
+    """Return the probabilities of reception that a user's model returned for `count` links.
+
+    Raises:
+        ValueError: if they are neither one number in [0, 1] nor one for each link.
+    """
+    probabilities = np.asarray(answer)
+    is_numeric = probabilities.dtype.kind in "biuf" and probabilities.shape in {(), (count,)}
+    if is_numeric and ((probabilities >= 0.0) & (probabilities <= 1.0)).all():
+        return probabilities
+    raise ValueError(
+        f"a model of reception should return a probability in [0, 1] for each of {count} links, got {answer!r} from"
+        f" {model!r}"
+    )

@@ -95,4 +95,4 @@ def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
     return inf if ends is None else float(ends(range))
 
 
-RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance, traits=ReceptionTraits)
+RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance, takes=("distances", "range"), traits=ReceptionTraits)

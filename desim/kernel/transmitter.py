@@ -13,6 +13,7 @@ from typing import Generic, Protocol, TypeVar
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.medium import Medium, airtime_of
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.units import nanoseconds
 
 
 class Transmittable(Protocol):
@@ -151,13 +152,13 @@ class Transmitter(Generic[Item]):
         return 0 if self._medium.shared else node
 
     def _begin(self, channel: int, item: Item) -> None:
-        now, airtime = self._env.now, airtime_of(self._medium, item.size)
-        self._free_at[channel] = now + airtime
-        self._busy += airtime
+        now, duration = self._env.now, nanoseconds(airtime_of(self._medium, item.size))
+        self._free_at[channel] = now + duration
+        self._busy += duration
         if self._medium.half_duplex and not self._medium.shared:
-            self._longest = max(self._longest, airtime)
-            self.recent.append((now, now + airtime, item.src))
-        self._leave(item, airtime)
+            self._longest = max(self._longest, duration)
+            self.recent.append((now, now + duration, item.src))
+        self._leave(item, duration)
 
     def _await_turn(self, channel: int) -> None:
         Instant(self._env, self._free_at[channel], Phase.DELIVERY).callbacks.append(lambda _: self._next(channel))

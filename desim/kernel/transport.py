@@ -139,4 +139,4 @@ class Coded(Quality):
 
 
 Transport = BestEffort | Reliable | Coded
-TRANSPORTS = OneOf(BestEffort, Reliable, Coded)
+TRANSPORTS = OneOf(BestEffort, Reliable, Coded, is_closed=True)

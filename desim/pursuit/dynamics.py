@@ -7,7 +7,7 @@ then a straight line. It is a `Piece`.
 
 from cmath import phase, rect
 from math import pi, sin
-from typing import Annotated, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +15,7 @@ from pydantic import Field
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Value
+from desim.config.traits import Follows, Traits, name_of
 from desim.pursuit.capture import RadialTime, accelerated_capture_times
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
@@ -238,9 +239,31 @@ class TurnRate(Value):
         return turning_capture_times(offsets, courses.headings, speeds, evader_speed, radius, self.limit)
 
 
+CALLED_WITH_INERTIA = ("__call__", "steered", "headings", "capture_times")
+"""The methods of dynamics that are called only if `is_simple` is false."""
+
+
+class DynamicsTraits(Traits):
+    """The attribute of dynamics that must agree with their methods."""
+
+    is_simple: Annotated[bool, Follows(*CALLED_WITH_INERTIA)] = False
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Raise ValueError if methods are overridden that are not called, because `is_simple` is inherited."""
+        super().check(value)
+        if "is_simple" in cls.outdated(type(value)) and value.is_simple:
+            methods = [name for name in CALLED_WITH_INERTIA if Follows(name).is_outdated("is_simple", type(value))]
+            raise ValueError(
+                f"{name_of(value)} inherits is_simple = True, so that commanded velocities are taken at once, and its"
+                f" own {', '.join(methods)} would have no effect: it should have is_simple: ClassVar[bool] = False, too"
+            )
+
+
 DYNAMICS = OneOf(
     *(Simple, Acceleration, TurnRate),
     needs=("is_simple", "headings", "steered", "capture_times"),
     takes=("position", "course", "command"),
+    traits=DynamicsTraits,
 )
 """The kinds of dynamics."""

@@ -48,7 +48,7 @@ class EvaderController:
         self._strategy, self._rng = strategy, rng
         self._speed, self._speeds, self._radius, self._sensing_range = speed, speeds, radius, sensing_range
         self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
-        flees_all = isinstance(strategy, PureEvasion) and strategy.flees_from == "all"
+        flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
         self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None
         self._heading = 0j
         self._since: int | None = None
@@ -61,7 +61,7 @@ class EvaderController:
             handover: whether an announcement of a change of action is in flight.
 
         Raises:
-            ValueError: if the heading that the strategy returns is longer than 1 or nan.
+            ValueError: if the strategy returns no number, or one that is longer than 1 or nan.
         """
         if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
             return away(state)
@@ -77,6 +77,8 @@ class EvaderController:
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
         heading = self._strategy(observation, self._rng)
+        if not isinstance(heading, int | float | complex | np.number):
+            raise ValueError(f"a heading should be a complex number, got {heading!r} from {self._strategy!r}")
         if not abs(heading) <= 1.0 + 1e-9:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
         self._heading, self._since = complex(heading), state.stamp

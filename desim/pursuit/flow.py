@@ -6,11 +6,11 @@ velocity and its course are relative to the flow. Points and velocities are comp
 """
 
 from bisect import bisect_right
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import accumulate, pairwise
 from math import inf, pi, sin
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard
 
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
@@ -18,7 +18,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_val
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, Length, Speed, Time, Value
-from desim.config.traits import Traits
+from desim.config.traits import Follows, Traits, inherits, is_ours
 from desim.config.trust import resolve_path
 from desim.kernel import portable_math
 from desim.kernel.csv_tables import header_of, rows_of
@@ -35,7 +35,7 @@ CARRIED_STEP = 50_000_000
 class FlowTraits(Traits):
     """The optional attributes of a flow, in addition to `__call__`."""
 
-    top_speed: Annotated[float, Field(ge=0)] = inf
+    top_speed: Annotated[float, Field(ge=0), Follows("__call__", "velocity_at")] = inf
     """Upper bound of its speed everywhere and at all times, m/s."""
 
 
@@ -314,6 +314,19 @@ class GyreFlow(Value):
         return self.speed
 
 
+def is_uniform(flow: Flow) -> TypeGuard[UniformFlow]:
+    """Return whether a flow is the same everywhere, and its displacement is known in closed form."""
+    return isinstance(flow, UniformFlow) and _is_closed(type(flow))
+
+
+@cache
+def _is_closed(flow: type[UniformFlow]) -> bool:
+    """Return whether a class has the displacement of its own velocity, and no other velocity elsewhere."""
+    follows = Follows("velocity_at", "displacement")
+    closed = ("displacement", "trend", "top_acceleration")
+    return flow.__call__ is UniformFlow.__call__ and not any(follows.is_outdated(name, flow) for name in closed)
+
+
 FLOWS = OneOf(
     *(NoFlow, SteadyFlow, HarmonicFlow, RecordedFlow, AffineFlow, GyreFlow), takes=("places", "t"), traits=FlowTraits
 )
@@ -332,12 +345,12 @@ class Environment(Value):
     @property
     def is_still(self) -> bool:
         """Whether there is no flow."""
-        return isinstance(self.flow, NoFlow)
+        return is_uniform(self.flow) and inherits(self.flow, NoFlow, "velocity_at")
 
     @property
     def keeps_distances(self) -> bool:
         """Whether the flow carries all players alike, so that it changes no distance."""
-        return self.is_still or (isinstance(self.flow, UniformFlow) and self.on == "all")
+        return self.is_still or (is_uniform(self.flow) and self.on == "all")
 
     @property
     def top_speed(self) -> float:
@@ -351,6 +364,23 @@ class Environment(Value):
             return 0.0
         return self.top_speed * (1.0 if self.on == "pursuers" else 2.0)
 
+    def velocities(self, places: Points, t: float) -> Points:
+        """Return the (k,) velocities of the flow, m/s, at (k,) places, m, at a time, s.
+
+        Raises:
+            ValueError: if a user's flow returns anything else than k finite velocities.
+        """
+        velocities = self.flow(places, t)
+        if is_ours(type(self.flow)):
+            return velocities
+        found = np.asarray(velocities)
+        if found.dtype.kind not in "iufc" or found.shape != places.shape or not np.isfinite(found).all():
+            raise ValueError(
+                f"a flow should return an array of {len(places)} finite velocities, complex numbers in m/s, one for"
+                f" each place, got {velocities!r} from {self.flow!r}"
+            )
+        return found
+
     def relative(self, target: complex, places: Points, t: float) -> Points:
         """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
 
@@ -359,8 +389,8 @@ class Environment(Value):
             places: (k,) positions of the pursuers, m.
             t: the time, s.
         """
-        found = -self.flow(places, t)
-        return found + self.flow(np.array([target]), t) if self.on == "all" else found
+        found = -self.velocities(places, t)
+        return found + self.velocities(np.array([target]), t) if self.on == "all" else found
 
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
@@ -375,12 +405,12 @@ class Environment(Value):
             duration: the length of the step, s.
         """
         t, flow = begin / SECOND, self.flow
-        if isinstance(flow, UniformFlow):
+        if is_uniform(flow):
             return np.full(len(places), flow.displacement(t, t + duration) / duration)
-        first = flow(places, t)
-        second = flow(places + (commands + first) * (duration / 2.0), t + duration / 2.0)
-        third = flow(places + (commands + second) * (duration / 2.0), t + duration / 2.0)
-        fourth = flow(places + (commands + third) * duration, t + duration)
+        first = self.velocities(places, t)
+        second = self.velocities(places + (commands + first) * (duration / 2.0), t + duration / 2.0)
+        third = self.velocities(places + (commands + second) * (duration / 2.0), t + duration / 2.0)
+        fourth = self.velocities(places + (commands + third) * duration, t + duration)
         return (first + 2.0 * second + 2.0 * third + fourth) / 6.0
 
     def drift(self, place: complex, command: complex, begin: int, duration: float) -> complex:
@@ -391,7 +421,7 @@ class Environment(Value):
 
     def carried(self, place: complex, begin: int, end: int) -> complex:
         """Return where a player that does not move by itself is carried between two times (ns), m."""
-        if isinstance(self.flow, UniformFlow):
+        if is_uniform(self.flow):
             return place + self.flow.displacement(begin / SECOND, end / SECOND)
         steps = max(-(-(end - begin) // CARRIED_STEP), 1)
         for k in range(steps):

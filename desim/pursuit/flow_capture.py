@@ -13,10 +13,11 @@ from math import inf
 import numpy as np
 
 from desim.config.arrays import Floats, Points
+from desim.config.traits import inherits
 from desim.kernel import portable_math
 from desim.kernel.units import SECOND
 from desim.pursuit.capture import NO_SPEED, intercept_times
-from desim.pursuit.flow import AffineFlow, Environment, UniformFlow
+from desim.pursuit.flow import AffineFlow, Environment, UniformFlow, is_uniform
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
 
@@ -49,12 +50,12 @@ def capture_times_in_flow(
         now: the present, ns.
     """
     flow = environment.flow
-    if isinstance(flow, AffineFlow) and environment.on == "all":
+    if inherits(flow, AffineFlow) and environment.on == "all":
         return expanding_capture_times(distances, speeds - evader_speed, radius, flow.expansion)
     offsets = target - places
     bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
     offsets, flight = bearings * distances, bearings * evader_speed
-    if isinstance(flow, UniformFlow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
+    if is_uniform(flow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
         return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
     relative = environment.relative(target, places, now / SECOND)
     return intercept_times(offsets, flight + relative, speeds, radius)

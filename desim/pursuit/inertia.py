@@ -111,6 +111,8 @@ class InertialKinematics(Kinematics):
     def _piece(self, player: int, command: complex, drift: complex) -> Piece:
         """Return the piece of a player if a velocity (m/s) is commanded now."""
         made = self._dynamics[player](self.position(player), self.course(player), command)
+        if not isinstance(made, Piece):
+            raise ValueError(f"dynamics should return a Piece, got {made!r} from {self._dynamics[player]!r}")
         return made._replace(drift=drift) if drift else made
 
 

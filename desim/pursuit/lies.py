@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, Probability, Rate, Value
-from desim.kernel.faults import FAULTS, MIN_FAULT_DURATION, Misbehaviour, Window
+from desim.kernel.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, Window
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import pair_uniform, stream
 from desim.kernel.units import nanoseconds
@@ -311,7 +311,7 @@ class RandomLies(Value):
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
 """The Byzantine faults."""
-PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies)
+PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies, takes=PLANNED_WITH)
 """The kinds of `[[fault]]` in a scenario: those of the network, and the Byzantine faults."""
 
 

@@ -76,7 +76,12 @@ class RangeBearingNoise(Value):
 
 
 Noise = Noiseless | PositionNoise | RangeBearingNoise
-NOISES = OneOf(Noiseless, PositionNoise, RangeBearingNoise, number=("position", "deviation"))
+NOISES = OneOf(
+    *(Noiseless, PositionNoise, RangeBearingNoise),
+    needs=("covariance",),
+    takes=("offset", "first", "second"),
+    number=("position", "deviation"),
+)
 
 
 def expected_distance(distance: float, deviation: float) -> float:

@@ -1,6 +1,7 @@
 """Recorded motion: an evader, or a pursuer that only relays messages, moves along given waypoints."""
 
 from bisect import bisect_right
+from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
@@ -11,6 +12,7 @@ from pydantic import ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Coordinate, Time, Value
+from desim.config.traits import Follows, Traits, name_of
 from desim.config.trust import resolve_path
 from desim.kernel.graphs import Node
 from desim.kernel.mobility_file import read_waypoints
@@ -126,6 +128,22 @@ class RecordedMotion(Value):
         return velocity / max(state.speed, abs(velocity)) if velocity else 0j
 
 
+class RelayTraits(Traits):
+    """The method of the motion of a relay that must agree with its `__call__`."""
+
+    velocity: Annotated[Callable[[int, complex], complex] | None, Follows("__call__")] = None
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Raise ValueError if only `__call__` is overridden, which moves an evader, and not a relay."""
+        super().check(value)
+        if "velocity" in cls.outdated(type(value)):
+            raise ValueError(
+                f"{name_of(value)} has its own __call__, which moves an evader: a relay moves with"
+                " velocity(now, position), so it should have its own, too"
+            )
+
+
 class RelayNode(Value):
     """A pursuer that never chases: it moves along a record, and relays messages.
 
@@ -137,6 +155,11 @@ class RelayNode(Value):
     """The number of the pursuer."""
     motion: Annotated[
         RecordedMotion,
-        OneOf(RecordedMotion, needs=("start", "top_speed", "next_waypoint", "velocity"), takes=("state", "rng")),
+        OneOf(
+            RecordedMotion,
+            needs=("start", "top_speed", "next_waypoint", "velocity"),
+            takes=("state", "rng"),
+            traits=RelayTraits,
+        ),
     ]
     """Its motion."""

@@ -152,7 +152,7 @@ class Kalman(Value):
 
 
 Estimator = AlphaBeta | Kalman
-ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman)
+ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman, is_closed=True)
 
 
 def gains(index: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from math import inf
 from typing import Annotated, Any, Literal
 
 from desim.config.model import Flag
-from desim.config.traits import Parameter, Traits
+from desim.config.traits import Follows, Parameter, Traits
 
 AssumptionName = Literal[
     "undivided",
@@ -33,7 +33,7 @@ AssumptionName = Literal[
 class Assuming(Traits):
     """The optional attributes (traits) that protocols, schedules, utilities and disseminations have in common."""
 
-    assumes: tuple[AssumptionName, ...] = ()
+    assumes: Annotated[tuple[AssumptionName, ...], Follows("__call__", "actions")] = ()
     """Names of its assumptions about the scenario (`desim.scenario.assumptions`); a violated one gives a warning."""
 
 
@@ -75,17 +75,19 @@ class ScheduleTraits(Assuming):
     message_size: Callable[[int, int], int] | None = None
     """`message_size(pursuers, announcement)` returns the size of its longest message, bytes, given the number of
     pursuers and the size of an announcement; None: it sends no messages."""
-    without_serial_decisions: Callable[[], dict[str, Any]] | None = None
+    without_serial_decisions: Annotated[Callable[[], dict[str, Any]] | None, Follows("__call__")] = None
     """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
     decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""
-    warnings: Callable[[float], Iterator[tuple[str, str]]] | None = None
+    warnings: Annotated[Callable[[float], Iterator[tuple[str, str]]] | None, Follows("__call__")] = None
     """`warnings(step)` yields (key, reason) for each parameter that is problematic with a motion step of `step` s."""
 
 
 class UtilityTraits(Assuming):
     """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
-    expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
+    expected: Annotated[
+        Callable[[float, Sequence[float], Sequence[float], float], float] | None, Follows("__call__")
+    ] = None
     """`expected(own, others, chances, reward)` returns the mean gain, s, from being active if each of the other
     pursuers is independently active with its probability in `chances`."""
 

@@ -16,11 +16,13 @@ import networkx as nx
 
 from desim.kernel.access import Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
+from desim.kernel.graphs import graph_of
 from desim.kernel.implicit_complete import is_complete
 from desim.kernel.medium import Medium, Radio
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
+from desim.kernel.traits import InterferenceTraits
 from desim.pursuit.traits import Assuming, DisseminationTraits
 
 if TYPE_CHECKING:
@@ -84,7 +86,7 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     medium = network.medium
     drops = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
-    sampler = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
+    sampler = LinkSampler(network, graph_of(network.graph, scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
     return None
@@ -219,7 +221,7 @@ def _loses_frames(medium: Medium) -> bool:
     """
     if not (isinstance(medium, Radio) and medium.contends):
         return False
-    return not isinstance(medium.access, Tdma) or medium.reception.has_noise
+    return not isinstance(medium.access, Tdma) or InterferenceTraits.of(medium.reception).has_noise
 
 
 def _reached_by_schedule(scenario: "Scenario") -> str | None:
@@ -253,7 +255,7 @@ def _initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
     """Return the directed graph of the links at the start of the run with the seed of the scenario."""
     network, start = scenario.network, scenario.team.start(scenario.seed)
     topology = Topology(
-        network.graph(scenario.team.count),
+        graph_of(network.graph, scenario.team.count),
         network.range,
         lambda: start,
         network.reception,

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
+from desim.config.traits import inherits
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.faults import ClockSkew, Fault
@@ -267,7 +268,7 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
     contend = isinstance(network.medium, Radio) and network.medium.contends
-    all_hear_all = network.range == inf and isinstance(network.graph, Complete)
+    all_hear_all = network.range == inf and inherits(network.graph, Complete)
     is_one_channel = network.medium.shared or (contend and all_hear_all)
     load = airtime / announce.heartbeat * (scenario.team.count if is_one_channel else 1)
     if _has_heartbeats(scenario) and load > 1.0:

@@ -8,7 +8,6 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
-    field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
@@ -30,6 +29,7 @@ from desim.config.traits import kind_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import Partition, nodes_of
+from desim.kernel.graphs import graph_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, airtime_of
@@ -105,13 +105,6 @@ class Clocks(Value):
 
     sync: Annotated[ClockSync, CLOCK_SYNCS] = Unsynchronised()
     """How the pursuers correct their clocks."""
-
-    @field_validator("sync")
-    @classmethod
-    def _is_a_clock_sync(cls, given: Any) -> Any:
-        if not isinstance(given, ClockSync):
-            raise ValueError(f"should be derived from TwoWay (got {given!r})")
-        return given
 
 
 class Recording(Value):
@@ -234,7 +227,7 @@ class Scenario(Value):
     @property
     def announcement_airtime(self) -> float:
         """Longest airtime of an announcement, s."""
-        return self.network.medium(self.announcement_size)
+        return airtime_of(self.network.medium, self.announcement_size)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -250,9 +243,7 @@ class Scenario(Value):
         no_pursuer = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
         graph = None
         try:
-            made = self.network.graph(count)
-            if len(made) != count or made.is_multigraph():
-                raise ValueError(f"should be a simple graph of {count} nodes, got {made}")
+            made = graph_of(self.network.graph, count)
             Topology(made)
             graph = made
         except (ValueError, TypeError, AttributeError) as error:
@@ -269,7 +260,12 @@ class Scenario(Value):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
         if graph is not None:
             yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
-        yield from _channel_misfits(self)
+        try:
+            airtime_of(self.network.medium, self.announcement_size)
+        except ValueError as error:
+            yield ("network", "medium"), str(error)
+        else:
+            yield from _channel_misfits(self)
         yield from _motion_misfits(self)
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
@@ -333,7 +329,7 @@ def _channel_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]
     if not sizes:
         return
     what, size = max(sizes.items(), key=lambda each: each[1])
-    airtime, guard = airtime_of(medium, size), nanoseconds(access.guard)
+    airtime, guard = nanoseconds(airtime_of(medium, size)), nanoseconds(access.guard)
     free = nanoseconds(access.slot) - guard
     if airtime > free:
         least = -(-(airtime + guard) // 1000) / 1e6

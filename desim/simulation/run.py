@@ -13,6 +13,7 @@ from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
+from desim.kernel.graphs import graph_of
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.kernel.units import nanoseconds, seconds
@@ -169,7 +170,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(
         env,
-        scenario.network.graph(state.size),
+        graph_of(scenario.network.graph, state.size),
         scenario.network,
         seed=seed,
         positions=positions,

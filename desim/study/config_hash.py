@@ -34,9 +34,10 @@ from pydantic import BaseModel
 
 from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
+from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.study.user_code import KNOWN, OURS, UserCode, package_of
+from desim.study.user_code import KNOWN, UserCode, package_of
 
 UNSWEPT = MappingProxyType(
     {

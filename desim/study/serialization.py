@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 
 import cloudpickle
 
-from desim.study.user_code import OURS, is_installed
+from desim.config.traits import OURS
+from desim.study.user_code import is_installed
 
 Call = partial[Any]
 """A function and its arguments."""

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from desim.config.data_files import content_hash, opened_by
+from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
-OURS = {"desim", "protocols"}
 KNOWN = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 """The packages whose classes and functions are hashed by name only."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Sampled, Started
-from desim.pursuit.flow import UniformFlow
+from desim.pursuit.flow import is_uniform
 from desim.scenario.scenario import Scenario
 
 ROUNDING = 1e-9
@@ -58,6 +58,6 @@ class Headings:
         flow, begin, end = self._environment.flow, self._t / SECOND, t / SECOND
         if player >= self._size and self._environment.on == "pursuers":
             return 0j
-        if isinstance(flow, UniformFlow):
+        if is_uniform(flow):
             return flow.displacement(begin, end)
         return complex(flow(np.array([middle]), (begin + end) / 2.0)[0]) * (end - begin)

@@ -202,16 +202,16 @@ def conditions(scenario: Scenario) -> str:
     links, announce = scenario.network, scenario.announce
     latency, loss = links.latency, links.loss
     parts = [
-        f"latency {_number(latency.value)} s" if isinstance(latency, Constant) else f"latency {_model(latency)}",
-        f"loss {_number(100.0 * loss.p)} %" if isinstance(loss, Bernoulli) else f"loss {_model(loss)}",
+        f"latency {_number(latency.value)} s" if type(latency) is Constant else f"latency {_model(latency)}",
+        f"loss {_number(100.0 * loss.p)} %" if type(loss) is Bernoulli else f"loss {_model(loss)}",
         f"range {_number(links.range)} m" if isfinite(links.range) else "unlimited range",
         f"heartbeat {_number(announce.heartbeat)} s" if announce.has_heartbeats else TRIGGERS[announce.trigger],
     ]
-    if isfinite(links.range) and not isinstance(links.reception, Disk):
+    if isfinite(links.range) and type(links.reception) is not Disk:
         parts.append(f"reception {_model(links.reception)}")
-    if not isinstance(links.graph, Complete):
+    if type(links.graph) is not Complete:
         parts.append(f"graph {_model(links.graph)}")
-    if not isinstance(links.medium, Unlimited):
+    if type(links.medium) is not Unlimited:
         parts.append(f"medium {_model(links.medium)}")
     if isinstance(links.medium, Radio) and links.medium.contends:
         parts.append(f"access {_model(links.medium.access)}, interference {_model(links.medium.reception)}")
@@ -335,7 +335,7 @@ def _reception(result: Result) -> ReplayData:
     found: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
     if not isfinite(links.range):
         return found
-    if isinstance(links.reception, Disk):
+    if type(links.reception) is Disk:
         return found | {"radius": links.range}
     if not _falls(links):
         return found | {"known": False}
@@ -457,7 +457,7 @@ def _flow(result: Result, ticks: _Ticks) -> ReplayData | None:
     x, y = np.arange(left, right + edge, edge), np.arange(low, high + edge, edge)
     grid = (x[None, :] + 1j * y[:, None]).ravel()
     times = np.linspace(0, ended(result).t, FLOW_TIMES).astype(np.int64)
-    velocities = np.array([coordinates(environment.flow(grid, t / SECOND)) for t in times.tolist()])
+    velocities = np.array([coordinates(environment.velocities(grid, t / SECOND)) for t in times.tolist()])
     if (velocities == velocities[0]).all():
         times, velocities = times[:1], velocities[:1]
     return {

@@ -41,7 +41,7 @@ class Given:
         return self.airtime
 
 
-@pytest.mark.parametrize("medium", [Given(1e300), Given(inf), Given(10**30), LoRa(bandwidth=1.0, preamble=10**6)])
+@pytest.mark.parametrize("medium", [Given(1e300), Given(10**30), LoRa(bandwidth=1.0, preamble=10**6)])
 @pytest.mark.parametrize("latency", [Constant(value=0.1), Uniform(low=0.0, high=1.0), ShiftedExponential(mean=1e9)])
 def test_a_message_that_is_on_the_air_for_ever_never_arrives(medium, latency):
     """In whole nanoseconds such a time would not fit 64 bits."""
@@ -49,11 +49,6 @@ def test_a_message_that_is_on_the_air_for_ever_never_arrives(medium, latency):
     counts = messages(found)
     assert (counts.delivered, counts.in_flight) == (0, counts.sent)
     assert counts.sent > 0
-
-
-def test_an_airtime_is_a_time():
-    with pytest.raises(ValueError, match=r"an airtime should be a time >= 0 s, got -1\.0 for a message of 24 bytes"):
-        run(Scenario(team=Team(count=3), horizon=2.0, network=Links(medium=Given(-1.0))), 1)
 
 
 def test_a_bandwidth_is_at_least_one_hertz_as_a_bitrate_is_at_least_one_bit_per_second():
