@@ -24,11 +24,11 @@ class LinkTraits(Traits):
     ] = None
     """`draw(count, rng)` returns (count,) draws that do not depend on the link; the network then draws in blocks, and
     does not call the model."""
-    quantile: Annotated[Callable[[Floats], Floats] | None, Follows("__call__", "draw")] = None
+    quantile: Annotated[Callable[[Floats], Floats] | None, Follows("__call__", not_above="draw")] = None
     """`quantile(u)` returns the u-quantiles of the latency, s; the base latency of `per_pair` needs it."""
-    mean_latency: Annotated[Callable[[], float | None] | None, Follows("__call__", "draw", "quantile", "start_run")] = (
-        None
-    )
+    mean_latency: Annotated[
+        Callable[[], float | None] | None, Follows("__call__", "quantile", "start_run", not_above="draw")
+    ] = None
     """`mean_latency()` returns the mean latency, s, or None if it is not known; `desim check` compares it with the
     horizon."""
     is_lost: Callable[[LinkContext], Any] | None = None
@@ -51,7 +51,7 @@ class LinkTraits(Traits):
         own = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
         function = getattr(model, own)
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
-        if calls_super or not (is_ours(starter) or isinstance(value.start_run(1), model)):
+        if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
             raise ValueError(
                 f"{name_of(value)} has its own {own}, and start_run of {starter.__name__} makes another model for each"
                 " run, which keeps the state of the links: it should have its own start_run(size), too, which returns"

@@ -1,0 +1,544 @@
+"""A class that derives from a built-in model is simulated with the methods that it overrides, or it is refused.
+
+The property is tested over all kinds of all families, so that a new kind is covered, too. An override is compared with
+the same function without a base class.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import protocols
+from desim import (
+    Announcements,
+    Environment,
+    Evader,
+    Links,
+    Motion,
+    Recording,
+    Scenario,
+    Sensing,
+    Team,
+    run,
+)
+from desim.config.choice import OneOf, choices_of
+from desim.config.model import Value
+from desim.config.traits import is_ours, positions
+from desim.kernel.access import Aloha
+from desim.kernel.clock import Phase
+from desim.kernel.faults import FAULTS, Crash
+from desim.kernel.graphs import GRAPHS, Edges, Link
+from desim.kernel.interference import INTERFERENCES
+from desim.kernel.latency import BASES, JITTERS, LATENCIES, Lognormal, PerPair, mean_latency
+from desim.kernel.loss import LOSSES, GilbertElliott
+from desim.kernel.medium import MEDIA, LoRa
+from desim.kernel.reception import RECEPTION_MODELS
+from desim.pursuit.announcements import DISSEMINATIONS
+from desim.pursuit.dynamics import DYNAMICS, Course, Piece
+from desim.pursuit.evasion import STRATEGIES, Listener
+from desim.pursuit.falsehoods import FALSE_POSITIONS, FALSE_TIMES
+from desim.pursuit.flow import FLOWS, NoFlow, SteadyFlow
+from desim.pursuit.lies import PURSUER_FAULTS, Liar, RandomLies
+from desim.pursuit.noise import NOISES
+from desim.pursuit.recorded import RecordedMotion, RelayNode
+from desim.pursuit.traits import ProtocolTraits
+from desim.pursuit.utility import UTILITIES
+from desim.scenario.checks import warnings
+from desim.scenario.scenario import PROTOCOLS
+from protocols import BestResponse
+from protocols.rule import SCHEDULES
+from protocols.temperature import TEMPERATURES
+
+TABLE = "t,value\n0,0\n1,0\n"
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "Empirical": {"values": (0.1, 0.2)},
+    "LatencyTrace": {"table": TABLE},
+    "LossTrace": {"table": TABLE},
+    "SignalTrace": {"table": TABLE},
+    "Netem": {"correlation": 0.5},
+    "Bitrate": {"bitrate": 1e5},
+    "VoronoiVertex": {"arena": (0.0, 20.0)},
+    "RecordedMotion": {"waypoints": ((0.0, 9.0, 8.0), (5.0, 11.0, 8.0))},
+    "SteadyFlow": {"velocity": (0.1, 0.0)},
+    "HarmonicFlow": {"amplitude": (0.1, 0.0), "period": 1.0},
+    "RecordedFlow": {"velocities": ((0.0, 0.1, 0.0), (1.0, 0.2, 0.0))},
+    "GyreFlow": {"speed": 0.1, "size": 5.0},
+    "Crash": {"node": 0, "start": 0.1},
+    "Partition": {"groups": ((0,),), "start": 0.1},
+    "Jamming": {"centre": (5.0, 5.0), "radius": 1.0, "start": 0.1},
+    "ConstantPosition": {"value": (1.0, 1.0)},
+}
+"""The parameters that a kind needs, and those that make it run."""
+
+
+def talk(me):
+    """Chase, and send to one pursuer and to all, ten times per second."""
+    while True:
+        me.assign(1)
+        me.send((me.id + 1) % me.team_size, 1)
+        me.send(None, 2)
+        me.announce()
+        yield me.sleep(0.1)
+
+
+def scenario(**parts):
+    usual = {
+        "team": Team(count=4, speeds=3.0),
+        "evader": Evader(position=(9.0, 8.0)),
+        "horizon": 0.6,
+        "protocol": talk,
+        "announce": Announcements(heartbeat=0.2),
+        "record": Recording(messages=True),
+    }
+    return Scenario(**usual | parts)
+
+
+def linked(**links):
+    return scenario(network=Links(**links))
+
+
+def edged(name):
+    """Return a function that creates a scenario with a model on one edge of the graph."""
+
+    def made(model):
+        graph = Edges(edges=tuple({"src": a, "dst": b} for a in range(4) for b in range(a)))
+
+        def with_attribute(size):
+            found = graph(size)
+            found.edges[0, 1][name] = model
+            return found
+
+        return linked(graph=with_attribute)
+
+    return made
+
+
+def stays(me, revise):
+    """Revise every 0.05 s."""
+    while True:
+        yield me.sleep(0.05)
+        revise()
+        me.announce()
+
+
+def repeats(me):
+    """Forward each announcement that arrives as a message once, to pursuer 0."""
+    while True:
+        yield me.arrival("announcements", Phase.RELAY)
+        for _ in me.mail("announcements"):
+            me.send((me.id + 1) % me.team_size, 3)
+
+
+def crashes(size, horizon, rng):
+    yield Crash(node=1, start=0.1, end=0.4)
+
+
+def chases(me):
+    """Chase for as long as it has run an even number of tenths."""
+    while True:
+        me.assign(int(me.now * 10) % 2)
+        me.announce()
+        yield me.sleep(0.1)
+
+
+def straight(position, course, command):
+    """Move at half of the speed that is commanded."""
+    return Piece(position, Course(command / 2.0, course.heading))
+
+
+def near(distances, range):  # noqa: A002
+    """Return a reception that depends on whether the distance is less than 3 m."""
+    return np.where(distances < 3.0, 1.0, 0.25)
+
+
+def ring(size):
+    import networkx as nx
+
+    return nx.cycle_graph(size)
+
+
+class Noisy:
+    """An interference that only receiver 1 survives, also alone."""
+
+    needs_positions = True
+    has_noise = True
+
+    def __call__(self, overlap):
+        return overlap.receivers == 1
+
+
+def field(model, name):
+    """Return the choice of models of a field."""
+    (found,) = choices_of(model.model_fields[name])
+    return found
+
+
+class Family(NamedTuple):
+    """A family of models that are called, and a scenario with a model of it."""
+
+    choice: OneOf
+    function: Callable[..., Any]
+    with_model: Callable[[Any], Scenario]
+    beside: tuple[str, ...] = ()
+    """The attributes that a model without a base class needs, too; those of the kind that is overridden."""
+    refused: str | None = None
+    """What the refusal of a kind says that does not call the method."""
+
+
+def still(**network):
+    """Return a scenario of the kernel alone: nobody moves."""
+    return scenario(network=Links(**network), motion=Motion(static=True))
+
+
+def contending(model):
+    return linked(medium=LoRa(access=Aloha(), reception=model))
+
+
+def from_record(model):
+    return {} if isinstance(model, RecordedMotion) else {"position": (9.0, 8.0)}
+
+
+def learning(**parts):
+    return scenario(protocol=protocols.SpatialAdaptivePlay(**parts), evader=Evader(position=(12.0, 8.0), speed=0.5))
+
+
+FAMILIES = {
+    "latency": Family(LATENCIES, lambda context, rng: 0.025, lambda model: linked(latency=model)),
+    "latency of each link": Family(
+        LATENCIES, lambda context, rng: rng.random(len(context.dst)) / 9, lambda model: linked(latency=model)
+    ),
+    "latency in order": Family(
+        LATENCIES, lambda context, rng: context.now % 0.07, lambda model: linked(latency=model, order="fifo")
+    ),
+    "latency in a static game": Family(LATENCIES, lambda context, rng: 0.025, lambda model: still(latency=model)),
+    "latency of one link": Family(
+        LATENCIES, lambda context, rng: 0.025, lambda model: linked(link=(Link(src=0, dst=1, latency=model),))
+    ),
+    "latency of an edge": Family(LATENCIES, lambda context, rng: 0.025, edged("latency")),
+    "jitter": Family(
+        JITTERS, lambda context, rng: 0.025, lambda model: linked(latency=PerPair(base=0.01, jitter=model))
+    ),
+    "loss": Family(LOSSES, lambda context, rng: context.dst == 2, lambda model: linked(loss=model)),
+    "loss in a static game": Family(LOSSES, lambda context, rng: context.dst == 2, lambda model: still(loss=model)),
+    "loss of one link": Family(
+        LOSSES, lambda context, rng: True, lambda model: linked(link=(Link(src=0, dst=1, loss=model),))
+    ),
+    "loss of an edge": Family(LOSSES, lambda context, rng: True, edged("loss")),
+    "duplicate": Family(LOSSES, lambda context, rng: context.dst == 2, lambda model: linked(duplicate=model)),
+    "reception": Family(RECEPTION_MODELS, near, lambda model: linked(range=2.0, reception=model)),
+    "reception in a static game": Family(RECEPTION_MODELS, near, lambda model: still(range=2.0, reception=model)),
+    "reception at delivery": Family(
+        RECEPTION_MODELS, near, lambda model: linked(range=2.0, reception=model, latency=0.1, range_check="both")
+    ),
+    "medium": Family(
+        MEDIA, lambda size: 0.02, lambda model: linked(medium=model), ("shared", "half_duplex", "queue_limit")
+    ),
+    "interference": Family(INTERFERENCES, Noisy(), contending),
+    "graph": Family(GRAPHS, ring, lambda model: linked(graph=model)),
+    "fault": Family(FAULTS, crashes, lambda model: scenario(fault=(model,)), refused="never calls"),
+    "guidance": Family(
+        field(Team, "guidance"),
+        lambda gaps, aims, evader_velocity, speeds: 0.5j * speeds,
+        lambda model: scenario(team=Team(count=4, speeds=3.0, guidance=model)),
+    ),
+    "guidance of many": Family(
+        field(Team, "guidance"),
+        lambda gaps, aims, evader_velocity, speeds: 0.5j * speeds,
+        lambda model: scenario(team=Team(count=20, speeds=3.0, guidance=model), horizon=0.1),
+    ),
+    "strategy": Family(
+        STRATEGIES, lambda state, rng: 0.5j, lambda model: scenario(evader=Evader(strategy=model, **from_record(model)))
+    ),
+    "strategy of a listener": Family(
+        field(Listener, "normally"),
+        lambda state, rng: 0.5j,
+        lambda model: scenario(evader=Evader(position=(9.0, 8.0), strategy=Listener(normally=model))),
+    ),
+    "strategy at a handover": Family(
+        field(Listener, "during_handover"),
+        lambda state, rng: 0.5j,
+        lambda model: scenario(
+            evader=Evader(position=(9.0, 8.0), strategy=Listener(during_handover=model)),
+            network=Links(latency=0.2),
+            protocol=chases,
+        ),
+    ),
+    "dynamics of pursuers": Family(
+        DYNAMICS,
+        straight,
+        lambda model: scenario(team=Team(count=4, speeds=3.0, dynamics=model)),
+        ("is_simple", "headings", "steered", "capture_times"),
+        refused="is_simple",
+    ),
+    "dynamics of an evader": Family(
+        DYNAMICS,
+        straight,
+        lambda model: scenario(evader=Evader(position=(9.0, 8.0), dynamics=model)),
+        ("is_simple", "headings", "steered", "capture_times"),
+        refused="is_simple",
+    ),
+    "flow": Family(FLOWS, lambda places, t: 0.1j * places, lambda model: scenario(environment=Environment(flow=model))),
+    "flow on pursuers": Family(
+        FLOWS,
+        lambda places, t: 0.1j * places,
+        lambda model: scenario(protocol="sap", environment=Environment(flow=model, on="pursuers")),
+    ),
+    "utility": Family(
+        UTILITIES, lambda own, others, reward: 1.0 - len(others), lambda model: learning(utility=model), ("scope",)
+    ),
+    "utility of fictitious play": Family(
+        UTILITIES,
+        lambda own, others, reward: 1.0 - len(others),
+        lambda model: scenario(protocol=protocols.JointStrategyFictitiousPlay(utility=model)),
+        ("scope",),
+    ),
+    "schedule": Family(SCHEDULES, stays, lambda model: learning(schedule=model), ("mean_slot",)),
+    "temperature": Family(TEMPERATURES, lambda eta: 0.0, lambda model: learning(tau=model)),
+    "cooling": Family(
+        field(protocols.AdaptiveTau, "cooling"),
+        lambda eta: 0.0,
+        lambda model: learning(tau=protocols.AdaptiveTau(cooling=model)),
+    ),
+    "protocol": Family(PROTOCOLS, chases, lambda model: scenario(protocol=model), tuple(ProtocolTraits.names())),
+    "dissemination": Family(
+        DISSEMINATIONS,
+        repeats,
+        lambda model: scenario(announce=Announcements(heartbeat=0.2, dissemination=model)),
+        ("broadcast", "hops", "retransmits"),
+    ),
+    "false capture time": Family(
+        FALSE_TIMES,
+        lambda truth, least, rng: 0.125,
+        lambda model: scenario(
+            fault=(Liar(node=1, start=0.0, phi=model),), announce=Announcements(heartbeat=0.2, payload="time")
+        ),
+    ),
+    "false position": Family(
+        FALSE_POSITIONS,
+        lambda truth, rng: 3.0 + 4.0j,
+        lambda model: scenario(
+            fault=(Liar(node=1, start=0.0, position=model),), announce=Announcements(heartbeat=0.2, payload="state")
+        ),
+    ),
+    "noise": Family(
+        NOISES,
+        lambda offset, first, second: offset + 1.0,
+        lambda model: scenario(sensing=Sensing(noise=model, estimate="hold")),
+        ("covariance",),
+        refused="never calls",
+    ),
+    "relay": Family(
+        field(RelayNode, "motion"),
+        lambda state, rng: 0.5j,
+        lambda model: scenario(team=Team(count=4, speeds=3.0, relay=(RelayNode(pursuer=1, motion=model),))),
+        refused="velocity",
+    ),
+}
+CASES = [
+    (name, kind.__name__)
+    for name, family in FAMILIES.items()
+    for kind in dict.fromkeys(family.choice.choices().values())
+]
+
+
+def kind_of(name, kind):
+    return next(model for model in FAMILIES[name].choice.choices().values() if model.__name__ == kind)
+
+
+def derived(kind, /, **body):
+    """Return a model of a class that derives from a kind."""
+    parameters = PARAMETERS.get(kind.__name__, {})
+    return type(kind)("Theirs", (kind,), {"__module__": "theirs"} | body)(**parameters)
+
+
+def plain(kind, function, names):
+    """Return a function as a model without a base class, with some attributes of a kind."""
+    if not names:
+        return function
+    base = kind(**PARAMETERS.get(kind.__name__, {}))
+    body = {name: getattr(base, name) for name in names if hasattr(base, name)}
+    made = type("Plain", (), {"__call__": lambda _, *given: function(*given)})()
+    vars(made).update(body)
+    return made
+
+
+def is_refused(kind):
+    """Return whether a kind does not call its models, takes commands at once, or moves relays."""
+    return not positions(kind, "__call__") or kind.__name__ in {"Simple", "RecordedMotion"}
+
+
+def events(experiment):
+    """Return the events of a run as text, in which nan equals nan."""
+    return list(map(repr, run(experiment, seed=1).trace))
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_an_overridden_call_is_that_of_the_run(name, kind):
+    family, model = FAMILIES[name], kind_of(name, kind)
+    body = {"__call__": lambda _, *given: family.function(*given)}
+    if family.refused is not None and is_refused(model):
+        with pytest.raises(ValidationError, match=family.refused):
+            family.with_model(derived(model, **body))
+        return
+    theirs = family.with_model(derived(model, **body))
+    assert events(theirs) == events(family.with_model(plain(model, family.function, family.beside)))
+
+
+def test_each_family_that_is_called_is_covered():
+    """`BASES` of per_pair are asked for quantiles; a random plan of lies is compared below."""
+    PROTOCOLS.choices(), DISSEMINATIONS.choices()
+    found, models = [], [Value]
+    for model in models:
+        models += model.__subclasses__()
+        if is_ours(model):
+            found += [choice for info in model.model_fields.values() for choice in choices_of(info)]
+    called = [each for each in found if any(positions(kind, "__call__") for kind in each.choices().values())]
+    known = [family.choice for family in FAMILIES.values()]
+    inner = field(protocols.Synchronous, "schedule")  # of which only `mean_slot` is called
+    assert all(any(each is other for other in (*known, BASES, PURSUER_FAULTS, inner)) for each in called)
+
+
+def test_an_overridden_plan_of_lies_is_that_of_the_run():
+    """As the same liar without a plan."""
+    liar = Liar(node=1, start=0.0, phi=0.125)
+    said = {"payload": "time", "heartbeat": 0.2}
+    planned = derived(RandomLies, __call__=lambda *_: iter([liar]))
+    one, other = (scenario(fault=(fault,), announce=Announcements(**said)) for fault in (planned, liar))
+    assert events(one) == events(other)
+
+
+LATENCY_KINDS = list(LATENCIES.choices().values())
+LOSS_KINDS = list(LOSSES.choices().values())
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("where", ["all", "link"])
+@pytest.mark.parametrize("kind", [*LATENCY_KINDS, *LOSS_KINDS], ids=lambda kind: kind.__name__)
+def test_an_overridden_draw_alone_is_that_of_the_run(kind, where):
+    """All links draw the same, so that blocks of draws make no difference."""
+    name = "latency" if kind in LATENCY_KINDS else "loss"
+    value = 0.025 if name == "latency" else True
+    theirs = derived(kind, draw=lambda _, count, rng: np.full(count, value))
+    one, other = (
+        linked(**{name: model} if where == "all" else {"link": (Link(src=0, dst=1, **{name: model}),)})
+        for model in (theirs, lambda context, rng: np.full(len(context.dst), value))
+    )
+    assert events(one) == events(other)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", BASES.choices().values(), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("where", ["all", "base"])
+def test_an_overridden_quantile_alone_is_that_of_the_run(kind, where):
+    theirs = derived(kind, quantile=lambda _, u: np.full_like(u, 0.025))
+    if where == "base":
+        one, other = linked(latency=PerPair(base=theirs)), linked(latency=PerPair(base=0.025))
+    else:
+        one, other = linked(latency=theirs), linked(latency=lambda context, rng: np.full(len(context.dst), 0.025))
+    assert events(one) == events(other)
+
+
+@pytest.mark.parametrize("method", ["__call__", "draw"])
+@pytest.mark.parametrize("kind", BASES.choices().values(), ids=lambda kind: kind.__name__)
+def test_an_inherited_quantile_is_not_the_base_of_pairs(kind, method):
+    theirs = derived(kind, **{method: lambda _, *given: np.full(4, 0.025)})
+    with pytest.raises(ValidationError, match=r"quantile\(u\) of its own"):
+        PerPair(base=theirs)
+
+
+@pytest.mark.parametrize("method", ["__call__", "draw", "quantile", "start_run"])
+@pytest.mark.parametrize("kind", LATENCY_KINDS, ids=lambda kind: kind.__name__)
+def test_an_inherited_mean_is_not_that_of_what_is_overridden(kind, method):
+    """Only if the method is overridden: a kind without this method is not changed by a new one of `start_run`."""
+    assert mean_latency(derived(kind)) == mean_latency(kind(**PARAMETERS.get(kind.__name__, {})))
+    if positions(kind, method):
+        assert mean_latency(derived(kind, **{method: lambda _, *given: None})) is None
+
+
+@pytest.mark.parametrize("kind", [Lognormal, GilbertElliott])
+def test_the_class_below_and_a_class_mixed_in_override_as_well(kind):
+    def late(_, context, rng):
+        return 0.025 if kind is Lognormal else True
+
+    name = "latency" if kind is Lognormal else "loss"
+    below = type("Below", (type(derived(kind, draw=lambda *_: 1 / 0)),), {"__call__": late, "__module__": "theirs"})
+    above = type("Above", (type(derived(kind, __call__=late)),), {"__module__": "theirs"})
+    mixed = type("Mixed", (type("Mixin", (), {"__call__": late}), kind), {"__module__": "theirs"})
+    function = lambda context, rng: late(None, context, rng)  # noqa: E731
+    first, *others = (events(linked(**{name: model})) for model in (function, below(), above(), mixed()))
+    assert others == [first] * 3
+
+
+@pytest.mark.parametrize("kind", [kind for kind in (*LATENCY_KINDS, *LOSS_KINDS) if positions(kind, "start_run")])
+def test_a_call_of_the_inherited_model_needs_its_state(kind):
+    """The inherited `__call__` keeps no state from message to message."""
+
+    class Theirs(kind):
+        def __call__(self, context, rng):
+            return super().__call__(context, rng)
+
+    with pytest.raises(ValidationError, match="should have its own start_run"):
+        Links(**{"latency" if kind in LATENCY_KINDS else "loss": Theirs(**PARAMETERS.get(kind.__name__, {}))})
+
+
+def test_a_model_that_is_copied_for_each_run_keeps_its_overrides():
+    class Counting:
+        def start_run(self, size):
+            made = type(self)()
+            made.count = 0
+            return made
+
+        def __call__(self, context, rng):
+            self.count += 1
+            return 0.01 * self.count
+
+    class Faster(Counting):
+        def __call__(self, context, rng):
+            return super().__call__(context, rng) / 2.0
+
+    assert events(linked(latency=Faster())) == events(linked(latency=Faster()))
+    assert events(linked(latency=Faster())) != events(linked(latency=Counting()))
+
+
+def test_a_subclass_with_other_defaults_is_as_fast_and_as_exact_as_its_kind():
+    """Its displacement is known in closed form, and it carries all players alike."""
+
+    class Current(SteadyFlow):
+        velocity: tuple[float, float] = (0.5, 0.25)
+
+    one, other = (
+        scenario(environment=Environment(flow=flow)) for flow in (Current(), SteadyFlow(velocity=(0.5, 0.25)))
+    )
+    assert one.environment.keeps_distances
+    assert events(one) == events(other)
+
+
+@pytest.mark.parametrize("kind", [SteadyFlow, NoFlow], ids=lambda kind: kind.__name__)
+def test_an_overridden_velocity_of_a_uniform_flow_is_that_of_the_run(kind):
+    """The integral of the inherited velocity is not used: the flow is integrated as that of a function is."""
+    theirs = derived(kind, velocity_at=lambda _, t: 0.5 + 0.25j)
+    one, other = (
+        scenario(environment=Environment(flow=flow))
+        for flow in (theirs, lambda places, t: np.full(len(places), 0.5 + 0.25j))
+    )
+    assert events(one) == events(other)
+
+
+def test_checks_do_not_describe_the_kind_that_is_overridden():
+    class Instant(Lognormal):
+        def __call__(self, context, rng):
+            return 0.0
+
+    class Solo(BestResponse):
+        def actions(self, me):
+            while True:
+                yield 1
+
+    assert "network.latency" in dict(warnings(Scenario(network=Links(latency=Lognormal(mean=20.0)))))
+    assert "network.latency" not in dict(warnings(Scenario(network=Links(latency=Instant(mean=20.0)))))
+    assert ProtocolTraits.of(BestResponse()).assumes == BestResponse.assumes
+    assert "one_at_a_time" not in ProtocolTraits.of(Solo()).assumes
