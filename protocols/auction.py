@@ -20,6 +20,7 @@ from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.rule import Rule
+from protocols.schedules import turns
 
 NO_WINNER = -1
 """The winner of an evader without bids."""
@@ -51,7 +52,7 @@ class Auction(Rule):
         others.
         """
         actions = self.actions(me)
-        yield from self.schedule(me, lambda: me.assign(next(actions)))
+        yield from turns(self.schedule, me, lambda: me.assign(next(actions)))
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
         """Return the size of an announcement, bytes: the action, and the winner and the bid of each evader."""

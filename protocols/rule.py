@@ -16,7 +16,7 @@ from desim.pursuit.agent import Agent, Process
 from desim.pursuit.traits import ScheduleTraits
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from protocols.mutex import LocalMutex
-from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
+from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed, turns
 from protocols.synchronous import Synchronous
 from protocols.token import TokenRing, TokenWalk
 
@@ -51,7 +51,7 @@ class Rule(Value):
         """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if the pursuer has no choice.
 
         Raises:
-            TypeError: if `actions` is not a generator.
+            TypeError: if `actions` is not a generator, or the schedule returns none.
             ValueError: if `actions` ends.
         """
         actions = self.actions(me)
@@ -64,7 +64,7 @@ class Rule(Value):
                 raise ValueError(f"actions(me) of {type(self).__name__} should never end: `while True`")
             me.assign(action)
 
-        yield from self.schedule(me, revise)
+        yield from turns(self.schedule, me, revise)
 
 
 class LearningRule(Rule):

@@ -18,7 +18,8 @@ import numpy as np
 from desim.pursuit.agent import Agent
 from desim.pursuit.game import logit
 from protocols.rule import LearningRule
-from protocols.temperature import TEMPERATURES, PaperTau, Temperature, slots_seen
+from protocols.schedules import slot_length
+from protocols.temperature import TEMPERATURES, PaperTau, Temperature, inverse_temperatures
 
 
 class LogLinear(LearningRule):
@@ -30,7 +31,7 @@ class LogLinear(LearningRule):
 
     def inverse_temperatures(self, me: Agent) -> Iterator[float]:
         """Return an iterator over 1/tau at each turn, 1/s."""
-        return map(self.tau, slots_seen(self.tau, me, self.schedule.mean_slot(me)))
+        return inverse_temperatures(self.tau, me, slot_length(self.schedule, me))
 
 
 class SpatialAdaptivePlay(LogLinear):

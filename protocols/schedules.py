@@ -15,6 +15,7 @@ Robust to loss: yes, because the times of revisions do not depend on messages.
 
 from collections.abc import Callable, Iterator
 from itertools import count
+from math import inf
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -160,6 +161,33 @@ class Periodic(Value):
                 " evader that chatters between two pursuers, so possibly no pursuer is active for seconds: give it some"
                 " jitter",
             )
+
+
+def turns(schedule: Schedule, me: Agent, revise: Callable[[], None]) -> Process:
+    """Return the process of a schedule for one pursuer.
+
+    Raises:
+        TypeError: if a user's schedule returns no generator.
+    """
+    process = schedule(me, revise)
+    if not isinstance(process, Iterator):
+        raise TypeError(
+            f"a schedule should be a generator that yields the events it waits for, got {process!r} from {schedule!r}"
+        )
+    return process
+
+
+def slot_length(schedule: Schedule, me: Agent) -> float:
+    """Return `mean_slot(me)` of a schedule, s.
+
+    Raises:
+        ValueError: if a user's schedule returns anything else than a finite time greater than 0.
+    """
+    mean_slot: Any = schedule.mean_slot
+    slot = mean_slot(me) if callable(mean_slot) else None
+    if not isinstance(slot, float | int | np.number) or not 0.0 < slot < inf:
+        raise ValueError(f"mean_slot(me) should return a finite time > 0 s, got {slot!r} from {schedule!r}")
+    return float(slot)
 
 
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:

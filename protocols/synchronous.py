@@ -14,7 +14,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.traits import ScheduleTraits
-from protocols.schedules import Rounds, Schedule, SharedSeed
+from protocols.schedules import Rounds, Schedule, SharedSeed, slot_length
 from protocols.token import TokenRing, TokenWalk
 
 
@@ -37,8 +37,8 @@ class Synchronous(Value):
 
     def mean_slot(self, me: Agent) -> float:
         """Return the mean length of a slot of the other schedule, s."""
-        return self.schedule.mean_slot(me)
+        return slot_length(self.schedule, me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot."""
-        yield from Rounds(period=self.schedule.mean_slot(me))(me, revise)
+        yield from Rounds(period=slot_length(self.schedule, me))(me, revise)

@@ -7,8 +7,9 @@ for an infinite temperature.
 
 from collections.abc import Iterator
 from math import exp, isnan, log
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
+import numpy as np
 from pydantic import Field
 
 from desim.config.choice import OneOf
@@ -138,3 +139,16 @@ def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
         yield from tau.slots_since(me, slot)
     while True:
         yield max(me.now, 0.0) / slot
+
+
+def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
+    """Yield 1/tau at each turn, 1/s; see `slots_seen`.
+
+    Raises:
+        ValueError: if a user's temperature returns anything else than a number of at least 0.
+    """
+    for eta in slots_seen(tau, me, slot):
+        inverse: Any = tau(eta)
+        if not isinstance(inverse, float | int | np.number) or not inverse >= 0.0:
+            raise ValueError(f"a temperature should return 1/tau, a number >= 0 in 1/s, got {inverse!r} from {tau!r}")
+        yield float(inverse)

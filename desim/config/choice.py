@@ -187,10 +187,10 @@ class OneOf:
             return
         if type(value) is base or positions(base, "__call__"):
             return
-        for name in dict.fromkeys(name for each in type(value).__mro__ if not is_ours(each) for name in vars(each)):
-            others = [model for model in self.models if callable(getattr(model, name, None)) and positions(model, name)]
-            is_known = name == "__call__" or (others and name[0] != "_")
-            if is_known and not positions(base, name):
+        theirs = (name for each in type(value).__mro__ if not is_ours(each) for name in vars(each))
+        for name in dict.fromkeys(name for name in theirs if name == "__call__" or name[0] != "_"):
+            others = [model for model in self.models if positions(model, name) and callable(getattr(model, name, None))]
+            if (name == "__call__" or others) and not positions(base, name):
                 hint = f": derive it from {_or(others)}" if others else ""
                 raise ValueError(f"{name_of(value)} has a method {name}, which a {base.__name__} never calls{hint}")
 
@@ -208,18 +208,8 @@ class OneOf:
 
         The message names `value`: the function, object or class that the user gave.
         """
-        if not self.takes:
-            return
-        try:
-            parameters = signature(function)
-        except (TypeError, ValueError):  # some functions in C have no signature
-            return
-        try:
-            parameters.bind(*first, *self.takes)
-        except TypeError as error:
-            raise ValueError(
-                f"should accept a call with ({', '.join(self.takes)}); {value!r} does not: {error}"
-            ) from error
+        if self.takes:
+            check_call(function, self.takes, value, *first)
 
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
         """Return the function, or create the model, that a table of the kind "module:name" selects.
@@ -244,6 +234,21 @@ class OneOf:
         if isinstance(calls, FunctionType):
             self._check_called(calls, found, None)
         return _constructed(found, kind, parameters, info.context)
+
+
+def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
+    """Raise ValueError if a function cannot be called with the arguments `first`, and then those named in `takes`.
+
+    The message names `value`: the function, object or class that the user gave.
+    """
+    try:
+        parameters = signature(function)
+    except (TypeError, ValueError):  # some functions in C have no signature
+        return
+    try:
+        parameters.bind(*first, *takes)
+    except TypeError as error:
+        raise ValueError(f"should accept a call with ({', '.join(takes)}); {value!r} does not: {error}") from error
 
 
 def _or(models: Sequence[type]) -> str:

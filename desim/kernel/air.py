@@ -34,7 +34,7 @@ class Air:
         self._env, self._medium, self._topology, self._positions, self._seed = env, medium, topology, positions, seed
         self._interference = medium.reception
         traits = InterferenceTraits.of(medium.reception)
-        self._locks, self._has_noise = traits.lock, traits.has_noise
+        self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
         self._all = np.arange(topology.size)
         self._frames: list[Frame] = []
         self._busy = self._busy_since = 0
@@ -95,7 +95,7 @@ class Air:
             )
         if frame.locked is not None:
             received = received & frame.locked[nodes]
-        cause: Cause = "collision" if frame.overlapping else "loss"
+        cause: Cause = self._cause if frame.overlapping else "loss"
         lost = dict.fromkeys(nodes[~received].tolist(), cause)
         deaf = {each.src for each in frame.overlapping}
         return lost | {node: "half_duplex" for node in receivers if node in deaf}

@@ -3,7 +3,7 @@
 Those that are known when a transmission starts are drawn by `desim.kernel.departure`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import repeat
 
 import numpy as np
@@ -68,17 +68,15 @@ class ArrivalLosses:
             return causes
         src, number = _of_each(flights, lambda each: each.src), _of_each(flights, lambda each: each.number)
         when = times if isinstance(times, int) else np.array(times)
-        losses: list[tuple[Cause, list[bool] | None]] = []
+        losses: list[Sequence[Cause | None] | None] = []
         if self._checks_range:
             reached = self._topology.reaches(src, nodes, number, when)
-            losses.append(("out_of_range", [not each for each in reached]))
+            losses.append([None if each else "out_of_range" for each in reached])
         if (faults := self._fault_state) is not None:
-            losses.append(("jamming", faults.jammed(nodes, when)))
-            losses.append(("partition", faults.separated(src, nodes)))
-            losses.append(("crash", self._crashed(nodes, number)))
-        for cause, lost in losses:
-            if lost is not None and True in lost:
-                causes |= dict.fromkeys((k for k, is_lost in enumerate(lost) if is_lost), cause)
+            losses += [faults.jammed(nodes, when), faults.separated(src, nodes), self._crashed(nodes, number)]
+        for lost in losses:
+            if lost is not None:
+                causes |= {k: cause for k, cause in enumerate(lost) if cause is not None}
         return causes
 
     def _while_transmitting(
@@ -97,14 +95,17 @@ class ArrivalLosses:
             if any(begin < end < until + flight.airtime for begin, until in own[nodes[k]]):
                 yield k
 
-    def _crashed(self, nodes: list[int], number: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether the receiver is down or the sender crashed while sending; None: all False."""
+    def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:
+        """Return "crash" where the receiver is down or the sender crashed while sending, (k,); None: nowhere."""
         assert self._fault_state is not None
         down, cut_short = self._fault_state.down_nodes, self._cut_short
         if not down and not cut_short:
             return None
         numbers = repeat(number) if isinstance(number, int) else number.tolist()
-        return [node in down or number in cut_short for node, number in zip(nodes, numbers, strict=False)]
+        return [
+            "crash" if node in down or number in cut_short else None
+            for node, number in zip(nodes, numbers, strict=False)
+        ]
 
 
 def _of_each(flights: Flight | list[Flight], number: Callable[[Transmission], int]) -> int | Integers:

@@ -51,8 +51,8 @@ class Departure:
         (node,), faults = transmission.receivers, self._fault_state
         if faults is not None and faults.down(node):
             return "crash"
-        if faults is not None and faults.jammed([node], self._env.now) == [True]:
-            return "jamming"
+        if faults is not None and (jammed := faults.jammed([node], self._env.now)) is not None and jammed[0]:
+            return jammed[0]
         src, topology = transmission.src, self._topology
         if not (topology.are_linked(src, node) and topology.reaches(src, [node], draw)[0]):
             return "out_of_range"
@@ -63,8 +63,8 @@ class Departure:
         src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None and True in lost:
-            causes = dict.fromkeys(compress(receivers, lost), "loss")
+            causes = {node: self._sampler.cause(src, node) for node in compress(receivers, lost)}
         faults = self._fault_state
         if faults is not None and (apart := faults.separated(src, receivers)) is not None:
-            causes |= dict.fromkeys(compress(receivers, apart), "partition")
+            causes |= {node: cause for node, cause in zip(receivers, apart, strict=True) if cause is not None}
         return causes

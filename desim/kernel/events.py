@@ -6,6 +6,11 @@ Times are integer nanoseconds.
 from collections.abc import Callable, Iterable, Iterator
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 
+import numpy as np
+from pydantic import Field
+
+from desim.config.choice import check_call
+
 LOST = -1
 """The arrival time of a message that never arrives."""
 
@@ -37,10 +42,12 @@ class Event(Protocol):
     def _fields(self) -> tuple[str, ...]: ...
 
 
-Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "access", "half_duplex", "collision"]
-"""The cause of a loss. "loss": by chance, or by noise; "queue": dropped from a full queue; "access": dropped by its
-sender, because the channel was busy too often (csma) or its slots are too short (tdma); "half_duplex": the receiver was
-transmitting; "collision": another frame overlapped it at the receiver."""
+Cause = Annotated[str, Field(min_length=1)]
+"""The cause of a loss, one of `CAUSES` or a name that a user's model gives to its losses (the attribute `cause`)."""
+CAUSES = ("loss", "out_of_range", "partition", "jamming", "crash", "queue", "access", "half_duplex", "collision")
+"""The causes of losses of the built-in models. "loss": by chance, or by noise; "queue": dropped from a full queue;
+"access": dropped by its sender, because the channel was busy too often (csma) or its slots are too short (tdma);
+"half_duplex": the receiver was transmitting; "collision": another frame overlapped it at the receiver."""
 
 
 class Queued(NamedTuple):
@@ -267,6 +274,9 @@ class Trace:
         watchers: called with each event when it happens.
         messages: whether to store message events; the watchers receive them in either case.
         stop: called when a watcher requests the end of the run.
+
+    Raises:
+        ValueError: if a watcher cannot be called with an event.
     """
 
     def __init__(
@@ -274,6 +284,13 @@ class Trace:
     ):
         self.events: list[Event] = []
         self._watchers = tuple(watchers)
+        for watch in self._watchers:
+            if not callable(watch):
+                raise ValueError(f"a watcher should be a function of an event (got {watch!r})")
+            try:
+                check_call(watch, ("event",), watch)
+            except ValueError as error:
+                raise ValueError(f"a watcher {error}") from error
         self._keeps_messages = messages
         self._stop = stop
         self.wants_messages = messages or bool(self._watchers)
@@ -293,7 +310,8 @@ class Trace:
 
     def _show(self, event: Event) -> None:
         for watch in self._watchers:
-            if watch(event) is True and self._stop is not None:
+            answer = watch(event)
+            if (answer is True or (isinstance(answer, np.bool_) and answer)) and self._stop is not None:
                 self._stop()
 
     def __iter__(self) -> Iterator[Event]:

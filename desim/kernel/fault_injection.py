@@ -10,6 +10,7 @@ from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
 from desim.kernel.network import Network
+from desim.kernel.traits import FaultTraits
 from desim.kernel.units import nanoseconds
 
 Hook = Callable[[Crash], object]
@@ -81,8 +82,9 @@ def _start(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Ca
 
         return recover
     if isinstance(fault, Partition):
-        cut = fault_state.partition(fault.groups)
+        cut = fault_state.partition(fault.groups, FaultTraits.of(fault).cause or "partition")
         return lambda: fault_state.rejoin(cut)
     disc = (fault.centre, fault.radius)
-    fault_state.jam(disc)
-    return lambda: fault_state.clear(disc)
+    cause = FaultTraits.of(fault).cause or "jamming"
+    fault_state.jam(disc, cause)
+    return lambda: fault_state.clear(disc, cause)

@@ -5,14 +5,24 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from desim.config.arrays import Integers
+from desim.kernel.events import Cause
 from desim.kernel.positions import PositionFunction, as_position_source
 
-Cut = Mapping[int, int]
-"""A partition: the group number of each listed node; all other nodes form one more group."""
+
+class Cut(NamedTuple):
+    """A partition."""
+
+    group: Mapping[int, int]
+    """The group number of each listed node; all other nodes form one more group."""
+    cause: Cause = "partition"
+    """The cause of its losses."""
+
+
 Disc = tuple[tuple[float, float], float]
 """Centre (x, y) and radius, m."""
 
@@ -34,7 +44,7 @@ class FaultState:
         self._planned: list[int] | None = None
         self._is_changing = False
         self._cuts: list[Cut] = []
-        self._jams: list[Disc] = []
+        self._jams: list[tuple[Disc, Cause]] = []
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -97,8 +107,10 @@ class FaultState:
         """Return whether the radio of a node is down."""
         return self._down[node] > 0
 
-    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[bool] | None:
-        """Return k booleans: whether an active partition separates each node from its sender; None: all False.
+    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
+        """Return the cause of loss, (k,), where an active partition separates a node from its sender, else None.
+
+        None instead of a list: nowhere. Of several partitions, the first counts.
 
         Args:
             src: the sender, one for all or (k,).
@@ -109,10 +121,16 @@ class FaultState:
         here = np.asarray(nodes).tolist()
         senders = [src] * len(here) if isinstance(src, int) else src.tolist()
         pairs = list(zip(senders, here, strict=True))
-        return [any(cut.get(one, -1) != cut.get(other, -1) for cut in self._cuts) for one, other in pairs]
+        cuts = self._cuts
+        return [
+            next((cause for group, cause in cuts if group.get(one, -1) != group.get(other, -1)), None)
+            for one, other in pairs
+        ]
 
-    def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[bool] | None:
-        """Return k booleans: whether each node was, at its time, within a disc that is jammed now; None: all False.
+    def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
+        """Return the cause of loss, (k,), where a node was, at its time, within a disc that is jammed now, else None.
+
+        None instead of a list: nowhere. Of several discs, the first counts.
 
         Args:
             nodes: (k,) the nodes.
@@ -121,9 +139,11 @@ class FaultState:
         if not self._jams or self._positions is None:
             return None
         x, y = self._positions.at(np.asarray(nodes, dtype=np.intp), times).T
-        within = [(x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams]
-        inside: list[bool] = (within[0] if len(within) == 1 else np.any(within, axis=0)).tolist()
-        return inside
+        causes: list[Cause | None] = [None] * len(x)
+        for ((cx, cy), radius), cause in reversed(self._jams):
+            for k in np.flatnonzero((x - cx) ** 2 + (y - cy) ** 2 <= radius**2).tolist():
+                causes[k] = cause
+        return causes
 
     def crash(self, node: int) -> None:
         """Take the radio of a node down; overlapping crashes of a node are counted."""
@@ -143,10 +163,10 @@ class FaultState:
         if not self._down[node]:
             del self._down[node]
 
-    def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
+    def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
         self._require_change()
-        cut = {node: number for number, group in enumerate(groups) for node in group}
+        cut = Cut({node: number for number, group in enumerate(groups) for node in group}, cause)
         self._cuts.append(cut)
         return cut
 
@@ -155,7 +175,7 @@ class FaultState:
         self._require_change()
         self._cuts = [each for each in self._cuts if each is not cut]
 
-    def jam(self, disc: Disc) -> None:
+    def jam(self, disc: Disc, cause: Cause = "jamming") -> None:
         """Block reception at all nodes within a disc.
 
         Raises:
@@ -164,16 +184,16 @@ class FaultState:
         self._require_change()
         if self._positions is None:
             raise ValueError(f"a jamming disc needs positions (got {disc})")
-        self._jams.append(disc)
+        self._jams.append((disc, cause))
 
-    def clear(self, disc: Disc) -> None:
-        """End the jamming of a disc.
+    def clear(self, disc: Disc, cause: Cause = "jamming") -> None:
+        """End the jamming of a disc with a cause.
 
         Raises:
             ValueError: if the disc is not jammed.
         """
         self._require_change()
-        self._jams.remove(disc)
+        self._jams.remove((disc, cause))
 
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""

@@ -231,7 +231,7 @@ def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horiz
     Every plan has its own random stream.
 
     Raises:
-        ValueError: if a plan returns None.
+        ValueError: if a plan returns or yields anything else than faults.
     """
     faults: list[Fault] = []
     number = count()
@@ -239,8 +239,9 @@ def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horiz
         if isinstance(each, Fault):
             faults.append(each)
         elif not isinstance(each, ClockSkew):
-            found = each(size, horizon, stream(seed, "faults", next(number)))
-            if found is None:
-                raise ValueError(f"the plan {each!r} should return or yield faults, got None")
-            faults += found
+            found: Any = each(size, horizon, stream(seed, "faults", next(number)))
+            planned: list[Any] = [*found] if isinstance(found, Iterable) else [found]
+            if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
+                raise ValueError(f"the plan {each!r} should return or yield faults, got {strange[0]!r}")
+            faults += planned
     return faults

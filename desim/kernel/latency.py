@@ -18,6 +18,7 @@ from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.latency_file import latencies_of
 from desim.kernel.link_context import LinkContext
+from desim.kernel.link_draws import as_seconds
 from desim.kernel.link_traces import LatencyTrace
 from desim.kernel.netem import Netem
 from desim.kernel.portable_math import exp
@@ -262,11 +263,17 @@ class PerPair(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        return self.base_latencies(context) + self.jitter(context, rng)
+        return self.base_latencies(context) + as_seconds(self.jitter(context, rng))
 
     def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies, s, of the links."""
-        return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
+        u = context.uniform("pair latency", symmetric=self.symmetric)
+        latencies = np.asarray(self.base.quantile(u))
+        if latencies.shape != u.shape:
+            raise ValueError(
+                f"quantile(u) should return a latency for each of {len(u)} u, got {latencies!r} from {self.base!r}"
+            )
+        return latencies
 
     def mean_latency(self) -> float | None:
         """Return the sum of the means of base and jitter, s; None if one of them is not known."""
@@ -293,7 +300,7 @@ class _Pairs:
             self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
         kept = self._base.get(context.src)
         base = self._model.base_latencies(context) if kept is None else kept[context.dst]
-        return base + self._model.jitter(context, rng)
+        return base + as_seconds(self._model.jitter(context, rng))
 
 
 def mean_latency(model: Latency) -> float | None:

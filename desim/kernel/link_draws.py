@@ -52,16 +52,21 @@ def buffered(
     return Buffer(draw, rng, convert) if draw is not None else None
 
 
+def as_seconds(delays: Any) -> "NDArray[np.float64]":
+    """Return delays, one number or several, s, as an array; raise ValueError if they are not numbers."""
+    try:
+        return np.asarray(delays, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"latencies should be finite times >= 0 s, got {delays!r}") from None
+
+
 def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
     """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
 
     Raises:
         ValueError: if a delay is negative, infinite or NaN.
     """
-    try:
-        given = np.asarray(delays, dtype=float)
-    except (TypeError, ValueError):  # not numbers
-        raise ValueError(f"latencies should be finite times >= 0 s, got {delays!r}") from None
+    given = as_seconds(delays)
     if not ((given >= 0.0) & (given < inf)).all():
         raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
     times: NDArray[np.int64] = np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from desim.kernel.events import Cause
 from desim.kernel.latency import Constant
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
@@ -22,7 +23,7 @@ from desim.kernel.portable_math import portable_sum
 from desim.kernel.positions import PositionFunction, PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import ROOM, stream
-from desim.kernel.traits import link_trait, model_of_run
+from desim.kernel.traits import LinkTraits, link_trait, model_of_run
 from desim.kernel.units import SECOND, nanoseconds
 
 if TYPE_CHECKING:
@@ -84,6 +85,10 @@ class LinkSampler:
         """Whether all broadcasts of a sender may have the same list of receivers."""
         self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
+        self._cause = LinkTraits.of(links.loss).cause
+        self._cause_overrides = {
+            src: {dst: LinkTraits.of(model).cause for dst, model in to.items()} for src, to in overrides["loss"].items()
+        }
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
         own_is_lost = [each for to in self._is_lost_overrides.values() for each in to.values()]
         self._latency_loses = any(each is not None for each in (self._is_lost, *own_is_lost))
@@ -107,6 +112,11 @@ class LinkSampler:
             return lost
         without_latency = self._without_latency(src, dst, now, size)
         return without_latency if lost is None else list(map(or_, lost, without_latency))
+
+    def cause(self, src: int, dst: int) -> Cause:
+        """Return the cause of the losses that the loss model of a link draws."""
+        to = self._cause_overrides.get(src)
+        return self._cause if to is None else to.get(dst, self._cause)
 
     def _drawn_losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Draw the losses from the loss models; see `losses`."""

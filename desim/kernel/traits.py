@@ -31,6 +31,8 @@ class LinkTraits(Traits):
     ] = None
     """`mean_latency()` returns the mean latency, s, or None if it is not known; `desim check` compares it with the
     horizon."""
+    cause: Annotated[str, Field(min_length=1)] = "loss"
+    """The cause of the losses that a loss model draws, in traces and counts; see `desim.kernel.events.CAUSES`."""
     is_lost: Callable[[LinkContext], Any] | None = None
     """`is_lost(context)` returns (k,) booleans, or one for all: which messages a latency model loses. Their latencies
     have no effect."""
@@ -124,6 +126,8 @@ class InterferenceTraits(Traits):
 
     has_noise: Annotated[Flag, Follows("__call__")] = True
     """Whether a frame may be lost although no other overlaps it."""
+    cause: Annotated[str, Field(min_length=1)] = "collision"
+    """The cause of the loss of a frame that others overlap, in traces and counts; see `desim.kernel.events.CAUSES`."""
     lock: Flag = False
     """Whether a receiver locks on to the first frame that it hears, see `desim.kernel.interference.CaptureEffect`."""
 
@@ -133,3 +137,10 @@ class ReceptionTraits(Traits):
 
     bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
+
+
+class FaultTraits(Traits):
+    """The optional attribute of a partition or of jamming."""
+
+    cause: Annotated[str, Field(min_length=1)] | None = None
+    """The cause of the losses, in traces and counts; None: "partition" or "jamming"."""

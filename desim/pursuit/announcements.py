@@ -189,7 +189,7 @@ class Eavesdropper:
             self._until = max(self._until, last_arrival)
 
 
-DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",), traits=DisseminationTraits)
+DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",), takes=("me",), traits=DisseminationTraits)
 """The installed ways to disseminate announcements."""
 
 

@@ -5,6 +5,8 @@ from math import inf
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
@@ -164,11 +166,18 @@ class Knowledge:
         return self._beliefs.senses_others
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`."""
+        """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
+
+        Raises:
+            ValueError: if a user's utility returns no number, or nan.
+        """
         own, rivals, times = self._beliefs.rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
-        return utility(own, others, self._state.time_left(self._clock.stamp))
+        gain: Any = utility(own, others, self._state.time_left(self._clock.stamp))
+        if not isinstance(gain, float | int | np.number) or gain != gain:
+            raise ValueError(f"a utility should return a gain, a number in s, got {gain!r} from {utility!r}")
+        return float(gain)
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""

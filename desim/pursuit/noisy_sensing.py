@@ -6,7 +6,7 @@ each evader. Captures follow the true positions.
 """
 
 from collections.abc import Generator, Iterable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -121,8 +121,13 @@ class NoisySensor:
                 self.views, offsets, draws, state.broken.tolist(), strict=True
             ):
                 if not broken and abs(offset) <= radius:
-                    measured = self._noise(offset, first, second)
-                    view.measure(evader, measured, self._noise.covariance(measured))
+                    measured: Any = self._noise(offset, first, second)
+                    if not isinstance(measured, complex | float | int | np.number) or measured != measured:
+                        raise ValueError(
+                            f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
+                            f" {self._noise!r}"
+                        )
+                    view.measure(evader, complex(measured), self._noise.covariance(complex(measured)))
 
 
 Sensor = TeamSensor | NoisySensor

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from operator import index
 from typing import Any, Self, TypeVar
 
 from desim.config.interrupts import SIGNALS, deferred
@@ -201,12 +202,19 @@ def workers_for(executor: Executor | int | str, calls: int | None = None) -> Wor
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
-        ValueError: if a number is negative.
+        ValueError: if a number is negative, or the executor is of another type.
     """
     if isinstance(executor, str):
         return Cluster(executor, START_TIMEOUT)
     if isinstance(executor, Executor):
         return Workers(executor)
+    try:
+        executor = index(executor)
+    except TypeError:
+        raise ValueError(
+            "executor should be a number of processes, the address of a Dask scheduler or an executor of"
+            f" concurrent.futures, such as ProcessPoolExecutor (got {executor!r})"
+        ) from None
     if executor < 0:
         raise ValueError(f"the number of workers should be at least 0, got {executor}")
     count = executor or os.cpu_count() or 1

@@ -1,0 +1,214 @@
+"""Functions of the user: a wrong signature is refused at once, and a wrong return value with what it should be.
+
+Each family that is called is listed once, so that a new one is noticed by `tests.test_overrides`.
+"""
+
+from multiprocessing.pool import ThreadPool
+
+import networkx as nx
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from desim import Links, Scenario, run, summary, sweep
+from desim.kernel.clock import Clock
+from desim.kernel.events import Lost
+from desim.kernel.faults import Jamming, Partition
+from desim.kernel.latency import PerPair
+from desim.kernel.loss import Bernoulli
+from desim.kernel.network import Network
+from desim.pursuit.events import Ended
+from desim.scenario.checks import warnings
+from tests.test_overrides import FAMILIES, is_refused, linked, plain, scenario
+
+CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
+
+
+def first_kind(name):
+    return next(kind for kind in FAMILIES[name].choice.choices().values() if not is_refused(kind))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_function_of_a_wrong_signature_is_refused_when_it_is_given(name):
+    family = FAMILIES[name]
+
+    class Strange:
+        def __call__(self, one, two, three, four, five, six):
+            return 0.0
+
+    strange = Strange()
+    vars(strange).update(vars(plain(first_kind(name), family.function, family.beside)) if family.beside else {})
+    with pytest.raises(ValidationError, match="should accept a call with"):
+        family.with_model(strange)
+
+
+WRONG = {
+    "latency": ["late", None, -1.0, np.nan, np.inf, [0.1], {}],
+    "latency of one link": ["late", None, -1.0, np.nan, [0.1, 0.2]],
+    "latency of an edge": ["late", None],
+    "jitter": [None, -1.0, np.nan],
+    "loss": [None, 0.5, "lost", 1, np.ones(7, dtype=bool)],
+    "duplicate": [None, 0.5],
+    "reception": [None, np.nan, 2.0, -0.1, "near", np.ones(7), 1j],
+    "medium": [None, -1.0, np.nan, np.inf, "long"],
+    "interference": [None, True, np.ones(7, dtype=bool), 0.5],
+    "graph": [None, 5, {0: [1]}, nx.path_graph(7), nx.MultiGraph()],
+    "fault": [None, 3, [3], [None]],
+    "guidance": [None, 0j, np.zeros(7), np.zeros((4, 2)), "north", np.full(4, np.nan), np.full(4, 99.0)],
+    "strategy": [None, (1.0, 0.0), np.array([1.0, 0.0]), "north", np.nan, 2.0],
+    "dynamics of an evader": [None, 1j],
+    "flow": [None, 0.1, np.zeros(7), np.zeros((4, 2)), "east", np.full(5, np.nan)],
+    "utility": [None, "much", np.nan, (1.0,), 1j],
+    "schedule": [None, 3, [3]],
+    "temperature": [None, -1.0, np.nan, "cold"],
+    "protocol": [None, 3],
+    "noise": [None, (1.0, 2.0), np.nan, "far"],
+}
+"""For each family, what its functions should not return."""
+RETURNS = [(name, k) for name, values in WRONG.items() for k in range(len(values))]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("name", "k"), RETURNS, ids=[f"{name}-{WRONG[name][k]!r}"[:40] for name, k in RETURNS])
+def test_a_wrong_return_value_gives_a_sentence_about_what_it_should_be(name, k):
+    family = FAMILIES[name]
+    answer = WRONG[name][k]
+    if name == "interference":
+        model = plain(type(family.function), lambda *_: answer, ("needs_positions", "has_noise"))
+    else:
+        model = plain(first_kind(name), _answering(family.function, answer), family.beside)
+    with pytest.raises((ValueError, TypeError), match="should"):
+        run(family.with_model(model), 1)
+
+
+def _answering(function, answer):
+    """Return a function with as many arguments as another one."""
+    count = function.__code__.co_argcount
+    names = ", ".join(f"a{k}" for k in range(count))
+    return eval(f"lambda {names}: answer", {"answer": answer})
+
+
+@pytest.mark.parametrize("name", ["latency", "loss"])
+@pytest.mark.parametrize("drawn", [None, 0.5, np.zeros(3), "late"])
+def test_wrong_draws_give_a_sentence_about_what_they_should_be(name, drawn):
+    class Theirs:
+        def draw(self, count, rng):
+            return drawn
+
+        def __call__(self, context, rng):
+            return 0.1 if name == "latency" else True
+
+    with pytest.raises(ValueError, match=r"draw\(\d+, rng\) should return an array of \d+ draws"):
+        run(linked(**{name: Theirs()}), 1)
+
+
+def test_a_quantile_of_another_shape_is_refused():
+    class Theirs:
+        def quantile(self, u):
+            return 0.1
+
+        def __call__(self, context, rng):
+            return 0.1
+
+    with pytest.raises(ValueError, match=r"quantile\(u\) should return a latency for each of \d+ u"):
+        run(linked(latency=PerPair(base=Theirs())), 1)
+
+
+def test_a_model_on_an_edge_of_a_graph_is_checked_with_the_scenario():
+    def graph(size):
+        made = nx.complete_graph(size)
+        made.edges[0, 1]["latency"] = lambda: 0.1
+        return made
+
+    with pytest.raises(ValidationError, match="the latency of an edge should accept a call with"):
+        linked(graph=graph)
+    with pytest.raises(ValueError, match="the latency of an edge should accept a call with"):
+        Network(Clock(), graph(3))
+
+
+@pytest.mark.parametrize("answer", [True, np.True_, np.bool_(1)])
+def test_a_watcher_ends_the_run_with_any_true_boolean(answer):
+    assert run(scenario(), 1, lambda event: answer).trace.of(Ended)[0].t == 0
+
+
+@pytest.mark.parametrize("answer", [None, False, np.False_, 1, "yes", [1]])
+def test_a_watcher_that_returns_anything_else_does_not(answer):
+    assert run(scenario(), 1, lambda event: answer).trace.of(Ended)[0].t > 0
+
+
+@pytest.mark.parametrize("watcher", [3, [print], lambda: True, lambda event, other: True])
+def test_what_is_no_function_of_an_event_is_no_watcher(watcher):
+    with pytest.raises(ValueError, match="a watcher should"):
+        run(scenario(), 1, watcher)
+
+
+@pytest.mark.parametrize("executor", [2.0, None, object(), [2]])
+def test_what_is_no_executor_is_refused(executor):
+    with pytest.raises(ValueError, match="executor should be a number of processes"):
+        sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1, executor=executor)
+
+
+def test_a_pool_of_multiprocessing_is_no_executor():
+    with ThreadPool(1) as pool, pytest.raises(ValueError, match="such as ProcessPoolExecutor"):
+        sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1, executor=pool)
+
+
+def test_a_number_of_processes_may_be_one_of_numpy():
+    assert len(sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1, executor=np.int64(1)).rows) == 1
+
+
+@pytest.mark.parametrize("mean", [20.0, np.float64(20.0)])
+def test_a_latency_of_a_user_may_say_its_mean(mean):
+    class Theirs:
+        def mean_latency(self):
+            return mean
+
+        def __call__(self, context, rng):
+            return 0.0
+
+    assert "times are in s, not ms" in dict(warnings(Scenario(network=Links(latency=Theirs()))))["network.latency"]
+
+
+def test_a_mean_that_is_no_number_is_refused():
+    class Theirs:
+        def mean_latency(self):
+            return "much"
+
+        def __call__(self, context, rng):
+            return 0.0
+
+    with pytest.raises(ValueError, match="should return a number, s, or None"):
+        dict(warnings(Scenario(network=Links(latency=Theirs()))))
+
+
+class Fog(Bernoulli):
+    cause: str = "fog"
+
+
+class Wall(Partition):
+    cause: str = "wall"
+
+
+class Storm(Jamming):
+    cause: str = "storm"
+
+
+def rain(context, rng):
+    return True
+
+
+rain.cause = "rain"
+
+
+def test_losses_of_a_users_model_have_a_cause_of_their_own(tmp_path):
+    """In the events, in the counts and in the summary; of a loss model, a function, a partition and jamming."""
+    window = {"start": 0.0, "end": 1.0}
+    for cause, parts in {
+        "fog": {"network": Links(loss=Fog(p=0.5))},
+        "rain": {"network": Links(loss=rain)},
+        "wall": {"fault": (Wall(groups=((0,),), **window),)},
+        "storm": {"fault": (Storm(centre=(0.0, 0.0), radius=1e4, **window),)},
+    }.items():
+        result = run(scenario(**parts), 1)
+        assert {event.cause for event in result.trace.of(Lost)} == {cause}
+        assert dict(summary(result).messages_lost_by) == {cause: len(result.trace.of(Lost))}
