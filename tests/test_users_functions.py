@@ -18,7 +18,9 @@ from desim.kernel.latency import PerPair
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.pursuit.events import Ended
+from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
+from desim.view.replay import replay
 from tests.test_overrides import FAMILIES, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
@@ -154,7 +156,7 @@ def test_a_pool_of_multiprocessing_is_no_executor():
 
 
 def test_a_number_of_processes_may_be_one_of_numpy():
-    assert len(sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1, executor=np.int64(1)).rows) == 1
+    assert len(sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1, executor=np.int64(1)).to_frame()) == 1
 
 
 @pytest.mark.parametrize("mean", [20.0, np.float64(20.0)])
@@ -200,7 +202,7 @@ def rain(context, rng):
 rain.cause = "rain"
 
 
-def test_losses_of_a_users_model_have_a_cause_of_their_own(tmp_path):
+def test_losses_of_a_users_model_have_a_cause_of_their_own():
     """In the events, in the counts and in the summary; of a loss model, a function, a partition and jamming."""
     window = {"start": 0.0, "end": 1.0}
     for cause, parts in {
@@ -212,3 +214,14 @@ def test_losses_of_a_users_model_have_a_cause_of_their_own(tmp_path):
         result = run(scenario(**parts), 1)
         assert {event.cause for event in result.trace.of(Lost)} == {cause}
         assert dict(summary(result).messages_lost_by) == {cause: len(result.trace.of(Lost))}
+
+
+def test_an_unknown_cause_is_read_from_a_folder_and_drawn(tmp_path):
+    """In all pages and exports that name causes."""
+    result = run(scenario(network=Links(loss=Fog(p=0.5)), protocol="best_response"), 1)
+    write(result, tmp_path / "run")
+    again = read(tmp_path / "run", allow_import=True)
+    assert again.trace.of(Lost) == result.trace.of(Lost)
+    assert {event.cause for event in again.trace.of(Lost)} == {"fog"}
+    assert "fog" in str(summary(again))
+    assert '"fog"' in replay(again)

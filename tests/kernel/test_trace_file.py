@@ -372,7 +372,7 @@ BAD = {
     json.dumps(BROADCAST | {"dst": 1}): "dst: Input should be a valid tuple",
     json.dumps(BROADCAST | {"dst": [1, 3]}): "dst.1: Input should be less than 3",
     json.dumps(BROADCAST | {"arrival": [0.0, "x"]}): "arrival.1: Input should be a valid number",
-    json.dumps(TALLY | {"lost_by": {"cats": 1}}): "lost_by.cats.*: Input should be 'loss', 'out_of_range'",
+    json.dumps(TALLY | {"lost_by": {"": 1}}): "lost_by..*: String should have at least 1 character",
     json.dumps(TALLY | {"utilisation": nan}): "utilisation: Input should be",
 }
 
