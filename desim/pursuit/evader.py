@@ -77,7 +77,7 @@ class EvaderController:
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
         heading = self._strategy(observation, self._rng)
-        if not isinstance(heading, int | float | complex | np.number):
+        if type(heading) is not complex and not isinstance(heading, (int, float, complex, np.number)):
             raise ValueError(f"a heading should be a complex number, got {heading!r} from {self._strategy!r}")
         if not abs(heading) <= 1.0 + 1e-9:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")

@@ -345,7 +345,8 @@ class Environment(Value):
     @property
     def is_still(self) -> bool:
         """Whether there is no flow."""
-        return is_uniform(self.flow) and inherits(self.flow, NoFlow, "velocity_at")
+        flow = self.flow
+        return type(flow) is NoFlow or (is_uniform(flow) and inherits(flow, NoFlow, "velocity_at"))
 
     @property
     def keeps_distances(self) -> bool:

@@ -122,7 +122,7 @@ class NoisySensor:
             ):
                 if not broken and abs(offset) <= radius:
                     measured: Any = self._noise(offset, first, second)
-                    if not isinstance(measured, complex | float | int | np.number) or measured != measured:
+                    if not isinstance(measured, (complex, float, int, np.number)) or measured != measured:
                         raise ValueError(
                             f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
                             f" {self._noise!r}"
