@@ -94,17 +94,3 @@ def in_short(value: Any) -> Any:
 def content_hash(content: bytes) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 hash of some bytes."""
     return hashlib.sha256(content).hexdigest()[:16]
-
-
-def lines_of(file: Path) -> list[str]:
-    """Return the lines of a text file of numbers, without comments, which begin with #.
-
-    Raises:
-        ValueError: if the file cannot be read.
-    """
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ValueError(f"{file} cannot be read: {reason}") from error
-    return [line.partition("#")[0] for line in lines]

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from desim.config.data_files import lines_of
+from desim.config.number_files import lines_of
 
 
 def latencies_of(file: Path) -> list[float]:

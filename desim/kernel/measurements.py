@@ -4,10 +4,12 @@ A table (`desim.kernel.csv_tables`) has a row per measurement: a time, the sende
 a value.
 """
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from decimal import Decimal, InvalidOperation
-from functools import lru_cache
+from functools import lru_cache, partial
 from statistics import median
 from typing import Any, Literal, NamedTuple
 
@@ -15,6 +17,7 @@ import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
+from desim.config.number_files import hint_of, integer_of, not_a_number, number_of
 from desim.kernel.csv_tables import KEPT, Columns, place_of, rows_of
 from desim.kernel.units import SECOND
 
@@ -23,8 +26,19 @@ PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """The number of each unit in a second."""
 MAX_NODE = 2**31 - 1
 NODE = "the number of a node, 0 or more"
+FIRST_DATE = Decimal(10**8)
+"""A time of this many seconds or more, three years, counts from a date, not from the start of a simulation."""
+LAST_CLOCK = Decimal(10**11)
+"""A greater time, s, is in a smaller unit: in seconds since 1970, it would be in the year 5138."""
+DATE = re.compile(
+    r"(\d{4})[-/](\d\d)[-/](\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?"
+    r" ?(?:(Z|UTC)|([+-]\d\d):?(\d\d)?)?)?",
+    re.ASCII | re.IGNORECASE,
+)
+DATE_FORM = "2024-05-17T12:30:00.25Z"
 MAX_DIGITS = 30
-"""A number with more digits before its decimal point is no time."""
+"""A number with more digits before or after its decimal point is no time."""
+YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)  # noqa: DTZ001 - differences of times in one zone
 
 
 class Meaning(NamedTuple):
@@ -88,14 +102,14 @@ class _Cells(NamedTuple):
     columns: dict[str, Sequence[str]]
     """The cells of each column, without the header."""
 
-    def numbers(self, column: str, convert: Callable[[str], Any], what: str = "a number") -> list[Any]:
-        """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not `what`."""
-        cells = self.columns[column]
+    def numbers(self, column: str, convert: Callable[[str], Any]) -> list[Any]:
+        """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not valid."""
+        converted: list[Any] = []
         try:
-            return list(map(convert, cells))
-        except (ValueError, InvalidOperation):
-            row = next(row for row, cell in enumerate(cells) if not _converts(convert, cell))
-            raise self.error(row, f"{column} should be {what} (got {cells[row]!r})") from None
+            converted.extend(map(convert, self.columns[column]))
+        except ValueError as error:
+            raise self.error(len(converted), f"{column}: {error}") from error
+        return converted
 
     def place(self, row: int) -> str:
         """Return the place of a row in the file."""
@@ -106,12 +120,49 @@ class _Cells(NamedTuple):
         return ValueError(f"{self.table}, {self.place(row)}: {text}")
 
 
-def _converts(convert: Callable[[str], Any], cell: str) -> bool:
+def time_of(text: str, unit: Unit = "s") -> Decimal:
+    """Return the exact time, s, that a text says: a number in a unit, or a date as in ISO 8601.
+
+    A date with a time zone counts from 1970 (UTC), as most clocks do. A date without one counts from the year 1, so
+    that a mixture of both, or of dates and numbers, has a length of thousands of years, and is noticed.
+
+    Raises:
+        ValueError: if the text is neither a number nor a date, or the number is beyond `LAST_CLOCK`.
+    """
     try:
-        convert(cell)
-    except (ValueError, InvalidOperation):
-        return False
-    return True
+        number = Decimal(text)
+    except InvalidOperation:
+        return _seconds_of_date(text.strip())
+    if not number.is_finite() or "_" in text or not text.isascii():
+        raise not_a_number(text)
+    seconds = number / PER_SECOND[unit] if abs(number.adjusted()) < MAX_DIGITS else number
+    if abs(seconds) > LAST_CLOCK:
+        raise ValueError(f"{text!r} is too great for a time in {unit}; numbers since 1970 may be in ms, us or ns")
+    return seconds
+
+
+def _seconds_of_date(text: str) -> Decimal:
+    match = DATE.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r} is neither a number nor a date such as {DATE_FORM}{hint_of(text)}")
+    *whole, fraction, utc, hours, minutes = match.groups()
+    try:
+        date = datetime(*(int(part or 0) for part in whole))  # type: ignore[arg-type] # noqa: DTZ001
+    except ValueError as error:
+        raise ValueError(f"{text!r} is not a date: {error}") from error
+    east = timedelta(hours=int(hours or 0), minutes=int(f"{(hours or '+')[0]}{minutes or 0}"))
+    since = date - (YEAR_1970 if utc or hours else YEAR_1) - east
+    return Decimal(since // timedelta(seconds=1)) + Decimal(f"0.{fraction or 0}")
+
+
+def start_of(times: Iterable[Decimal]) -> Decimal:
+    """Return the time (s) that is the start of the simulation: the earliest, if the times count from a date, else 0.
+
+    Apply it to all times of a file, so that its nodes keep their common clock: `float(time - start)` is then the time
+    of the simulation.
+    """
+    earliest = min(times, default=Decimal(0))
+    return earliest if earliest >= FIRST_DATE else Decimal(0)
 
 
 @lru_cache(maxsize=KEPT)
@@ -150,15 +201,11 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
 
 def _times(cells: _Cells, column: str, unit: Unit) -> Integers:
     """Return the (R,) times after the earliest, ns; they are exact, also for times since 1970."""
-    times = cells.numbers(column, Decimal)
-    for row, time in enumerate(times):
-        if not time.is_finite() or time.adjusted() > MAX_DIGITS:
-            raise cells.error(row, f"{column} should be a number (got {cells.columns[column][row]!r})")
-    start, limit = min(times), MAX_TIME * PER_SECOND[unit]
-    if (most := max(times)) - start > limit:
+    times = cells.numbers(column, partial(time_of, unit=unit))
+    start = min(times)
+    if (most := max(times)) - start > MAX_TIME:
         raise cells.error(times.index(most), f"{column} should be at most {MAX_TIME:g} s after the earliest time")
-    scale = SECOND // PER_SECOND[unit]
-    return np.array([round((time - start) * scale) for time in times], dtype=np.int64)
+    return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
 
 
 def _values(cells: _Cells, column: str, meaning: Meaning) -> Floats:
@@ -173,7 +220,7 @@ def _values(cells: _Cells, column: str, meaning: Meaning) -> Floats:
 
 
 def _number_or_nan(cell: str) -> float:
-    return float(cell or "nan")
+    return number_of(cell or "nan")
 
 
 def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integers, Integers]:
@@ -196,7 +243,7 @@ def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integer
 
 def _nodes(cells: _Cells, column: str) -> Integers:
     """Return the (R,) nodes in a column."""
-    nodes = cells.numbers(column, int, NODE)
+    nodes = cells.numbers(column, integer_of)
     if min(nodes) < 0 or max(nodes) > MAX_NODE:
         row = next(row for row, node in enumerate(nodes) if not 0 <= node <= MAX_NODE)
         raise cells.error(row, f"{column} should be {NODE} (got {cells.columns[column][row]!r})")

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from desim.config.arrays import Floats, Integers
-from desim.config.data_files import lines_of
+from desim.config.number_files import lines_of
 
 SIZE = 4096
 """Length of a table."""

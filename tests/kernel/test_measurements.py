@@ -2,15 +2,21 @@
 
 import re
 import sys
+from contextlib import nullcontext
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
 
 import networkx as nx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
 from desim.kernel.clock import Clock
 from desim.kernel.csv_tables import _csv_of
 from desim.kernel.links import Links
+from desim.kernel.measurements import LAST_CLOCK, start_of, time_of
 from desim.kernel.network import Network
 
 PER_LINK = "t,src,dst,value\n0,0,1,0.1\n0,1,0,0.3\n1,0,1,0.2\n"
@@ -110,6 +116,55 @@ def test_times_count_from_the_first_and_are_exact(unit, times):
     assert trace.span == 0.3
 
 
+DATES = {
+    "in UTC": ["2024-05-17T12:30:00.100000001Z", "2024-05-17 12:30:00.2Z", "2024/05/17 12:30:00,300 UTC"],
+    "in two zones": ["2024-05-17T14:30:00+02:00", "2024-05-17T12:30:00.1Z", "2024-05-17T08:00:00.2-0430"],
+    "without a zone": ["2024-05-17T12:30:00.1", "2024-05-17T12:30:00.2", "2024-05-17T12:30:00.3"],
+    "across midnight": ["2024-02-28T23:59:59.9", "2024-02-29", "2024-02-29 00:00:00.1"],
+    "with numbers since 1970": ["1715949000", "2024-05-17T12:30:00.1Z", "1715949000.2"],
+}
+
+
+@pytest.mark.parametrize("times", DATES.values(), ids=DATES)
+def test_times_may_be_dates(times):
+    """The time of the first is 0, and nanoseconds count."""
+    table = "t,value\n" + "".join(f'"{time}",1\n' for time in times)
+    first = 1 if times[0].endswith("1Z") else 0
+    assert LatencyTrace(table=table).measurements.times.tolist() == [0, 100_000_000 - first, 200_000_000 - first]
+
+
+@given(st.datetimes(datetime(1975, 1, 1), datetime(2200, 1, 1)), st.integers(-23 * 60, 23 * 60))  # noqa: DTZ001
+def test_a_date_is_the_time_that_python_says(date, east):
+    aware = date.replace(tzinfo=timezone(timedelta(minutes=east)))
+    seconds = (aware - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(microseconds=1)
+    assert time_of(aware.isoformat()) == Decimal(round(seconds)) / 10**6
+    assert start_of([time_of(date.isoformat())]) == time_of(date.isoformat()) > LAST_CLOCK / 2
+
+
+@pytest.mark.parametrize(
+    ("times", "complaint"),
+    [
+        (["2024-05-17T12:30:00", "2024-05-17T12:30:01Z"], "at most 1e.09 s after the earliest time"),
+        (["1715949000", "2024-05-17T12:30:01"], "at most 1e.09 s after the earliest time"),
+        (["17.05.2024 12:30"], "neither a number nor a date"),
+        (["12:30:00"], "neither a number nor a date"),
+        (["2024-13-01"], "'2024-13-01' is not a date: month"),
+        (["2024-05-17T24:00"], "is not a date: hour"),
+        (["0001-01-01T00:00+02:00"], ""),
+        (["1715949000123"], "'1715949000123' is too great for a time in s; numbers since 1970 may be in ms"),
+    ],
+)
+def test_what_is_no_date_or_another_clock_is_refused(times, complaint):
+    table = "t,value\n" + "".join(f"{time},1\n" for time in times)
+    with pytest.raises(ValidationError, match=complaint) if complaint else nullcontext():
+        LatencyTrace(table=table)
+
+
+def test_times_that_count_from_a_date_start_with_the_earliest_and_others_with_0():
+    assert start_of([]) == start_of([time_of("10"), time_of("5")]) == 0
+    assert start_of([time_of("1715949000500", "ms"), time_of("1715949000")]) == 1_715_949_000
+
+
 @pytest.mark.parametrize(
     ("rows", "end"),
     [
@@ -134,10 +189,10 @@ def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
         ("t,value,value\n0,1,1\n", {}, r"rtt\.csv has several columns 'value'; its columns are t, value, value"),
         ("t,value\n0,1,5\n", {}, r"line 2: has 3 cells, but the table has 2 columns"),
         ('t,value\n0,"1\n', {}, r"rtt\.csv, line 3: unexpected end of data"),
-        ("# c\nt,value\n0,1\n\n1,x\n", {}, r"rtt\.csv, line 5: value should be a number \(got 'x'\)"),
-        ("t,value\n,1\n", {}, r"line 2: t should be a number \(got ''\)"),
-        ("t,value\nnan,1\n", {}, r"line 2: t should be a number \(got 'nan'\)"),
-        ("t,value\n1e99,1\n", {}, r"line 2: t should be a number \(got '1e99'\)"),
+        ("# c\nt,value\n0,1\n\n1,x\n", {}, r"rtt\.csv, line 5: value: 'x' is not a number"),
+        ("t,value\n,1\n", {}, r"line 2: t: '' is neither a number nor a date such as 2024-05-17T12:30:00\.25Z"),
+        ("t,value\nnan,1\n", {}, r"line 2: t: 'nan' is not a number"),
+        ("t,value\n1e99,1\n", {}, r"line 2: t: '1e99' is too great for a time in s"),
         ("t,value\n0,1\n2e9,1\n", {}, r"line 3: t should be at most 1e\+09 s after the earliest time"),
         ("t,value\n0,-3\n", {}, r"line 2: a latency should be at least 0 \(got -3\)"),
         ("t,value\n0,inf\n", {}, r"line 2: a latency should be at most 1e\+09 \(got inf\)"),
@@ -159,7 +214,7 @@ def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
         ),
         ("t,value\n0,1\n", {"src": "from", "dst": "to"}, r"rtt\.csv has no column 'from'; its columns are t, value"),
         ("t,src,dst,value\n0,0,0,1\n", {}, r"line 2: a link should join two nodes \(got 0 and 0\)"),
-        ("t,src,dst,value\n0,0,1.0,1\n", {}, r"line 2: dst should be the number of a node, 0 or more \(got '1\.0'\)"),
+        ("t,src,dst,value\n0,0,1.0,1\n", {}, r"line 2: dst: '1\.0' is not an integer"),
         ("t,src,dst,value\n0,-1,0,1\n", {}, r"line 2: src should be the number of a node, 0 or more \(got '-1'\)"),
         (
             PER_LINK,
@@ -204,9 +259,9 @@ def test_an_unreadable_file_is_reported_by_its_name(tmp_path, name, why):
 
 
 def test_a_trace_needs_a_file_or_a_table():
-    for given in ({}, {"file": None}):
+    for options in ({}, {"file": None}):
         with pytest.raises(ValidationError, match="should have a file, or a table"):
-            LatencyTrace(**given)
+            LatencyTrace(**options)
     with pytest.raises(ValidationError, match="the table is empty"):
         LatencyTrace(table="")
     with pytest.raises(ValidationError, match="a path"):

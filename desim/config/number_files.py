@@ -1,0 +1,92 @@
+"""Numbers in text files that people bring: which texts are numbers, and why others are not.
+
+The decimal sign is a point. Python reads more than people write by intention, such as 1_000 or digits of other scripts;
+these are refused, and so are decimal commas, thousands separators and units.
+"""
+
+import re
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from pathlib import Path
+
+from desim.config.trust import regular_or_missing
+
+COMMAS = re.compile(r"[+-]?[\d.\s']*,\d[\d.,]*(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+"""Matches a number with a comma, for decimals or thousands."""
+WITH_UNIT = re.compile(r"[+-]?[\d.]+(?:e[+-]?\d+)?\s*([^\W\d_]+(?:/\w+)?|%)", re.IGNORECASE)
+"""Matches a number with a unit."""
+
+
+def number_of(text: str) -> float:
+    """Return the number in a text; it may be nan or infinite.
+
+    Raises:
+        ValueError: if the text is not a number; the message ends with the reason, if it is known.
+    """
+    try:
+        if text.isascii() and "_" not in text:
+            return float(text)
+    except ValueError:
+        pass
+    raise not_a_number(text)
+
+
+def integer_of(text: str) -> int:
+    """Return the integer in a text.
+
+    Raises:
+        ValueError: if the text is not an integer in decimal digits.
+    """
+    try:
+        if text.isascii() and "_" not in text:
+            return int(text)
+    except ValueError:
+        pass
+    raise not_a_number(text, "an integer")
+
+
+def not_a_number(text: str, what: str = "a number") -> ValueError:
+    """Return the error that a text is not a number, with the reason if it is known."""
+    return ValueError(f"{text!r} is not {what}{hint_of(text)}")
+
+
+def hint_of(text: str) -> str:
+    """Return the probable reason why a text is not a number, after a semicolon; "" if it is not known."""
+    cell = text.strip()
+    if COMMAS.fullmatch(cell):
+        return "; the decimal sign is a point, and thousands have no separator"
+    if "_" in cell or not cell.isascii():
+        return "; a number has the digits 0 to 9, and nothing between them"
+    if WITH_UNIT.fullmatch(cell):
+        return "; a number has no unit here"
+    return ""
+
+
+def text_of_file(file: Path) -> str:
+    r"""Return the text of a file in UTF-8, or in UTF-16 with a byte order mark; its lines end with \n.
+
+    Raises:
+        ValueError: if the file cannot be read, or is not text.
+    """
+    try:
+        content = regular_or_missing(file).read_bytes()
+        text = _decoded(content)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ValueError(f"{file} cannot be read: {reason}") from error
+    if "\0" in text:
+        raise ValueError(f"{file} cannot be read: it is not text in UTF-8, because it has zero bytes")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _decoded(content: bytes) -> str:
+    is_utf16 = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    return content.decode("utf-16") if is_utf16 else content.removeprefix(BOM_UTF8).decode()
+
+
+def lines_of(file: Path) -> list[str]:
+    """Return the lines of a text file of numbers, without comments, which begin with #.
+
+    Raises:
+        ValueError: if the file cannot be read.
+    """
+    return [line.partition("#")[0] for line in text_of_file(file).split("\n")]
