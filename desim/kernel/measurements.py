@@ -38,7 +38,7 @@ DATE = re.compile(
 DATE_FORM = "2024-05-17T12:30:00.25Z"
 MAX_DIGITS = 30
 """A number with more digits before or after its decimal point is no time."""
-YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)  # noqa: DTZ001 - differences of times in one zone
+YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)
 
 
 class Meaning(NamedTuple):
@@ -147,7 +147,7 @@ def _seconds_of_date(text: str) -> Decimal:
         raise ValueError(f"{text!r} is neither a number nor a date such as {DATE_FORM}{hint_of(text)}")
     *whole, fraction, utc, hours, minutes = match.groups()
     try:
-        date = datetime(*(int(part or 0) for part in whole))  # type: ignore[arg-type] # noqa: DTZ001
+        date = datetime(*(int(part or 0) for part in whole))  # type: ignore[arg-type]
     except ValueError as error:
         raise ValueError(f"{text!r} is not a date: {error}") from error
     east = timedelta(hours=int(hours or 0), minutes=int(f"{(hours or '+')[0]}{minutes or 0}"))

@@ -133,7 +133,7 @@ def test_times_may_be_dates(times):
     assert LatencyTrace(table=table).measurements.times.tolist() == [0, 100_000_000 - first, 200_000_000 - first]
 
 
-@given(st.datetimes(datetime(1975, 1, 1), datetime(2200, 1, 1)), st.integers(-23 * 60, 23 * 60))  # noqa: DTZ001
+@given(st.datetimes(datetime(1975, 1, 1), datetime(2200, 1, 1)), st.integers(-23 * 60, 23 * 60))
 def test_a_date_is_the_time_that_python_says(date, east):
     aware = date.replace(tzinfo=timezone(timedelta(minutes=east)))
     seconds = (aware - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(microseconds=1)
