@@ -12,6 +12,8 @@ from desim.config.trust import regular_or_missing
 
 COMMAS = re.compile(r"[+-]?[\d.\s']*,\d[\d.,]*(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 """Matches a number with a comma, for decimals or thousands."""
+OTHER_DIGITS = re.compile(r"[+-]?[\d_.\s]*\d[\d_.\s]*(e[+-]?[\d_]+)?", re.IGNORECASE)
+"""Matches a number with underscores, white space or digits of another script."""
 WITH_UNIT = re.compile(r"[+-]?[\d.]+(?:e[+-]?\d+)?\s*([^\W\d_]+(?:/\w+)?|%)", re.IGNORECASE)
 """Matches a number with a unit."""
 
@@ -54,7 +56,7 @@ def hint_of(text: str) -> str:
     cell = text.strip()
     if COMMAS.fullmatch(cell):
         return "; the decimal sign is a point, and thousands have no separator"
-    if "_" in cell or not cell.isascii():
+    if OTHER_DIGITS.fullmatch(cell):
         return "; a number has the digits 0 to 9, and nothing between them"
     if WITH_UNIT.fullmatch(cell):
         return "; a number has no unit here"
@@ -90,3 +92,8 @@ def lines_of(file: Path) -> list[str]:
         ValueError: if the file cannot be read.
     """
     return [line.partition("#")[0] for line in text_of_file(file).split("\n")]
+
+
+def words_of(line: str) -> list[str]:
+    """Return the words of a line between ASCII white space; other white space may separate thousands."""
+    return re.findall(r"[^ \t\f\v]+", line)

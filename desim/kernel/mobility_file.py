@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.model import MAX_COORDINATE, MAX_TIME
+from desim.config.number_files import number_of, text_of_file
 from desim.kernel.units import nanoseconds
 
 
@@ -45,11 +46,7 @@ def read_waypoints(file: Path, node: int) -> list[Waypoint]:
         ValueError: if the file cannot be read, has no such node, or a line of the node is not valid; the message names
             the file and the line.
     """
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ValueError(f"{file} cannot be read: {reason}") from error
+    lines = text_of_file(file).split("\n")
     read = _ns2 if any("$node_(" in line for line in lines) else _bonnmotion
     return read(file, lines, node)
 
@@ -164,9 +161,9 @@ def _speed(text: str, place: str) -> float:
 def _number(text: str, place: str, what: str, low: float, high: float, unit: str) -> float:
     """Return the number in a text; raise ValueError unless it is from `low` to `high`."""
     try:
-        found = float(text)
+        found = number_of(text)
     except ValueError as error:
-        raise ValueError(f"{place}: {text!r} is not a number") from error
+        raise ValueError(f"{place}: {error}") from error
     if not low <= found <= high:
         raise ValueError(f"{place}: {what} should be from {low:g} to {high:g} {unit} (got {text})")
     return found

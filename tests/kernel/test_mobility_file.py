@@ -124,7 +124,7 @@ def test_a_bad_file_is_refused_with_its_name_and_the_line(tmp_path, text, node, 
 
 
 def test_an_unreadable_file_is_reported_by_its_name(tmp_path):
-    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00\x01")
+    (tmp_path / "binary").write_bytes(b"\xff\x00\x01")
     for name in ("binary", "none"):
         with pytest.raises(ValueError, match=rf"{name} cannot be read"):
             read_waypoints(tmp_path / name, 0)
