@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from desim.kernel.latency import Constant as Constant
     from desim.kernel.latency import Empirical as Empirical
     from desim.kernel.latency import Gamma as Gamma
+    from desim.kernel.latency import LatencyMatrix as LatencyMatrix
     from desim.kernel.latency import Lognormal as Lognormal
     from desim.kernel.latency import PerPair as PerPair
     from desim.kernel.latency import Propagation as Propagation
@@ -137,6 +138,7 @@ _NAMES = {
         "Constant",
         "Empirical",
         "Gamma",
+        "LatencyMatrix",
         "Lognormal",
         "PerPair",
         "Propagation",

@@ -1,49 +1,96 @@
 """Tables of measurements as CSV text, which is read from CSV or Parquet files.
 
-A model keeps its table as CSV text that has only the columns in use. Each row stays on its line of the file, so that an
-error message can name the line.
+The cells of a file are separated by commas, semicolons or tabs, whichever its header has most of. Where commas do not
+separate cells, numbers may have decimal commas, as the spreadsheets of half of Europe write them.
+
+A model keeps its table as CSV text, with commas and decimal points, that has only the columns in use. Each row stays on
+its line of the file, so that an error message can name the line.
 """
 
 import csv
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import lru_cache
 from io import StringIO
 from itertools import repeat
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from desim.config.number_files import number_of, text_of_file
+from desim.kernel.ping import ping_table
 
 MAX_CELLS = 20_000_000
 """Maximum number of cells that are read of a Parquet file: about 400 MB of text."""
 KEPT = 8
 """Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
+SEPARATORS = ",;\t"
+QUOTED = re.compile(r'"[^"]*"')
+DECIMAL = re.compile(r"[+-]?(?:\d*([.,])\d+|\d+([.,]))(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+"""Matches a number with a decimal sign."""
 
 
-class Columns(NamedTuple):
-    """The names of the columns of a table."""
+class Cells(NamedTuple):
+    """The cells of a table."""
 
-    time: str
-    src: str | None
-    """The sender; None, as is `dst`: the measurements hold for all links."""
-    dst: str | None
-    value: str
+    table: str
+    """The name of the table."""
+    lines: list[int]
+    """The line of each row."""
+    columns: dict[str, Sequence[str]]
+    """The cells of each column, without the header."""
 
-    def used(self) -> list[str]:
-        """Return the names of the columns that the table has."""
-        return [name for name in self if name is not None]
+    def numbers(self, column: str, convert: Callable[[str], Any] = number_of) -> list[Any]:
+        """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not valid."""
+        converted: list[Any] = []
+        try:
+            converted.extend(map(convert, self.columns[column]))
+        except ValueError as error:
+            raise self.error(len(converted), f"{column}: {error}") from error
+        return converted
+
+    def place(self, row: int) -> str:
+        """Return the place of a row in the file."""
+        return place_of(self.lines[row], self.table)
+
+    def error(self, row: int, text: str) -> ValueError:
+        """Return an error about a row."""
+        return ValueError(f"{self.table}, {self.place(row)}: {text}")
 
 
-def text_of(path: Path, columns: Columns) -> str:
-    """Return the text of a CSV file, or some columns of a Parquet file (*.parquet) as CSV; its other cells are empty.
+def cells_of(table: str, name: str) -> Cells:
+    """Return the cells of CSV text whose rows are all as long as its header.
+
+    Raises:
+        ValueError: if the table has no rows.
+    """
+    lines, flat, header = list[int](), list[str](), header_of(table, name)
+    for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
+        lines.append(line)
+        flat += row_cells
+    if len(lines) < 2:
+        raise ValueError(f"{name} has no rows")
+    width = len(header)
+    return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
+
+
+def text_of(path: Path, columns: Collection[str]) -> str:
+    """Return the text of a CSV file, or a file of another format as CSV.
+
+    The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
+    ping, see `desim.kernel.ping`.
 
     Raises:
         ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
     """
+    if path.suffix.lower() != ".parquet":
+        text = text_of_file(path)
+        try:
+            return ping_table(text) or text
+        except ValueError as error:
+            raise ValueError(f"{path} {error}") from error
     try:
-        content = path.read_bytes()
-        if path.suffix.lower() == ".parquet":
-            return _csv_of(content, columns)
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
+        return _csv_of(path.read_bytes(), tuple(columns))
     except ModuleNotFoundError as error:
         raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from error
     except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are of these types, too
@@ -52,7 +99,7 @@ def text_of(path: Path, columns: Columns) -> str:
 
 
 @lru_cache(maxsize=KEPT)
-def _csv_of(parquet: bytes, columns: Columns) -> str:
+def _csv_of(parquet: bytes, columns: tuple[str, ...]) -> str:
     from pyarrow import BufferReader
     from pyarrow.parquet import ParquetFile
 
@@ -85,33 +132,38 @@ def header_of(text: str, name: str) -> list[str]:
 
 
 @lru_cache(maxsize=KEPT)
-def select(text: str, columns: Columns, name: str) -> str:
-    """Return CSV text reduced to some columns, with each row on the same line.
+def select(text: str, columns: tuple[str, ...], name: str) -> str:
+    """Return CSV text reduced to some columns, separated by commas, with each row on the same line.
 
     Args:
         text: a header and rows; blank lines, and lines that begin with `#`, are ignored.
-        columns: the columns to keep.
+        columns: the names of the columns to keep, two or more.
         name: the name of the table, for error messages.
 
     Raises:
-        ValueError: if the text is empty or is not CSV, a column is missing or occurs twice, or a row is too short or
-            too long.
+        ValueError: if the text is empty or is not CSV, a column is missing or occurs twice, a row is too short or too
+            long, or numbers have both decimal commas and decimal points.
     """
     header = header_of(text, name)
-    for column in columns.used():
+    for column in columns:
         if header.count(column) != 1:
             what = "no column" if column not in header else "several columns"
-            raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}")
-    chosen = itemgetter(*(header.index(column) for column in columns.used()))
+            raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
+    chosen = itemgetter(*(header.index(column) for column in columns))
     rows, kept = rows_of(text, name), StringIO()
+    has_commas = separator_of(text) == ","
+    if not has_commas:
+        rows = _with_points(rows, chosen, name)
     writer = csv.writer(kept, lineterminator="\n")
     first, _ = next(rows)
     kept.write("\n" * (first - 1))
-    writer.writerow(columns.used())
+    writer.writerow(columns)
     below = first + 1
     for line, cells in rows:
         if len(cells) != len(header):
-            raise ValueError(f"{name}, line {line}: has {len(cells)} cells, but the table has {len(header)} columns")
+            hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
+            what = f"has {len(cells)} cells, but the table has {len(header)} columns"
+            raise ValueError(f"{name}, {place_of(line, name)}: {what}{hint}")
         if line > below:
             kept.write("\n" * (line - below))
         writer.writerow(chosen(cells))
@@ -119,12 +171,70 @@ def select(text: str, columns: Columns, name: str) -> str:
     return kept.getvalue()
 
 
-def rows_of(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space."""
+def _headless(header: Sequence[str]) -> str:
+    """Return the probable reason why a column is missing, after a semicolon; "" if it is not known."""
+    try:
+        [number_of(cell) for cell in header]
+    except ValueError:
+        return ""
+    return "; a header should have names, and not begin with #"
+
+
+def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row of a table of numbers without a header, also one with white space only.
+
+    Raises:
+        ValueError: if the text is not CSV, or numbers have both decimal commas and decimal points.
+    """
+    text = re.sub(r"(?m)#.*", "", text)
+    separator = next((sign for sign in ";\t," if sign in text), None)
+    if separator is None:
+        text, separator = re.sub(r"(?m)(?<=\S) +(?=\S)", "\t", text), "\t"
+    rows = rows_of(text, name, separator)
+    return rows if separator == "," else _with_points(rows, list, name)
+
+
+def _with_points(
+    rows: Iterator[tuple[int, list[str]]], chosen: Callable[[list[str]], Sequence[str]], name: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield rows with decimal points instead of decimal commas.
+
+    Raises:
+        ValueError: if some chosen cells have decimal commas and others decimal points: one of them may separate
+            thousands.
+    """
+    seen: dict[str, tuple[int, str]] = {}
+    for line, cells in rows:
+        for cell in chosen(cells) if len(cells) > 1 else ():
+            if match := DECIMAL.fullmatch(cell.strip()):
+                seen.setdefault(match[1] or match[2], (line, cell.strip()))
+        if len(seen) > 1:
+            (_, one), (where, other) = sorted(seen.values(), key=lambda place: place[0])
+            why = f"numbers should have either decimal points or decimal commas (got {one} and {other})"
+            raise ValueError(f"{name}, {place_of(where, name)}: {why}")
+        yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
+
+
+def separator_of(text: str) -> str:
+    """Return the separator of the cells of CSV text: the one that its first line has most of."""
+    for line in text.split("\n"):
+        if line.strip() and not line.lstrip().startswith("#"):
+            return max(SEPARATORS, key=QUOTED.sub("", line).count)
+    return ","
+
+
+def rows_of(text: str, name: str, separator: str = "") -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space.
+
+    Args:
+        text: the text.
+        name: the name of the table, for error messages.
+        separator: the separator of the cells; if it is empty, see `separator_of`.
+    """
     lines = text.split("\n")
     if "#" in text:
         lines = ["" if line.lstrip().startswith("#") else line for line in lines]
-    reader = csv.reader(lines, strict=True, skipinitialspace=True)
+    reader = csv.reader(lines, delimiter=separator or separator_of(text), strict=True, skipinitialspace=True)
     try:
         for cells in reader:
             if any(cells):

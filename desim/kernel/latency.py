@@ -4,8 +4,10 @@ A latency is always one-way; a round trip takes two. A model returns one number 
 else one per receiver. A model may also have the methods of `desim.kernel.traits.LinkTraits`.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
-from math import log, log1p, sqrt
+from functools import cached_property
+from math import fsum, log, log1p, sqrt
 from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
 
@@ -14,12 +16,13 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
-from desim.config.model import Flag, Speed, Time, Value
+from desim.config.model import MAX_TIME, Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
-from desim.kernel.latency_file import latencies_of
+from desim.kernel.latency_file import latencies_of, matrix_of
 from desim.kernel.link_context import LinkContext
 from desim.kernel.link_draws import as_seconds
 from desim.kernel.link_traces import LatencyTrace
+from desim.kernel.measurements import PER_SECOND, Unit
 from desim.kernel.netem import Netem
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
@@ -303,6 +306,89 @@ class _Pairs:
         return base + as_seconds(self._model.jitter(context, rng))
 
 
+class LatencyMatrix(Value):
+    """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
+
+    kind: Literal["matrix"] = "matrix"
+    values: tuple[tuple[Annotated[float, Field(strict=True)] | None, ...], ...] = ()
+    """(N, N) latencies, a row per sender; None where a link does not exist. In Python, an array with nan is as good."""
+    file: str | None = None
+    """Instead of values: path of a text file with a line of N numbers per sender, separated by commas, semicolons, tabs
+    or spaces, relative to the scenario file. The file is read once, when the model is created."""
+    unit: Unit = "s"
+    """Unit of the values: s, ms, us or ns; if in doubt, see which of them makes the greatest value plausible."""
+    rtt: Flag = False
+    """Whether the values are round-trip times, which are divided by 2."""
+    jitter: Annotated[Latency, JITTERS] = Constant()
+    """Additional latency, drawn for each message."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any, info: ValidationInfo) -> Any:
+        if not isinstance(given, dict):
+            return given
+        values, file = given.get("values"), given.get("file")
+        if file is not None:
+            if values is not None:
+                raise ValueError("should have values or a file of values, not both")
+            values = matrix_of(resolve_path(file, info))
+        if isinstance(values, np.ndarray):
+            values = values.tolist()
+        if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
+            values = [[None if number != number else number for number in row] for row in values]
+        return given | {"file": None} | ({} if values is None else {"values": values})
+
+    @model_validator(mode="after")
+    def _is_square(self) -> Self:
+        if not self.values:
+            raise ValueError("should have values, or a file of values")
+        if len(self.values) < 2:
+            raise ValueError("values should be a matrix of two or more nodes")
+        for k, row in enumerate(self.values):
+            if len(row) != len(self.values):
+                raise ValueError(f"values should be a square: row {k} has {len(row)} of {len(self.values)} numbers")
+        base = self.base_latencies
+        for src, dst in np.argwhere((base < 0.0) | (base > MAX_TIME))[:1].tolist():
+            which = f"got {base[src, dst]:g} s from {src} to {dst}"
+            raise ValueError(f"a latency should be from 0 to {MAX_TIME:g} s ({which})")
+        return self
+
+    def given(self) -> dict[str, Any]:
+        """Return the fields that differ from their defaults, see `Value.given`; only the size of the matrix."""
+        return super().given() | {"values": f"{len(self.values)} x {len(self.values)}"}
+
+    @cached_property
+    def base_latencies(self) -> Floats:
+        """The (N, N) one-way latencies, s; nan where a link does not exist, and 0 from a node to itself."""
+        base = np.array(self.values, dtype=float) / (PER_SECOND[self.unit] * (2 if self.rtt else 1))
+        np.fill_diagonal(base, 0.0)
+        return base
+
+    def check_links(self, size: int, links: Iterable[tuple[int, int]]) -> None:
+        """Raise ValueError if the matrix is not one of `size` nodes, or has no latency for one of some links."""
+        base = self.base_latencies
+        if len(base) != size:
+            raise ValueError(f"the matrix of latencies should have a row for each of {size} nodes, it has {len(base)}")
+        for src, dst in links:
+            if np.isnan(base[src, dst]):
+                raise ValueError(f"the matrix of latencies has none from {src} to {dst}")
+
+    def start_run(self, size: int) -> "LatencyMatrix":
+        """Return the model of one run."""
+        return self.model_copy(update={"jitter": model_of_run(self.jitter, size)})
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
+        """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
+        base: Floats = self.base_latencies[context.src, context.dst]
+        return base + as_seconds(self.jitter(context, rng))
+
+    def mean_latency(self) -> float | None:
+        """Return the mean over all links, s; None if that of the jitter is not known."""
+        base, jitter = self.base_latencies, mean_latency(self.jitter)
+        known = base[~np.isnan(base) & ~np.eye(len(base), dtype=bool)]
+        return None if jitter is None or not len(known) else fsum(known) / len(known) + jitter
+
+
 def mean_latency(model: Latency) -> float | None:
     """Return the mean latency, s, of a model with a method `mean_latency`; None if it has none, or returns None.
 
@@ -318,7 +404,7 @@ def mean_latency(model: Latency) -> float | None:
 
 
 LATENCIES = OneOf(
-    *(*_WITH_QUANTILES, Propagation, PerPair, LatencyTrace),
+    *(*_WITH_QUANTILES, Propagation, PerPair, LatencyMatrix, LatencyTrace),
     number=("constant", "value"),
     takes=TAKES,
     traits=LinkTraits,

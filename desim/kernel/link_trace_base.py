@@ -12,11 +12,13 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 from desim.config.arrays import Floats
 from desim.config.model import Flag, Time, Value
 from desim.config.trust import resolve_path
-from desim.kernel.csv_tables import Columns, header_of, place_of, select, text_of
-from desim.kernel.measurements import Meaning, Measurements, Unit, measurements_of
+from desim.kernel.csv_tables import header_of, place_of, select, text_of
+from desim.kernel.measurements import Columns, Meaning, Measurements, Unit, measurements_of
 from desim.kernel.units import SECOND
 
 Name = Annotated[str, Field(min_length=1)]
+SHOWN = 20
+"""Number of names in a warning."""
 TABLE = "the table"
 """The name of a table that was not read from a file, in error messages."""
 
@@ -43,6 +45,9 @@ class LinkTrace(Value):
     """Column of the senders. Without this column and that of the receivers, the measurements hold for all links."""
     dst: Name | None = "dst"
     """Column of the receivers."""
+    nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
+    """Names of the nodes in the columns of senders and receivers, in the order of their numbers. Without it, these
+    columns have numbers, or names that are numbered in alphabetical order, uav2 before uav10; if in doubt, give it."""
     value: Name = "value"
     """Column of the values. A message that is sent while the value is missing (empty or nan) is lost."""
     both_ways: Flag = False
@@ -74,10 +79,10 @@ class LinkTrace(Value):
             if text is not None:
                 raise ValueError("should have a file or a table, not both")
             path = resolve_path(given["file"], info)
-            text, read_from = text_of(path, names), path.name
+            text, read_from = text_of(path, names.used()), path.name
         name = read_from or TABLE
         columns = _columns_in(header_of(str(text), name), names, given, name)
-        read = {"table": select(str(text), columns, name), "src": columns.src, "dst": columns.dst}
+        read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
         rest = {key: value for key, value in given.items() if key not in {"file", "read_from"}}
         return rest | read | ({"read_from": read_from} if read_from else {})
 
@@ -85,6 +90,10 @@ class LinkTrace(Value):
     def _is_valid(self) -> Self:
         if self.table is None:
             raise ValueError("should have a file, or a table")
+        if self.nodes is not None and len(set(self.nodes)) < len(self.nodes):
+            raise ValueError("nodes should have each name once")
+        if self.nodes is not None and self.src is None:
+            raise ValueError("nodes are the names in the columns src and dst, which the table does not have")
         end = self.measurements.end / SECOND
         if self.start == "random" and self.after != "repeat":
             raise ValueError(f'start = "random" requires after = "repeat" (got {self.after!r})')
@@ -115,7 +124,7 @@ class LinkTrace(Value):
             ValueError: if the table is not valid.
         """
         columns = Columns(self.time, self.src, self.dst, self.value)
-        meaning = Meaning(self.NOUN, *self.limits, self.time_unit, self.both_ways)
+        meaning = Meaning(self.NOUN, *self.limits, self.time_unit, self.both_ways, self.nodes)
         return measurements_of(self.table or "", columns, meaning, self.name)
 
     @property
@@ -123,6 +132,16 @@ class LinkTrace(Value):
         """The time from the start of the simulation to the end of the trace, or the period of a repeated trace, s."""
         end = self.measurements.end / SECOND
         return end if self.start == "random" or self.after == "repeat" else max(end - self.start, 0.0)
+
+    @property
+    def named_nodes(self) -> str | None:
+        """The number of each named node, if their order was not given; None if they have numbers."""
+        names = self.measurements.names
+        if names is None:
+            return None
+        numbers = [f"{number} is {name}" for number, name in enumerate(names)]
+        few = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
+        return ", ".join(few)
 
     def scaled(self, values: Floats) -> Floats:
         """Return values of the table in the unit of the model."""

@@ -5,26 +5,32 @@ a value.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from functools import lru_cache, partial
+from math import isfinite, nan
+from pathlib import Path
 from statistics import median
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
 from desim.config.number_files import hint_of, integer_of, not_a_number, number_of
-from desim.kernel.csv_tables import KEPT, Columns, place_of, rows_of
+from desim.kernel.csv_tables import KEPT, Cells, cells_of, select, text_of
 from desim.kernel.units import SECOND
 
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """The number of each unit in a second."""
+MISSING = frozenset({"", "na", "n/a", "null", "none"})
+"""The cells, in lower case, that stand for a missing value, besides nan."""
 MAX_NODE = 2**31 - 1
+LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
+"""Matches a number, also in a wrong form, and an empty cell."""
 NODE = "the number of a node, 0 or more"
 FIRST_DATE = Decimal(10**8)
 """A time of this many seconds or more, three years, counts from a date, not from the start of a simulation."""
@@ -41,6 +47,20 @@ MAX_DIGITS = 30
 YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)
 
 
+class Columns(NamedTuple):
+    """The names of the columns of a table."""
+
+    time: str
+    src: str | None
+    """The sender; None, as is `dst`: the measurements hold for all links."""
+    dst: str | None
+    value: str
+
+    def used(self) -> tuple[str, ...]:
+        """Return the names of the columns that the table has."""
+        return tuple(name for name in self if name is not None)
+
+
 class Meaning(NamedTuple):
     """The meaning of the cells of a table."""
 
@@ -53,6 +73,8 @@ class Meaning(NamedTuple):
     time_unit: Unit
     both_ways: bool
     """Whether a row also holds for the link from its receiver to its sender."""
+    nodes: tuple[str, ...] | None = None
+    """The names of the nodes in the cells, in the order of their numbers; None: see `Measurements.names`."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +97,9 @@ class Measurements:
     """(R,) the values; if one is missing, that of the row before of its link, and before the first row, of the last."""
     is_missing: Bools
     """(R,) whether the row has no value."""
+    names: tuple[str, ...] | None = None
+    """The names of the nodes in the order of their numbers, if the cells have names and no order was given: in
+    alphabetical order, but numbers in names by their value, so that uav2 is before uav10."""
 
     @property
     def end(self) -> int:
@@ -90,34 +115,6 @@ class Measurements:
         spans = self.times[self.rank[self.first[1:] - 1]] - self.times[self.rank[self.first[:-1]]]
         lasting = [span + span // (n - 1) for span, n in zip(spans.tolist(), count.tolist(), strict=True) if n > 1]
         return max(last + max(last // (len(self.times) - 1), 1), int(median(lasting or [0])))
-
-
-class _Cells(NamedTuple):
-    """The column of a table, or several."""
-
-    table: str
-    """The name of the table."""
-    lines: list[int]
-    """The line of each row."""
-    columns: dict[str, Sequence[str]]
-    """The cells of each column, without the header."""
-
-    def numbers(self, column: str, convert: Callable[[str], Any]) -> list[Any]:
-        """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not valid."""
-        converted: list[Any] = []
-        try:
-            converted.extend(map(convert, self.columns[column]))
-        except ValueError as error:
-            raise self.error(len(converted), f"{column}: {error}") from error
-        return converted
-
-    def place(self, row: int) -> str:
-        """Return the place of a row in the file."""
-        return place_of(self.lines[row], self.table)
-
-    def error(self, row: int, text: str) -> ValueError:
-        """Return an error about a row."""
-        return ValueError(f"{self.table}, {self.place(row)}: {text}")
 
 
 def time_of(text: str, unit: Unit = "s") -> Decimal:
@@ -165,6 +162,40 @@ def start_of(times: Iterable[Decimal]) -> Decimal:
     return earliest if earliest >= FIRST_DATE else Decimal(0)
 
 
+def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[list[tuple[float, ...]], list[str]]:
+    """Return the rows of a table of numbers over time in a CSV or Parquet file, and the place of each.
+
+    Args:
+        file: the file.
+        columns: the names of the columns; the first is that of the times.
+        unit: the unit of the times.
+
+    Returns:
+        Rows that begin with the time (s) of the simulation, see `start_of`, and places, for error messages.
+
+    Raises:
+        ValueError: if the file cannot be read, lacks a column, or has a cell that is not a finite number.
+    """
+    names, time = tuple(columns), columns[0]
+    cells = cells_of(select(text_of(file, names), names, str(file)), str(file))
+    times = cells.numbers(time, partial(time_of, unit=unit))
+    start = start_of(times)
+    numbers = [cells.numbers(name, _finite) for name in names[1:]]
+    for row, seconds in enumerate(times):
+        if not 0 <= seconds - start <= MAX_TIME:
+            where = f"from 0 to {MAX_TIME:g} s, or at most {MAX_TIME:g} s after a date"
+            raise cells.error(row, f"{time} should be {where} (got {cells.columns[time][row]})")
+    rows = [*zip((float(seconds - start) for seconds in times), *numbers, strict=True)]
+    return rows, [f"{file}, {cells.place(row)}" for row in range(len(rows))]
+
+
+def _finite(cell: str) -> float:
+    number = number_of(cell)
+    if not isfinite(number):
+        raise ValueError(f"{cell!r} is not a finite number")
+    return number
+
+
 @lru_cache(maxsize=KEPT)
 def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -> Measurements:
     """Return the measurements in a table, the text of which is made by `select`.
@@ -173,16 +204,10 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
         ValueError: if the table has no rows, a cell is invalid, the times of a link do not increase, or both directions
             of a link have rows although a row holds for both.
     """
-    lines, flat, names = list[int](), list[str](), columns.used()
-    for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
-        lines.append(line)
-        flat += row_cells
-    if len(lines) < 2:
-        raise ValueError(f"{name} has no rows")
-    width = len(names)
-    cells = _Cells(name, lines[1:], {each: flat[width + k :: width] for k, each in enumerate(names)})
+    cells = cells_of(table, name)
     times, values = _times(cells, columns.time, meaning.time_unit), _values(cells, columns.value, meaning)
-    src, dst = _links(cells, columns, both_ways=meaning.both_ways)
+    names = _names(cells, columns) if meaning.nodes is None else None
+    src, dst = _links(cells, columns, names or meaning.nodes, both_ways=meaning.both_ways)
     row = np.tile(np.arange(len(times)), len(src) // len(times))
     order = np.lexsort((row, dst, src))  # by link, and then as in the table
     src, dst, row = src[order], dst[order], row[order]
@@ -196,10 +221,10 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
     first = np.append(np.flatnonzero(is_first), len(row))
     lines = np.array(cells.lines)[row[first[:-1]]]
     filled, is_missing = _filled(values[row], first)
-    return Measurements(src[is_first], dst[is_first], lines, first, distinct, rank[row], filled, is_missing)
+    return Measurements(src[is_first], dst[is_first], lines, first, distinct, rank[row], filled, is_missing, names)
 
 
-def _times(cells: _Cells, column: str, unit: Unit) -> Integers:
+def _times(cells: Cells, column: str, unit: Unit) -> Integers:
     """Return the (R,) times after the earliest, ns; they are exact, also for times since 1970."""
     times = cells.numbers(column, partial(time_of, unit=unit))
     start = min(times)
@@ -208,9 +233,9 @@ def _times(cells: _Cells, column: str, unit: Unit) -> Integers:
     return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
 
 
-def _values(cells: _Cells, column: str, meaning: Meaning) -> Floats:
+def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:
     """Return the (R,) values, nan where a cell is empty or nan."""
-    values = np.array(cells.numbers(column, _number_or_nan))
+    values = np.array(cells.numbers(column, number_or_nan))
     is_wrong = (values < meaning.low) | (values > meaning.high)
     if is_wrong.any():
         row = int(is_wrong.argmax())
@@ -219,18 +244,27 @@ def _values(cells: _Cells, column: str, meaning: Meaning) -> Floats:
     return values
 
 
-def _number_or_nan(cell: str) -> float:
-    return number_of(cell or "nan")
+def number_or_nan(cell: str) -> float:
+    """Return the number in a cell; nan if the cell is empty, or says that the value is missing."""
+    try:
+        return number_of(cell or "nan")
+    except ValueError:
+        if cell.strip().lower() in MISSING:
+            return nan
+        raise
 
 
-def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integers, Integers]:
+def _links(
+    cells: Cells, columns: Columns, names: tuple[str, ...] | None, *, both_ways: bool
+) -> tuple[Integers, Integers]:
     """Return the (R,) senders and receivers of the rows; if they hold both ways, followed by those of the way back."""
     if columns.src is None or columns.dst is None:
         return np.zeros(len(cells.lines), dtype=np.int64), np.zeros(len(cells.lines), dtype=np.int64)
-    src, dst = _nodes(cells, columns.src), _nodes(cells, columns.dst)
+    src, dst = (_nodes(cells, column, names) for column in (columns.src, columns.dst))
     if (src == dst).any():
         row = int((src == dst).argmax())
-        raise cells.error(row, f"a link should join two nodes (got {src[row]} and {dst[row]})")
+        one, other = (cells.columns[column][row].strip() for column in (columns.src, columns.dst))
+        raise cells.error(row, f"a link should join two nodes (got {one} and {other})")
     if not both_ways:
         return src, dst
     seen = dict(zip(zip(src.tolist(), dst.tolist(), strict=True), range(len(src)), strict=True))
@@ -241,13 +275,45 @@ def _links(cells: _Cells, columns: Columns, *, both_ways: bool) -> tuple[Integer
     return np.concatenate((src, dst)), np.concatenate((dst, src))
 
 
-def _nodes(cells: _Cells, column: str) -> Integers:
-    """Return the (R,) nodes in a column."""
-    nodes = cells.numbers(column, integer_of)
+def _nodes(cells: Cells, column: str, names: tuple[str, ...] | None) -> Integers:
+    """Return the (R,) nodes in a column of numbers or names."""
+    if names is not None:
+        numbers = {name: number for number, name in enumerate(names)}
+
+        def node_of(cell: str) -> int:
+            if (node := numbers.get(cell.strip())) is None:
+                raise ValueError(f"{cell!r} is not in nodes")
+            return node
+
+        return np.array(cells.numbers(column, node_of), dtype=np.int64)
+    nodes = cells.numbers(column, _node_of)
     if min(nodes) < 0 or max(nodes) > MAX_NODE:
         row = next(row for row, node in enumerate(nodes) if not 0 <= node <= MAX_NODE)
         raise cells.error(row, f"{column} should be {NODE} (got {cells.columns[column][row]!r})")
     return np.array(nodes, dtype=np.int64)
+
+
+def _node_of(cell: str) -> int:
+    try:
+        return integer_of(cell)
+    except ValueError as error:
+        raise ValueError(f"{error}; give the names of nodes in `nodes`, where some look like numbers") from error
+
+
+def _names(cells: Cells, columns: Columns) -> tuple[str, ...] | None:
+    """Return the names of the nodes in a table; None if a cell has a number, or what looks like one."""
+    names: set[str] = set()
+    for column in (columns.src, columns.dst):
+        if column is None or LIKE_NUMBER.fullmatch(cells.columns[column][0].strip()):
+            return None
+        names.update(cell.strip() for cell in set(cells.columns[column]))
+    return None if any(map(LIKE_NUMBER.fullmatch, names)) else tuple(sorted(names, key=_natural))
+
+
+def _natural(name: str) -> tuple[tuple[tuple[int, str], ...], str]:
+    """Return a sort key by which numbers in names are in order of their values."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return tuple((int(part), "") if part[0] in "0123456789" else (-1, part) for part in parts), name
 
 
 def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:

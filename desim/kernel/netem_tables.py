@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from desim.config.arrays import Floats, Integers
-from desim.config.number_files import lines_of
+from desim.config.number_files import integer_of, lines_of, words_of
 
 SIZE = 4096
 """Length of a table."""
@@ -71,11 +71,11 @@ def read_table(file: Path) -> tuple[int, ...]:
     """
     numbers: list[int] = []
     for line, text in enumerate(lines_of(file), 1):
-        for word in text.split():
+        for word in words_of(text):
             try:
-                numbers.append(int(word))
+                numbers.append(integer_of(word))
             except ValueError as error:
-                raise ValueError(f"{file}, line {line}: {word!r} is not an integer") from error
+                raise ValueError(f"{file}, line {line}: {error}") from error
             if not LOWEST <= numbers[-1] <= HIGHEST:
                 raise ValueError(f"{file}, line {line}: should be in {LOWEST} .. {HIGHEST} (got {word})")
     if len(numbers) != SIZE:

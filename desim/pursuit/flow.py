@@ -10,7 +10,7 @@ from functools import cache, cached_property
 from itertools import accumulate, pairwise
 from math import inf, pi, sin
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, cast
 
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
@@ -21,7 +21,7 @@ from desim.config.model import MAX_COORDINATE, Coordinate, Duration, Length, Spe
 from desim.config.traits import Follows, Traits, inherits, is_ours
 from desim.config.trust import resolve_path
 from desim.kernel import portable_math
-from desim.kernel.csv_tables import header_of, rows_of
+from desim.kernel.measurements import PER_SECOND, Unit, timed_rows
 from desim.kernel.portable_math import portable_sum
 from desim.kernel.units import SECOND
 
@@ -172,7 +172,9 @@ class RecordedFlow(UniformFlow):
     """Measurements [t, x, y] (s, m/s, m/s), in order of time."""
     file: str | None = None
     """Instead of measurements: path of a CSV file with the columns t, x and y, relative to the scenario file. The file
-    is read once, when the model is created."""
+    is read once, when the model is created. Times that are dates, or count from one, count from the earliest."""
+    time_unit: Unit = "s"
+    """Unit of the times of the file: s, ms, us or ns; if in doubt, s."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -181,7 +183,11 @@ class RecordedFlow(UniformFlow):
             return make(given)
         if "velocities" in given:
             raise ValueError("should have velocities or a file of velocities, not both")
-        return make(given | {"file": None, "velocities": _measurements(resolve_path(given["file"], info))})
+        unit = given.get("time_unit", "s")
+        if not isinstance(unit, str) or unit not in PER_SECOND:
+            return make(given)  # which raises the error
+        rows = _measurements(resolve_path(given["file"], info), cast("Unit", unit))
+        return make(given | {"file": None, "time_unit": "s", "velocities": rows})
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -244,22 +250,12 @@ class RecordedFlow(UniformFlow):
         return [*accumulate(((v + w) * ((t - s) / 2.0) for (s, t), (v, w) in pieces), initial=0j)]
 
 
-def _measurements(file: Path) -> list[tuple[float, ...]]:
-    """Return the rows (t, x, y) of a CSV file."""
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ValueError(f"{file} cannot be read: {reason}") from error
-    header, names = header_of(text, str(file)), ("t", "x", "y")
-    if missing := [name for name in names if header.count(name) != 1]:
-        raise ValueError(f"{file} should have one column {missing[0]!r}; its columns are {', '.join(header)}")
-    rows = []
-    for line, cells in [*rows_of(text, str(file))][1:]:
-        try:
-            rows.append(tuple(float(cells[header.index(name)]) for name in names))
-        except (ValueError, IndexError) as error:
-            raise ValueError(f"{file}, line {line}: should have the numbers t, x and y; it has {cells}") from error
+def _measurements(file: Path, unit: Unit) -> list[tuple[float, ...]]:
+    """Return the rows (t, x, y) of a CSV file, in order of time."""
+    rows, places = timed_rows(file, ("t", "x", "y"), unit)
+    for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
+        if not before < t:
+            raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")
     return rows
 
 

@@ -313,10 +313,10 @@ def test_a_file_of_velocities(tmp_path):
     assert flow == RecordedFlow(velocities=((0.0, 1.5, 0.0), (2.0, 0.5, -1.0)))
     assert flow.velocity_at(1.0) == pytest.approx(1.0 - 0.5j)
     for text, why in {
-        "t,x\n0,1\n": "one column 'y'",
-        "t,x,y\n0,1,north\n": "line 2: should have the numbers",
-        "t,x,y\n1,1,0\n1,2,0\n": "increase",
-        "t,x,y\n": "should have velocities",
+        "t,x\n0,1\n": "no column 'y'",
+        "t,x,y\n0,1,north\n": "line 2: y: 'north' is not a number",
+        "t,x,y\n1,1,0\n1,2,0\n": "line 3: t should increase",
+        "t,x,y\n": "has no rows",
     }.items():
         file.write_text(text)
         with pytest.raises(ValidationError, match=why):

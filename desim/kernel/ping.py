@@ -1,0 +1,109 @@
+"""The output of ping, as Linux, macOS, BusyBox and Windows (in English) print it, as a table of round trips.
+
+    64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=12.3 ms
+    Reply from 10.0.0.2: bytes=32 time=12ms TTL=64
+
+A probe is lost if no reply has its sequence number or, on Windows, where a line reports a failure.
+"""
+
+import re
+from typing import NamedTuple
+
+REPLY = re.compile(
+    r"(?:\[(\d+(?:\.\d+)?)\] )?(?:\d+ bytes from .*?\b(?:icmp_)?seq=(\d+)\b.*?|Reply from \S+: bytes=\d+ )"
+    r"time[=<]([\d.]+) ?ms\b.*",
+    re.ASCII,
+)
+FAILURE = re.compile(r"Request timed out\.|Reply from \S+: (?:Destination|TTL expired).*|General failure\.?")
+"""Matches a line of Windows about a probe without a reply."""
+OTHER = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
+"""Matches a line of other systems about a probe without a reply."""
+TOTAL = re.compile(r"(\d+) packets transmitted, .*?(?:, time (\d+) ?ms)?", re.ASCII)
+"""Matches the line with the number of probes and, on Linux, the time that they took."""
+START = re.compile(r"(?:PING|Pinging) .*")
+INTERVAL = 1.0
+"""Time between probes, s, if the output has no times."""
+MAX_PROBES = 10**7
+WRAP = 2**16
+"""The number of sequence numbers."""
+
+
+class Probe(NamedTuple):
+    """A probe."""
+
+    sent: float
+    """When it was sent, s; with `ping -D` since 1970, else since the first probe."""
+    rtt: float | None
+    """Round-trip time, s; None if the probe was lost."""
+
+
+def ping_table(text: str) -> str | None:
+    """Return the output of ping as CSV text with a row per probe; None if the text is anything else.
+
+    The columns are t, when the probe was sent, s; rtt_ms, the round-trip time, ms, empty if the probe was lost; and
+    lost, 0 or 1.
+
+    Raises:
+        ValueError: if the text is the output of several pings.
+    """
+    rows = [
+        f"{probe.sent:.6f},,1" if probe.rtt is None else f"{probe.sent:.6f},{1e3 * probe.rtt:.9g},0"
+        for probe in probes_of(text)
+    ]
+    return "\n".join(["t,rtt_ms,lost", *rows, ""]) if rows else None
+
+
+def probes_of(text: str) -> list[Probe]:
+    """Return the probes in the output of ping, in order of their sequence numbers; none if the text is anything else.
+
+    The times are those of `ping -D`; without it, probes are sent in equal intervals, which follow from the last line of
+    the output on Linux, and are 1 s elsewhere.
+
+    Raises:
+        ValueError: if the text is the output of several pings, or of more than `MAX_PROBES` probes.
+    """
+    if "time=" not in text and "time<" not in text:
+        return []
+    lines = [line.strip() for line in text.split("\n")]
+    if not any(map(REPLY.fullmatch, lines)):
+        return []
+    if sum(bool(START.fullmatch(line)) for line in lines) > 1:
+        raise ValueError("has the output of several pings; a file should have that of one")
+    replies: dict[int, tuple[float | None, float]] = {}
+    lost: set[int] = set()
+    last, count, duration = 0, 0, None
+    for line in lines:
+        if reply := REPLY.fullmatch(line):
+            stamp, number, rtt = reply.groups()
+            last = _unwrapped(int(number), last) if number else len(replies) + len(lost)
+            seconds = float(rtt) / 1e3
+            replies.setdefault(last, (float(stamp) - seconds if stamp else None, seconds))  # the first, of duplicates
+        elif FAILURE.fullmatch(line):
+            lost.add(len(replies) + len(lost))
+        elif other := OTHER.fullmatch(line):
+            lost.add(_unwrapped(int(other[1]), last))
+        elif total := TOTAL.fullmatch(line):
+            count, duration = int(total[1]), float(total[2]) / 1e3 if total[2] else None
+    first = min(1, *replies, *lost)
+    end = max(*replies, *lost, first + count - 1)
+    if end - first >= MAX_PROBES:
+        raise ValueError(f"has more than {MAX_PROBES:,} probes")
+    stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
+    interval = _interval(stamps, count, duration)
+    probes: list[Probe] = []
+    for seq in range(first, end + 1):
+        after = probes[-1].sent + interval if probes else min(stamps.values(), default=0.0)
+        probes.append(Probe(stamps.get(seq, after), replies[seq][1] if seq in replies else None))
+    return probes
+
+
+def _interval(stamps: dict[int, float], count: int, duration: float | None) -> float:
+    """Return the time between probes, s, from the times of some, or from the number of all and the time they took."""
+    if len(stamps) > 1:
+        return (max(stamps.values()) - min(stamps.values())) / (max(stamps) - min(stamps))
+    return duration / (count - 1) if duration and count > 1 else INTERVAL
+
+
+def _unwrapped(seq: int, last: int) -> int:
+    """Return the sequence number next to the last one that equals `seq` modulo 2^16."""
+    return last + (seq - last + WRAP // 2) % WRAP - WRAP // 2

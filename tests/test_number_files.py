@@ -1,0 +1,229 @@
+"""Files of numbers that people bring: every reader reads them rightly, or refuses them with the file and the line."""
+
+import ast
+import importlib
+import pkgutil
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+import desim
+from desim import (
+    Edges,
+    Empirical,
+    LatencyMatrix,
+    LatencyTrace,
+    LossTrace,
+    Netem,
+    RecordedFlow,
+    RecordedMotion,
+    SignalTrace,
+)
+from desim.config.model import Value
+
+
+def measured(trace):
+    return trace.measurements.times.tolist(), trace.measurements.values.tolist(), trace.measurements.src.tolist()
+
+
+TRACE = "t,src,dst,value\n0,0,1,{}\n1,0,1,0.25\n"
+READERS = {
+    "empirical": (Empirical, "{}\n0.25\n", lambda model: model.values),
+    "empirical, a line": (Empirical, "{} 0.25\n", lambda model: model.values),
+    "latency trace": (LatencyTrace, TRACE, measured),
+    "loss trace": (LossTrace, TRACE, measured),
+    "signal trace": (SignalTrace, TRACE, measured),
+    "time of a trace": (LatencyTrace, "t,value\n{},1\n5,2\n", measured),
+    "flow": (RecordedFlow, "t,x,y\n0,{},1\n1,2,3\n", lambda model: model.velocities),
+    "time of a flow": (RecordedFlow, "t,x,y\n{},1,1\n1,2,3\n", lambda model: model.velocities),
+    "matrix": (LatencyMatrix, "0,{}\n0.25,0\n", lambda model: model.values),
+    "matrix with spaces": (LatencyMatrix, "0 {}\n0.25 0\n", lambda model: model.values),
+    "BonnMotion": (RecordedMotion, "0 {} 1 5 2 3\n", lambda model: model.waypoints),
+    "ns-2": (RecordedMotion, "$node_(0) set X_ {}\n$node_(0) set Y_ 1\n", lambda model: model.waypoints),
+    "table of netem": (Netem, "{}\n" + "1 2 3 4 5 6 7\n" * 585, lambda model: model.table),
+}
+"""The model, a file with a place for a number, and what is read, of each reader of files of numbers."""
+NUMBER = {"table of netem": "7"}
+OTHERS = {Edges: "JSON and XML, not numbers in text"}
+"""Models that read other files, and why they are not here."""
+MODULES = {
+    "config/data_files.py": "opens bytes for models of users, and hashes files",
+    "config/number_files.py": "reads text for all readers",
+    "config/trust.py": "writes",
+    "kernel/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
+    "kernel/graphs.py": "reads JSON and XML",
+    "kernel/trace_file.py": "writes",
+}
+"""The modules that open files or split CSV text by themselves, below those of commands and results."""
+
+
+def read(name, text, folder, encoding="utf-8"):
+    """Return what a reader reads in a text."""
+    model, _, reading = READERS[name]
+    (folder / "numbers.txt").write_bytes(text.encode(encoding))
+    options = {"delay": 0.1, "jitter": 0.1} if model is Netem else {}
+    return reading(model.model_validate({"file": "numbers.txt"} | options, context={"folder": folder}))
+
+
+def plain(name, number=None):
+    """Return a file with a number that is valid for a reader."""
+    return READERS[name][1].format(NUMBER.get(name, "0.5") if number is None else number)
+
+
+def test_every_model_that_reads_a_file_is_here():
+    for module in pkgutil.walk_packages(desim.__path__, "desim."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    models, pending = set(), [Value]
+    while pending:
+        model = pending.pop()
+        pending += model.__subclasses__()
+        if "file" in model.model_fields and model.__module__.startswith("desim.") and not model.__subclasses__():
+            models.add(model)
+    assert models == {model for model, _, _ in READERS.values()} | OTHERS.keys()
+
+
+def test_no_other_module_opens_files():
+    """A reader added later uses `config/number_files` or `kernel/csv_tables`, and is in `READERS` above."""
+    root, openers = Path(desim.__file__).parent, set()
+    names = {"open", "read_text", "read_bytes", "loadtxt", "genfromtxt", "fromfile", "reader", "DictReader"}
+    for package in ("config", "kernel", "pursuit", "protocols"):
+        for file in (root / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                called = getattr(node, "func", None)
+                if getattr(called, "attr", getattr(called, "id", None)) in names:
+                    openers.add(file.relative_to(root).as_posix())
+    assert openers == MODULES.keys()
+
+
+WRONG = [
+    "0,5",
+    "1_0",
+    "0x10",
+    "1 0.5 ms",
+    "12ms",
+    "12 ms",
+    "1,234.5",
+    "1.234,5",
+    "1'000",
+    "\u0661",
+    "1\u00a0000",
+    "x",
+    "--1",
+    "1e",
+]
+
+
+@pytest.mark.parametrize("cell", WRONG)
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_number_is_refused_with_file_and_line(name, cell, tmp_path):
+    with pytest.raises(ValidationError, match=r"numbers\.txt, line 1?\d"):
+        read(name, plain(name, cell), tmp_path)
+
+
+@pytest.mark.parametrize("number", ["+0.5", ".5", "5e-1", "0.50", "00.5", "5.E-1"])
+@pytest.mark.parametrize("name", sorted(READERS.keys() - NUMBER.keys()))
+def test_a_number_may_have_any_usual_form(name, number, tmp_path):
+    assert read(name, plain(name, number), tmp_path) == read(name, plain(name), tmp_path)
+
+
+FORMS = {
+    "BOM": lambda text: "\ufeff" + text,
+    "CRLF": lambda text: text.replace("\n", "\r\n"),
+    "CR": lambda text: text.replace("\n", "\r"),
+    "no end of line": lambda text: text.rstrip("\n"),
+    "comments": lambda text: f"# 1,2 3;4\n{text}# 5\n",
+    "empty lines": lambda text: f"\n{text}\n\n",
+    "white space at ends": lambda text: text.replace("\n", "  \n"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", READERS)
+def test_the_form_of_a_text_does_not_matter(name, form, tmp_path):
+    assert read(name, FORMS[form](plain(name)), tmp_path) == read(name, plain(name), tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", READERS)
+def test_utf_16_is_read_with_a_byte_order_mark_and_refused_without(name, encoding, tmp_path):
+    assert read(name, "\ufeff" + plain(name), tmp_path, encoding) == read(name, plain(name), tmp_path)
+    with pytest.raises(ValidationError, match=r"numbers\.txt cannot be read: it is not text in UTF-8"):
+        read(name, plain(name), tmp_path, encoding)
+
+
+TABLES = {name: READERS[name][1] for name in READERS if READERS[name][1].startswith("t,") or name == "matrix"}
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " ; "])
+@pytest.mark.parametrize("sign", [".", ","])
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_may_have_other_separators_and_then_decimal_commas(name, sign, separator, tmp_path):
+    """As spreadsheets of half of Europe write them."""
+    text = plain(name).replace(",", separator).replace(".", sign)
+    assert read(name, text, tmp_path) == read(name, plain(name), tmp_path)
+
+
+@pytest.mark.parametrize("name", sorted(TABLES.keys() - {"time of a trace", "time of a flow"}))
+def test_decimal_commas_beside_decimal_points_are_refused(name, tmp_path):
+    """Either the points or the commas may separate thousands."""
+    text = plain(name, "1.234").replace(",", ";") + "3;0,5;1;2\n"
+    with pytest.raises(ValidationError, match=r"numbers\.txt, line \d"):
+        read(name, text, tmp_path)
+
+
+@pytest.mark.parametrize("name", sorted(TABLES.keys() - {"matrix"}))
+def test_rows_of_other_lengths_and_repeated_headers_are_refused(name, tmp_path):
+    header, *_ = plain(name).split("\n")
+    for end in ("9", "9,1,2,3,4", header):
+        with pytest.raises(ValidationError, match=r"numbers\.txt, line 4"):
+            read(name, f"{plain(name)}{end}\n", tmp_path)
+
+
+LISTS = {
+    "0.041, 0.2,\n0.3": (0.041, 0.2, 0.3),
+    "0.041,0.2": (0.041, 0.2),
+    "1,2,3": (1.0, 2.0, 3.0),
+    "0,041;0,2;1\n": (0.041, 0.2, 1.0),
+    "0,041 ; 0,2 ; 1": (0.041, 0.2, 1.0),
+    "0.1;0.2": (0.1, 0.2),
+    "0,5;\n0,25;\n": (0.5, 0.25),
+}
+REFUSED_LISTS = {
+    "41,2\n40\n52,7\n": "line 1: '41,2' may be one number or several",
+    "0,041": "line 1: '0,041' may be",
+    "1\n0,041": "line 2: '0,041' may be",
+    "0 0.1\n1 0.2\n2\n": "line 1: has 2 numbers; it should have one",
+    "0.1\n0.2 0.3\n": "line 2: has 2 numbers",
+    "1.234;0,5": "line 1: numbers should have either decimal points or decimal commas",
+    "0.1 ms\n0.2 ms": "line 1: 'ms' is not a number",
+    "nan\n0.1": "line 1: a latency should be a time >= 0 s",
+}
+
+
+@pytest.mark.parametrize("text", LISTS)
+def test_lists_of_latencies_have_one_line_or_one_column(text, tmp_path):
+    assert read("empirical", text.replace("\n0.3", " 0.3"), tmp_path) == LISTS[text]
+
+
+@pytest.mark.parametrize("text", REFUSED_LISTS)
+def test_lists_that_may_mean_something_else_are_refused(text, tmp_path):
+    with pytest.raises(ValidationError, match=rf"numbers\.txt, {REFUSED_LISTS[text]}"):
+        read("empirical", text, tmp_path)
+
+
+def test_a_flow_may_count_from_any_date(tmp_path):
+    for unit, times in {
+        "s": ["2024-05-17T12:00:00Z", "2024-05-17T12:00:01.5Z"],
+        "ms": ["1715949000000", "1715949001500"],
+        "us": ["1715949000000000", "1715949001500000"],
+    }.items():
+        (tmp_path / "wind.csv").write_text("t,x,y\n" + "".join(f"{time},1,2\n" for time in times))
+        flow = RecordedFlow(file=str(tmp_path / "wind.csv"), time_unit=unit)
+        assert flow == RecordedFlow(velocities=((0.0, 1.0, 2.0), (1.5, 1.0, 2.0)))
+    with pytest.raises(ValidationError, match="line 2: t: '1715949000000000' is too great for a time in s"):
+        RecordedFlow(file=str(tmp_path / "wind.csv"))
+    (tmp_path / "wind.csv").write_text("t,x,y\n5,1,2\n-1,1,2\n")
+    with pytest.raises(ValidationError, match=r"line 3: t should be from 0 to 1e\+09 s"):
+        RecordedFlow(file=str(tmp_path / "wind.csv"))
