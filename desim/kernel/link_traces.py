@@ -102,11 +102,17 @@ class LossTrace(_LossTrace):
     NOUN: ClassVar[str] = "a probability of loss"
 
     kind: Literal["trace"] = "trace"
+    received: Flag = False
+    """Whether the values are probabilities of reception, such as a packet reception ratio, instead of loss."""
 
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest value in the table."""
         return 0.0, 1.0
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return values of the table as probabilities of loss."""
+        return 1.0 - values if self.received else values
 
     def loss(self, values: Any) -> Any:
         """Return the values."""

@@ -322,12 +322,14 @@ def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about traces of links that may end before the run."""
+    """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
     owners: list[tuple[str, Any]] = [("network", scenario.network)]
     owners += [(f"network.link.{k}", link) for k, link in enumerate(scenario.network.link)]
     for key, owner in owners:
         for name in ("latency", "loss"):
             model = getattr(owner, name)
+            if isinstance(model, LinkTrace) and (named := model.named_nodes) is not None:
+                yield f"{key}.{name}.nodes", f"the nodes of {model.name} were numbered by their names: {named}"
             if isinstance(model, LinkTrace) and model.after == "error" and model.span < scenario.horizon:
                 yield (
                     f"{key}.{name}.after",
