@@ -6,7 +6,6 @@ else one per receiver. A model may also have the methods of `desim.kernel.traits
 
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import cached_property
 from math import fsum, log, log1p, sqrt
 from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
@@ -357,7 +356,7 @@ class LatencyMatrix(Value):
         """Return the fields that differ from their defaults, see `Value.given`; only the size of the matrix."""
         return super().given() | {"values": f"{len(self.values)} x {len(self.values)}"}
 
-    @cached_property
+    @property
     def base_latencies(self) -> Floats:
         """The (N, N) one-way latencies, s; nan where a link does not exist, and 0 from a node to itself."""
         base = np.array(self.values, dtype=float) / (PER_SECOND[self.unit] * (2 if self.rtt else 1))
@@ -373,20 +372,31 @@ class LatencyMatrix(Value):
             if np.isnan(base[src, dst]):
                 raise ValueError(f"the matrix of latencies has none from {src} to {dst}")
 
-    def start_run(self, size: int) -> "LatencyMatrix":
+    def start_run(self, size: int) -> "_PlayedMatrix":
         """Return the model of one run."""
-        return self.model_copy(update={"jitter": model_of_run(self.jitter, size)})
+        return _PlayedMatrix(self.base_latencies, model_of_run(self.jitter, size))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        base: Floats = self.base_latencies[context.src, context.dst]
-        return base + as_seconds(self.jitter(context, rng))
+        return _PlayedMatrix(self.base_latencies, self.jitter)(context, rng)
 
     def mean_latency(self) -> float | None:
         """Return the mean over all links, s; None if that of the jitter is not known."""
         base, jitter = self.base_latencies, mean_latency(self.jitter)
         known = base[~np.isnan(base) & ~np.eye(len(base), dtype=bool)]
         return None if jitter is None or not len(known) else fsum(known) / len(known) + jitter
+
+
+class _PlayedMatrix:
+    """`LatencyMatrix` in one run."""
+
+    def __init__(self, base: Floats, jitter: Latency):
+        self._base, self._jitter = base, jitter
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
+        """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
+        base: Floats = self._base[context.src, context.dst]
+        return base + as_seconds(self._jitter(context, rng))
 
 
 def mean_latency(model: Latency) -> float | None:

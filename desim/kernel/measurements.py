@@ -310,10 +310,10 @@ def _names(cells: Cells, columns: Columns) -> tuple[str, ...] | None:
     return None if any(map(LIKE_NUMBER.fullmatch, names)) else tuple(sorted(names, key=_natural))
 
 
-def _natural(name: str) -> tuple[tuple[tuple[int, str], ...], str]:
-    """Return a sort key by which numbers in names are in order of their values."""
+def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    """Return a sort key by which numbers in names are in order of their values, and before letters."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name)
-    return tuple((int(part), "") if part[0] in "0123456789" else (-1, part) for part in parts), name
+    return [(0, int(part), "") if part[0] in "0123456789" else (1, 0, part) for part in parts], name
 
 
 def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:

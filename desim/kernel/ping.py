@@ -67,11 +67,13 @@ def probes_of(text: str) -> list[Probe]:
     lines = [line.strip() for line in text.split("\n")]
     if not any(map(REPLY.fullmatch, lines)):
         return []
-    if sum(bool(START.fullmatch(line)) for line in lines) > 1:
+    starts = sum(bool(START.fullmatch(line)) for line in lines)
+    if starts > 1:
         raise ValueError("has the output of several pings; a file should have that of one")
     replies: dict[int, tuple[float | None, float]] = {}
     lost: set[int] = set()
-    last, count, duration = 0, 0, None
+    last: int | None = None
+    count, duration = 0, None
     for line in lines:
         if reply := REPLY.fullmatch(line):
             stamp, number, rtt = reply.groups()
@@ -81,10 +83,11 @@ def probes_of(text: str) -> list[Probe]:
         elif FAILURE.fullmatch(line):
             lost.add(len(replies) + len(lost))
         elif other := OTHER.fullmatch(line):
-            lost.add(_unwrapped(int(other[1]), last))
+            last = _unwrapped(int(other[1]), last)
+            lost.add(last)
         elif total := TOTAL.fullmatch(line):
             count, duration = int(total[1]), float(total[2]) / 1e3 if total[2] else None
-    first = min(1, *replies, *lost)
+    first = min({1, *replies, *lost} if starts else {*replies, *lost})  # a log may begin later
     end = max(*replies, *lost, first + count - 1)
     if end - first >= MAX_PROBES:
         raise ValueError(f"has more than {MAX_PROBES:,} probes")
@@ -104,6 +107,6 @@ def _interval(stamps: dict[int, float], count: int, duration: float | None) -> f
     return duration / (count - 1) if duration and count > 1 else INTERVAL
 
 
-def _unwrapped(seq: int, last: int) -> int:
+def _unwrapped(seq: int, last: int | None) -> int:
     """Return the sequence number next to the last one that equals `seq` modulo 2^16."""
-    return last + (seq - last + WRAP // 2) % WRAP - WRAP // 2
+    return seq if last is None else last + (seq - last + WRAP // 2) % WRAP - WRAP // 2

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from decimal import Decimal
 
 import networkx as nx
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +19,8 @@ from desim.kernel.csv_tables import _csv_of
 from desim.kernel.links import Links
 from desim.kernel.measurements import LAST_CLOCK, start_of, time_of
 from desim.kernel.network import Network
+from desim.kernel.playback import Playback
+from desim.scenario.checks import warnings
 
 PER_LINK = "t,src,dst,value\n0,0,1,0.1\n0,1,0,0.3\n1,0,1,0.2\n"
 
@@ -266,6 +269,70 @@ def test_a_trace_needs_a_file_or_a_table():
         LatencyTrace(table="")
     with pytest.raises(ValidationError, match="a path"):
         LatencyTrace(file=3)
+
+
+NAMED = "t,src,dst,value\n0,uav10,gateway,0.1\n0,uav2,gateway,0.2\n1,gateway,uav2,0.3\n"
+
+
+def ways(trace):
+    return list(zip(trace.measurements.src.tolist(), trace.measurements.dst.tolist(), strict=True))
+
+
+def test_named_nodes_are_numbered_in_alphabetical_order_or_in_the_order_given(read):
+    """uav2 is before uav10; the order does not depend on that of the rows."""
+    trace = read(NAMED)
+    assert trace.named_nodes == "0 is gateway, 1 is uav2, 2 is uav10"
+    assert ways(trace) == [(0, 1), (1, 0), (2, 0)]
+    header, *rows = NAMED.splitlines()
+    assert ways(read("\n".join([header, rows[2], rows[0]]), start="random")) == [(0, 1), (2, 0)]
+    chosen = read(NAMED, nodes=["uav2", "uav10", "gateway"])
+    assert chosen.named_nodes is None
+    assert ways(chosen) == [(0, 2), (1, 2), (2, 0)]
+    assert LatencyTrace.model_validate(chosen.plain()) == chosen
+    assert ways(read(NAMED.replace("uav10", "7"), nodes=["uav2", "7", "gateway"])) == ways(chosen)
+    macs = read("t,src,dst,value\n0,00:11:22:33:44:55,10.0.0.1,1\n1,0x1f,10.0.0.1,1\n")
+    assert macs.named_nodes == "0 is 00:11:22:33:44:55, 1 is 0x1f, 2 is 10.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "complaint"),
+    [
+        (NAMED.replace("uav10", "3"), {}, r"line 3: src: 'uav2' is not an integer; give the names of nodes in `nodes`"),
+        (NAMED.replace("uav10", ""), {}, r"line 2: src: '' is not an integer; give the names"),
+        (NAMED, {"nodes": ["uav2", "gateway"]}, r"line 2: src: 'uav10' is not in nodes"),
+        (NAMED, {"nodes": ["uav2", "uav2"]}, r"nodes should have each name once"),
+        ("t,value\n0,1\n", {"nodes": ["a", "b"]}, r"nodes are the names in the columns src and dst"),
+        (NAMED.replace("uav10", "gateway"), {}, r"line 2: a link should join two nodes \(got gateway and gateway\)"),
+    ],
+)
+def test_names_that_are_numbers_or_not_known_are_refused(read, text, options, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        read(text, **options)
+
+
+def test_the_numbers_of_named_nodes_are_shown():
+    table = NAMED.replace("uav10", "uav1")
+    network = {"loss": {"kind": "trace", "table": table, "received": True}}
+    graph = {"kind": "edges", "edges": [{"src": 1, "dst": 0}, {"src": 2, "dst": 0}, {"src": 0, "dst": 2}]}
+    scenario = Scenario(team={"count": 3}, network=network | {"graph": graph | {"directed": True}})
+    shown = "the nodes of the table were numbered by their names: 0 is gateway, 1 is uav1, 2 is uav2"
+    assert ("network.loss.nodes", shown) in list(warnings(scenario))
+    many = "t,src,dst,value\n" + "".join(f"{k},a{k},b{k},1\n" for k in range(50))
+    assert LatencyTrace(table=many).named_nodes.endswith("18 is a18, ..., 99 is b49")
+
+
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_a_reception_ratio_is_one_minus_a_loss(between):
+    rows = "t,value\n0,{}\n1,{}\n2,\n3,{}\n"
+    loss = LossTrace(table=rows.format(0.25, 1, 0), between=between)
+    ratio = LossTrace(table=rows.format(0.75, 0, 1), between=between, received=True)
+    assert Playback(ratio).mean() == Playback(loss).mean()
+    assert ratio.scaled(np.array([0.75, 1.0])).tolist() == [0.25, 0.0]
+
+
+@pytest.mark.parametrize("cell", ["", " ", "nan", "NaN", "NA", "n/a", "NULL", "none"])
+def test_a_missing_value_may_be_written_in_several_ways(cell):
+    assert LossTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
 
 
 # The links of the network.

@@ -1,0 +1,90 @@
+"""The output of ping as a trace and as a list of latencies."""
+
+import pytest
+from pydantic import ValidationError
+
+from desim import Empirical, LatencyTrace, LossTrace
+from desim.kernel.ping import MAX_PROBES, WRAP, probes_of
+
+LINUX = """\
+PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.
+64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=12.3 ms
+64 bytes from host.lan (10.0.0.2): icmp_seq=2 ttl=64 time=1003 ms
+64 bytes from 10.0.0.2: icmp_seq=4 ttl=64 time=0.045 ms
+64 bytes from 10.0.0.2: icmp_seq=4 ttl=64 time=0.945 ms (DUP!)
+From 10.0.0.5 icmp_seq=5 Destination Host Unreachable
+
+--- 10.0.0.2 ping statistics ---
+6 packets transmitted, 3 received, +1 duplicates, +1 errors, 50% packet loss, time 1000ms
+rtt min/avg/max/mdev = 0.045/338.448/1003.000/470.1 ms
+"""
+STAMPED = """\
+[1700000000.500000] 64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=500 ms
+[1700000002.200000] no answer yet for icmp_seq=2
+[1700000003.500000] 64 bytes from 10.0.0.2: icmp_seq=3 ttl=64 time=500 ms
+"""
+MACOS = """\
+PING 8.8.8.8 (8.8.8.8): 56 data bytes
+Request timeout for icmp_seq 0
+64 bytes from 8.8.8.8: icmp_seq=1 ttl=118 time=12.345 ms
+
+--- 8.8.8.8 ping statistics ---
+3 packets transmitted, 1 packets received, 66.7% packet loss
+"""
+BUSYBOX = "PING 1.1.1.1 (1.1.1.1): 56 data bytes\n64 bytes from 1.1.1.1: seq=0 ttl=57 time=3.611 ms\n"
+WINDOWS = """\
+Pinging 1.1.1.1 with 32 bytes of data:
+Reply from 1.1.1.1: bytes=32 time=12ms TTL=57
+Request timed out.
+Reply from 1.1.1.1: bytes=32 time<1ms TTL=57
+Reply from 192.168.0.2: Destination host unreachable.
+
+Ping statistics for 1.1.1.1:
+    Packets: Sent = 4, Received = 2, Lost = 2 (50% loss),
+"""
+OUTPUTS = {
+    LINUX: [(0.0, 0.0123), (0.2, 1.003), (0.4, None), (0.6, 0.000045), (0.8, None), (1.0, None)],
+    STAMPED: [(1_700_000_000.0, 0.5), (1_700_000_001.5, None), (1_700_000_003.0, 0.5)],
+    MACOS: [(0.0, None), (1.0, 0.012345), (2.0, None)],
+    BUSYBOX: [(0.0, 0.003611)],
+    WINDOWS: [(0.0, 0.012), (1.0, None), (2.0, 0.001), (3.0, None)],
+}
+
+
+@pytest.mark.parametrize("text", OUTPUTS, ids=["Linux", "with times", "macOS", "BusyBox", "Windows"])
+def test_each_probe_has_its_time_and_its_round_trip(text):
+    """A lost one has a time between those of its neighbours."""
+    probes = probes_of(text)
+    assert [rtt for _, rtt in probes] == [rtt and pytest.approx(rtt) for _, rtt in OUTPUTS[text]]
+    assert [sent for sent, _ in probes] == pytest.approx([sent for sent, _ in OUTPUTS[text]], abs=1e-6)
+
+
+def test_sequence_numbers_go_on_after_the_last_and_a_log_may_begin_later():
+    reply = "64 bytes from a: icmp_seq={} ttl=64 time=1 ms\n"
+    text = "".join(reply.format(seq % WRAP) for seq in (WRAP - 2, WRAP - 1, WRAP + 1))
+    assert [rtt for _, rtt in probes_of(text)] == [0.001, 0.001, None, 0.001]
+    assert [rtt for _, rtt in probes_of(f"PING a\n{reply.format(3)}")] == [None, None, 0.001]
+
+
+def test_a_file_of_ping_is_a_list_of_latencies_and_a_table(tmp_path):
+    file = tmp_path / "ping.txt"
+    file.write_text(LINUX)
+    assert Empirical(file=str(file)).values == pytest.approx((0.00615, 0.5015, 0.0000225))
+    latency = LatencyTrace(file=str(file), value="rtt_ms", unit="ms", rtt=True)
+    loss = LossTrace(file=str(file), value="lost")
+    assert latency.measurements.times.tolist() == [0, 2 * 10**8, 4 * 10**8, 6 * 10**8, 8 * 10**8, 10**9]
+    assert latency.measurements.is_missing.tolist() == [False, False, True, False, True, True]
+    assert loss.measurements.values.tolist() == [0, 0, 1, 0, 1, 1]
+    with pytest.raises(ValidationError, match="has no column 'value'; its columns are t, rtt_ms, lost"):
+        LatencyTrace(file=str(file))
+
+
+@pytest.mark.parametrize("model", [Empirical, LatencyTrace])
+def test_several_outputs_and_endless_ones_are_refused(model, tmp_path):
+    for text, why in {
+        LINUX + LINUX: "has the output of several pings",
+        LINUX.replace("6 packets", f"{MAX_PROBES + 1} packets"): "has more than 10,000,000 probes",
+    }.items():
+        (tmp_path / "ping.txt").write_text(text)
+        with pytest.raises(ValidationError, match=rf"ping\.txt {why}"):
+            model(file=str(tmp_path / "ping.txt"))
