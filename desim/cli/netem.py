@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from desim.cli.options import ALLOW_IMPORT, SET, echo, fail, source_of, write
+from desim.config.number_files import text_of_file
 
 
 @click.command()
@@ -49,11 +50,10 @@ def netem(
         _read(text, "--parse", folder)
     elif commands is not None:
         try:
-            _read(commands.read_text(encoding="utf-8"), str(commands), folder)
-        except OSError as error:
-            fail(f"{commands}: cannot be read: {error.strerror}")
-        except UnicodeDecodeError as error:
-            fail(f"{commands}: is not UTF-8 text ({error.reason})")
+            text = text_of_file(commands)
+        except ValueError as error:
+            fail(str(error))
+        _read(text, str(commands), folder)
 
 
 def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | None) -> None:
@@ -62,7 +62,10 @@ def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | N
     from desim.kernel.tc_writer import script
 
     _, scenario = source_of(file, overrides)
-    found = script(scenario.network, scenario.team.count, device)
+    try:
+        found = script(scenario.network, scenario.team.count, device)
+    except ValueError as error:
+        fail(f"{file}: {error}")
     missing = [*found.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]
     for key, why in missing:
         echo(f"warning: {file}: {key}: {why}", err=True)

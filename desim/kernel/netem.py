@@ -16,7 +16,7 @@ from desim.config.trust import resolve_path
 from desim.kernel.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.link_context import LinkContext
 from desim.kernel.link_memory import LinkMemory
-from desim.kernel.netem_tables import HIGHEST, LOWEST, SCALE, SIZE, TABLES, read_table
+from desim.kernel.netem_tables import HIGHEST, LONGEST, LOWEST, SCALE, SIZE, TABLES, read_table
 
 MAX_JITTER = (2**31 - 1) / 1e9
 """Largest jitter in Linux, s."""
@@ -25,10 +25,10 @@ MAX_JITTER = (2**31 - 1) / 1e9
 class Netem(Value):
     """The latency of `tc netem delay TIME JITTER CORRELATION distribution NAME reorder PERCENT CORRELATION gap N`.
 
-    A message is delayed by `delay` + `jitter` t[U] / 8192, at least 0, where t is a table of 4096 numbers and U is
-    random; without a table, uniformly between `delay` - `jitter` and `delay` + `jitter`. A reordered message is not
-    delayed at all (Hemminger 2005, "Network Emulation with NetEm"; Linux, net/sched/sch_netem.c). Linux draws for each
-    queueing discipline, this model for each link.
+    A message is delayed by `delay` + `jitter` t[U] / 8192, at least 0, where t is a table, mostly of 4096 numbers, and
+    U is random; without a table, uniformly between `delay` - `jitter` and `delay` + `jitter`. A reordered message is
+    not delayed at all (Hemminger 2005, "Network Emulation with NetEm"; Linux, net/sched/sch_netem.c). Linux draws for
+    each queueing discipline, this model for each link.
     """
 
     kind: Literal["netem"] = "netem"
@@ -44,7 +44,7 @@ class Netem(Value):
     distribution: Literal["uniform", "normal", "pareto", "paretonormal"] = "uniform"
     """Distribution of the jitter; the tables of the last three are those of iproute2."""
     table: tuple[Annotated[int, Field(ge=LOWEST, le=HIGHEST, strict=True)], ...] | None = None
-    """Instead of a distribution: a table of 4096 numbers."""
+    """Instead of a distribution: a table of 1 to 16384 numbers, usually 4096."""
     file: str | None = None
     """Instead of a distribution: path of a table NAME.dist, relative to the scenario file. The file is read once, when
     the model is created."""
@@ -67,8 +67,8 @@ class Netem(Value):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if self.table is not None and len(self.table) != SIZE:
-            raise ValueError(f"table should have {SIZE} numbers (got {len(self.table)})")
+        if self.table is not None and not 1 <= len(self.table) <= LONGEST:
+            raise ValueError(f"table should have 1 to {LONGEST} numbers (got {len(self.table)})")
         if self.table is not None and self.distribution != "uniform":
             raise ValueError("should have either a distribution or a table")
         if self.delay == 0.0 and (self.reorder or (self.jitter and self.numbers() is not None)):
@@ -76,7 +76,7 @@ class Netem(Value):
         return self
 
     def numbers(self) -> tuple[int, ...] | None:
-        """Return the (4096,) numbers of the table; None if the distribution is uniform."""
+        """Return the numbers of the table; None if the distribution is uniform."""
         return self.table if self.distribution == "uniform" else TABLES[self.distribution]()
 
     def start_run(self, size: int) -> Any:
@@ -93,7 +93,8 @@ class Netem(Value):
 
     def mean_latency(self) -> float | None:
         """Return the mean latency, s; that of a uniform distribution is taken over 4096 values."""
-        return (1.0 - self._undelayed) * fsum(self._delayed((np.arange(SIZE) + 0.5) / SIZE)) / SIZE
+        size = len(self.numbers() or range(SIZE))
+        return (1.0 - self._undelayed) * fsum(self._delayed((np.arange(size) + 0.5) / size)) / size
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw (count,) latencies, s, without state."""
@@ -112,13 +113,14 @@ class Netem(Value):
         """Return the u-quantile of the latency, s, of messages that are not reordered."""
         units = 2.0 * u - 1.0
         if self.distribution != "uniform" or self.table is not None:
-            units = _quantiles(self.distribution, self.table).take((u * SIZE).astype(np.intp), mode="clip")
+            quantiles = _quantiles(self.distribution, self.table)
+            units = quantiles.take((u * len(quantiles)).astype(np.intp), mode="clip")
         return np.maximum(self.delay + self.jitter * units, 0.0)
 
 
 @lru_cache(maxsize=64)
 def _quantiles(distribution: str, table: tuple[int, ...] | None) -> Floats:
-    """Return the (4096,) quantiles of a distribution or a table in units of sigma; a conversion takes 0.3 ms."""
+    """Return the quantiles of a distribution or a table in units of sigma; a conversion takes 0.3 ms."""
     quantiles: Floats = np.sort(TABLES[distribution]() if table is None else table) / SCALE
     quantiles.setflags(write=False)
     return quantiles
@@ -136,7 +138,7 @@ class _NetemLinks:
         # As Linux computes it: modulo the length of the table or the width of the distribution in ns.
         half = max(round(model.jitter * 1e9), 1)
         self._table = None if numbers is None else np.array(numbers) / SCALE
-        self._half, self._modulus = half, np.uint64(2 * half if numbers is None else SIZE)
+        self._half, self._modulus = half, np.uint64(2 * half if numbers is None else len(numbers))
         self._limit = np.uint64(round(model.reorder * (RANGE - 1)))
         self._jitters = CorrelatedNumbers(model.correlation)
         self._reorders = CorrelatedNumbers(model.reorder_correlation)

@@ -1,8 +1,8 @@
 """Distribution tables of delays, as `tc netem` reads them.
 
-A table is a quantile function at 4096 equally spaced probabilities, scaled by 8192: with a delay mu, a jitter sigma and
-a random index U, a packet is delayed by mu + sigma table[U] / 8192 (tabledist in Linux, net/sched/sch_netem.c). A file
-NAME.dist holds the numbers as text, with white space between them; `#` begins a comment. tc reads it for
+A table is a quantile function at equally spaced probabilities, mostly 4096, scaled by 8192: with a delay mu, a jitter
+sigma and a random index U, a packet is delayed by mu + sigma table[U] / 8192 (tabledist, net/sched/sch_netem.c of
+Linux). A file NAME.dist holds the numbers as text, with white space between them; `#` begins a comment. tc reads it for
 `distribution NAME`.
 
 The tables normal, pareto and paretonormal equal, number by number, those that iproute2 generates at its build
@@ -22,7 +22,9 @@ from desim.config.arrays import Floats, Integers
 from desim.config.number_files import integer_of, lines_of, words_of
 
 SIZE = 4096
-"""Length of a table."""
+"""Length of the tables of iproute2, and of fitted ones."""
+LONGEST = 16384
+"""Length of the longest table that tc reads (tc/q_netem.c) and Linux takes (net/sched/sch_netem.c)."""
 SCALE = 8192
 """A number of a table is a quantile of the normalised delay, times SCALE."""
 LOWEST, HIGHEST = -(2**15), 2**15 - 1
@@ -67,7 +69,7 @@ def read_table(file: Path) -> tuple[int, ...]:
     """Return the table in a file.
 
     Raises:
-        ValueError: if the file cannot be read, or does not contain SIZE integers in LOWEST .. HIGHEST.
+        ValueError: if the file cannot be read, or does not contain 1 to LONGEST integers in LOWEST .. HIGHEST.
     """
     numbers: list[int] = []
     for line, text in enumerate(lines_of(file), 1):
@@ -78,8 +80,8 @@ def read_table(file: Path) -> tuple[int, ...]:
                 raise ValueError(f"{file}, line {line}: {error}") from error
             if not LOWEST <= numbers[-1] <= HIGHEST:
                 raise ValueError(f"{file}, line {line}: should be in {LOWEST} .. {HIGHEST} (got {word})")
-    if len(numbers) != SIZE:
-        raise ValueError(f"{file} should contain {SIZE} numbers (got {len(numbers)})")
+    if not 1 <= len(numbers) <= LONGEST:
+        raise ValueError(f"{file} should contain 1 to {LONGEST} numbers (got {len(numbers)})")
     return tuple(numbers)
 
 

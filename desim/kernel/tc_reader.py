@@ -1,5 +1,6 @@
 """Commands `tc qdisc add ... netem` as the table `[network]` of a scenario, the inverse of `desim.kernel.tc_writer`."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -7,10 +8,9 @@ from pydantic import ValidationError
 
 from desim.kernel.links import Links
 from desim.kernel.netem_tables import TABLES
-from desim.kernel.tc_syntax import HEADERS, LINK, TcError, Way, commands, order_of
+from desim.kernel.tc_syntax import FORM, HEADERS, LINK, Command, Device, TcError, Way, commands, order_of
+from desim.kernel.tc_units import shortest, steps_of, to_bad
 
-DIGITS = 10
-"""Significant digits of numbers that are computed from those of a command, which has 12."""
 NONE = {"latency": {"kind": "constant", "value": 0.0}, "loss": {"kind": "bernoulli", "p": 0.0}, "order": "overtaking"}
 """The models of a link without imperfections."""
 Table = dict[str, Any]
@@ -28,7 +28,8 @@ class Reading(NamedTuple):
 def read_script(text: str, source: str = "tc", folder: Path | None = None) -> Reading:
     """Return the table `[network]` that commands of tc describe.
 
-    A command below a comment `# link SRC -> DST` is for this link, any other for the whole network.
+    A command below a comment `# link SRC -> DST` is for this link, any other for the whole network. The last command
+    for a device counts, see `_changed`; a deletion at the end does not.
 
     Args:
         text: the commands, see `desim.kernel.tc_syntax.commands`.
@@ -36,29 +37,81 @@ def read_script(text: str, source: str = "tc", folder: Path | None = None) -> Re
         folder: where the tables NAME.dist are; None: the working directory.
 
     Raises:
-        TcError: if a command is invalid or not modelled, a table cannot be read, or two commands for the whole network,
-            or for one link, differ.
+        TcError: if a command is invalid or not modelled, none adds netem, a table cannot be read, or two devices for
+            the whole network, or for one link, differ.
     """
-    found: dict[Way | None, Table] = {}
+    disciplines = _disciplines(commands(text, source))
+    if not disciplines:
+        raise TcError(f"{source}: no command adds netem, so nothing is read; {FORM.partition('; ')[2]}")
+    tables: dict[Way | None, Table] = {}
     ignored: list[str] = []
-    for where, way, options in commands(text, source):
+    for where, way, _, _, _, options in disciplines:
         try:
             table = _checked(_network(options, folder or Path()))
         except ValueError as error:
             raise TcError(f"{where}: {error}") from error
-        if found.setdefault(way, table) != table:
+        if tables.setdefault(way, table) != table:
             which = "the whole network; a command for one link follows a comment # " + _name(("SRC", "DST"))
             raise TcError(f"{where}: differs from the command above for {_name(way) if way else which}")
         if "limit" in options and "rate" not in options:
             ignored.append(f"{where}: limit has no effect without a rate: a link holds any number of messages")
-    network = found.pop(None, {})
-    links = [_link(way, table, network, source) for way, table in found.items() if way is not None]
+    network = tables.pop(None, {})
+    links = [_link(way, table, network, source) for way, table in tables.items() if way is not None]
     if links := _merged([link for link in links if link.keys() > {"src", "dst"}]):
         network["link"] = links
     try:
         return Reading(_checked(network), ignored)
     except ValueError as error:
         raise TcError(f"{source}: {error}") from error
+
+
+def _disciplines(script: Iterable[Command]) -> list[Command]:
+    """Return the last command for each device, with the options that are then in effect, in the order of the text.
+
+    A second `add` for a device, which Linux refuses, counts as one for another device.
+    """
+    last: dict[tuple[Device, int], Command] = {}
+    present: dict[Device, tuple[Device, int]] = {}
+    for number, command in enumerate(script):
+        if command.action == "delete":
+            present.pop(command.device, None)
+            continue
+        key = present.get(command.device)
+        if key is not None and command.action != "add":
+            last[key] = _changed(last[key], command)
+            continue
+        if key is None:  # the device has no netem now: what it had before a deletion no longer counts
+            last = {other: known for other, known in last.items() if other[0] != command.device}
+        key = present[command.device] = command.device, number
+        last[key] = command
+    return list(last.values())
+
+
+def _changed(before: Command, command: Command) -> Command:
+    """Return a command `change` or `replace`, with what it leaves of the one before.
+
+    Linux changes a discipline that a `replace` finds, unless its handle differs (tc_modify_qdisc, net/sched/sch_api.c).
+    Options that are not given are reset, but for the table of a distribution, the rate, and the correlations if none is
+    given (netem_change, net/sched/sch_netem.c).
+
+    Raises:
+        TcError: if correlations stay in effect.
+    """
+    way = command.way or before.way
+    if command.action == "replace" and command.handle not in {"", before.handle}:
+        return command._replace(way=way)
+    if _correlation(before.options) and not _correlation(command.options):
+        why = "leaves the correlations of the command before in effect: give one of them again"
+        raise TcError(f"{command.where}: {why}")
+    kept = {name: before.options[name] for name in ("distribution", "rate") if name in before.options}
+    return command._replace(way=way, handle=command.handle or before.handle, options=kept | command.options)
+
+
+def _correlation(options: Table) -> bool:
+    """Return whether the options of a command have a correlation of delay, loss or duplicate."""
+    model, values = options.get("loss", ("", []))
+    delay, duplicate = options.get("delay", (0.0, 0.0, 0.0)), options.get("duplicate", (0.0, 0.0))
+    return bool(delay[2] or duplicate[1] or (model == "random" and values[1:] not in ([], [0.0])))
 
 
 def _network(options: dict[str, Any], folder: Path) -> Table:
@@ -121,12 +174,11 @@ def _bursts(p: float, r: float) -> Table:
     """
     if r == 0.0:
         raise ValueError("loss: a link that is lost for ever is not modelled: its second value should be above 0%")
-    share, burst = _rounded(p / (p + r)), _rounded(1.0 / r)
-    return {
-        "kind": "gilbert_elliott",
-        "share": share,
-        "burst": max(burst, share / (1.0 - share) if share < 1.0 else 1.0),
-    }
+    # The shortest numbers of which the same command is made, so that it is the same when it is printed again.
+    burst = shortest(1.0 / r, lambda burst: steps_of(1.0 / burst) == steps_of(r))
+    odds = p * burst
+    share = shortest(odds / (1.0 + odds), lambda share: share < 1.0 and steps_of(to_bad(share, burst)) == steps_of(p))
+    return {"kind": "gilbert_elliott", "share": share, "burst": max(burst, share / (1.0 - share), 1.0)}
 
 
 def _random(p: float, correlation: float) -> Table:
@@ -186,7 +238,3 @@ def _checked(network: Table) -> Table:
         why = first["msg"].removeprefix("Value error, ").replace("Input should be", "should be")
         raise ValueError(f"{first['loc'][0]}: {why}") from error
     return network
-
-
-def _rounded(number: float) -> float:
-    return float(f"{number:.{DIGITS}g}")

@@ -1,4 +1,9 @@
-"""The words and options of commands `tc qdisc add ... netem`, as the manual page tc-netem(8) describes them."""
+"""The words and options of commands `tc qdisc add ... netem`, as the manual page tc-netem(8) describes them.
+
+The text is a script of a shell: commands end with a line, `;`, `&&` or `||`; a backslash continues a line; `#` begins a
+comment; the output of a command may be redirected. A command may be run by `sudo`, `env`, `ip netns exec` or
+`docker exec`. Other commands are refused, because what they do to links is not known.
+"""
 
 import re
 from collections.abc import Callable, Iterator
@@ -33,15 +38,44 @@ class TcError(ValueError):
     """Raised when a command of tc is invalid or not modelled; the message has the line and the column."""
 
 
+Device = tuple[str, ...]
+"""The name of a device, after the words that name its namespace or container."""
+
+
 class Command(NamedTuple):
-    """A command that adds netem."""
+    """A command about the queueing discipline of a device."""
 
     where: str
-    """Source, line and column of its end."""
+    """Source, line and column of its start."""
     way: Way | None
-    """The link that the comment above it names; None: no link."""
+    """The link that a comment above it, or at its end, names; None: no link."""
+    action: str
+    """One of `ACTIONS`."""
+    device: Device
+    handle: str
+    """The handle of the queueing discipline; "" if it is not given."""
     options: dict[str, Any]
-    """The values of each option, see `OPTIONS`."""
+    """The values of each option of netem, see `OPTIONS`."""
+
+
+ACTIONS = ("add", "change", "replace", "delete", "show", "list", "lst")
+"""What `tc qdisc` does; like tc, desim takes each beginning of a word for the first word that begins so."""
+FORM = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
+NOTHING = ("true", ":")
+"""The commands that do nothing."""
+WITH_VALUE = {
+    "sudo": {"-u", "-g", "--user", "--group"},
+    "env": {"-u"},
+    "docker": {"-e", "-u", "-w", "--env", "--user", "--workdir"},
+    "tc": {"-n", "-netns"},
+}
+"""The options of programs that are followed by a value."""
+_TOKEN = re.compile(
+    r"""(?P<space>[ \t\r\f\v]+|\\\r?\n)|(?P<comment>\#[^\n]*)|(?P<redirection>(?:\d*|&)>>?[ ]*(?:&\d|[^\s;&|<>()]+))"""
+    r"""|(?P<end>\n|;|&&|\|\|)|(?P<word>(?:[^\s;&|<>()'"\\]|\\\S|'[^'\n]*'|"[^"\n]*")+)|(?P<other>.)"""
+)
+"""Matches a token of a shell; `#` begins a comment only at the start of a word."""
+_QUOTES = re.compile(r"""'([^']*)'|"([^"]*)"|\\(.)""")
 
 
 class _Words:
@@ -108,58 +142,118 @@ def order_of(*, reorders: bool, has_rate: bool) -> Order:
 
 
 def commands(text: str, source: str) -> Iterator[Command]:
-    """Yield the commands of a text that add netem; other comments and commands `tc qdisc del` are skipped.
+    """Yield the commands of a text that add, change or delete queueing disciplines.
 
     Args:
-        text: the commands, one in a line; a line may be continued after a backslash.
+        text: a script of a shell with no other commands.
         source: a name of the text, for messages.
 
     Raises:
-        TcError: if a line is no command of `tc qdisc`, or has an option that is invalid or not modelled.
+        TcError: if a command is none of `tc qdisc`, or has an option that is invalid or not modelled.
     """
     way: Way | None = None
     words: list[tuple[str, str]] = []
-    for number, line in enumerate([*text.splitlines(), ""], 1):
-        if line.lstrip().startswith("#"):
-            match = _COMMENT.fullmatch(line.strip())
-            way = (int(match[1]), int(match[2])) if match else way
-            continue
-        continues = line.rstrip().endswith("\\")
-        here = line.rstrip()[:-1] if continues else line
-        words += [(each[0], f"{source}:{number}:{each.start() + 1}") for each in re.finditer(r"\S+", here)]
-        if words and not continues:
-            command = _Words(words)
-            if _adds_netem(command):
-                yield Command(words[0][1], way, _options(command))
-            way, words = None, []
+    before: Command | None = None  # the command before `||`
+    line, begin = 1, 0
+    for token in _TOKEN.finditer(text + "\n"):
+        where = f"{source}:{line}:{token.start() - begin + 1}"
+        match token.lastgroup:
+            case "word":
+                words.append((_QUOTES.sub(lambda part: part[1] or part[2] or part[3] or "", token[0]), where))
+            case "comment" if match := _COMMENT.fullmatch(token[0].strip()):
+                way = int(match[1]), int(match[2])
+            case "other":
+                raise TcError(f"{where}: {token[0]!r} {FORM}")
+            case "end" if words:
+                command = _command(_Words(words), way)
+                words = []
+                if command is not None and not _repeats(command, before):
+                    yield command
+                    way = way if command.action == "delete" else None
+                before = command if token[0] == "||" else None
+        if "\n" in token[0]:
+            line, begin = line + 1, token.end()
 
 
-def _adds_netem(words: _Words) -> bool:
-    """Take the words of a command up to `netem`; return False for `tc qdisc del`.
+def _repeats(command: Command, before: Command | None) -> bool:
+    """Return whether a command is the same as the one before `||`, as in `tc ... change ... || tc ... add ...`.
+
+    Raises:
+        TcError: if it is another one, because which of both has an effect is not known.
+    """
+    if before is None or "delete" in {before.action, command.action}:
+        return False
+    if (before.device, before.options) != (command.device, command.options):
+        raise TcError(f"{command.where}: differs from the command before ||; which of them has an effect is not known")
+    return True
+
+
+def _command(words: _Words, way: Way | None) -> Command | None:
+    """Return the command that some words are; None if it changes nothing.
 
     Raises:
         TcError: if it is no command of `tc qdisc`.
     """
-    form = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
-    while words.peek() == "sudo" or "=" in words.peek():  # a variable of the environment
-        words.take(form)
-    if words.peek() == "ip":
-        for each in ("ip", "netns", "exec"):
-            if words.take(each) != each:
-                raise words.wrong(form)
-        words.take("a namespace")
-    for allowed in (["tc"], ["qdisc"], ["add", "change", "replace", "del"]):
-        word = words.take("|".join(allowed))
-        if word not in allowed:
-            raise words.wrong(form)
-    if word == "del":
-        return False
-    while (word := words.take("netem")) != "netem":
+    where = words.where
+    if words.peek() in NOTHING:
+        return None
+    runner = _runner(words)
+    namespace = _flags(words, "tc")
+    if not "qdisc".startswith(words.take("qdisc")):
+        raise words.wrong(FORM)
+    word = words.take("|".join(ACTIONS))
+    action = next((action for action in ACTIONS if action.startswith(word)), None)
+    if action is None:
+        raise words.wrong(FORM)
+    if action in {"show", "list", "lst"}:
+        return None
+    device, handle = "", ""
+    while words.peek() and (word := words.take("netem")) != "netem":
         if word in {"dev", "parent", "handle"}:
-            words.take("a value")
-        elif word != "root":
+            value = words.take("a value")
+            device, handle = value if word == "dev" else device, value if word == "handle" else handle
+        elif word != "root" and action != "delete":
             raise words.wrong("is not allowed here; allowed: dev, parent, handle, root, netem")
-    return True
+    if action != "delete" and word != "netem":
+        words.take("netem")
+    options = {} if action == "delete" else _options(words)
+    return Command(where, way, action, (*runner, *namespace, device), handle, options)
+
+
+def _runner(words: _Words) -> list[str]:
+    """Take the words before the options of tc; return those that name where it runs."""
+    place: list[str] = []
+    while (word := words.take("tc")).rpartition("/")[2] != "tc":
+        if re.fullmatch(r"\w+=.*", word, re.ASCII):  # a variable of the environment
+            continue
+        if word in {"sudo", "env"}:
+            _flags(words, word)
+        elif word == "ip":
+            for expected in ("netns", "exec"):
+                if words.take(expected) != expected:
+                    raise words.wrong(FORM)
+            place += "netns", words.take("a namespace")
+        elif word in {"docker", "podman"}:
+            if words.take("exec") != "exec":
+                raise words.wrong(FORM)
+            _flags(words, "docker")
+            place += word, words.take("a container")
+        else:
+            raise words.wrong(FORM)
+    return place
+
+
+def _flags(words: _Words, program: str) -> list[str]:
+    """Take the options of a program; return the namespace that they name."""
+    place: list[str] = []
+    while words.peek().startswith("-"):
+        flag = words.take("an option")
+        if program == "tc" and flag in {"-b", "-batch"}:
+            raise words.wrong("is not allowed here: read the batch file itself, with `tc` before each line")
+        if flag in WITH_VALUE[program]:
+            value = words.take("a value")
+            place += ("netns", value) if program == "tc" else ()
+    return place
 
 
 def _options(words: _Words) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Times, shares and bit rates in the form of the commands of `tc`."""
 
 import re
+from collections.abc import Callable
 from decimal import Decimal
 
 from desim.config.model import MAX_TIME
@@ -40,8 +41,26 @@ def time_of(word: str) -> float:
 
 
 def share_word(share: float) -> str:
-    """Return a share in [0, 1] in percent, with 12 digits; tc stores it in steps of 2e-10."""
-    return f"{_plain(Decimal(f'{100.0 * share:.12g}'))}%"
+    """Return a share in [0, 1] in percent: the shortest text of which Linux makes the same number of steps."""
+    steps = steps_of(share)
+    percent = shortest(100.0 * share, lambda percent: steps_of(percent / 100.0) == steps) if steps else 0.0
+    return f"{_plain(Decimal(repr(percent)))}%"
+
+
+def steps_of(share: float) -> int:
+    """Return a share in [0, 1] in the steps of Linux, which are 2.3e-10 wide (set_percent, tc/q_netem.c)."""
+    return round(share * (2**32 - 1))
+
+
+def to_bad(share: float, burst: float) -> float:
+    """Return the probability of Gilbert & Elliott that a good link becomes bad, from the share and length of bursts."""
+    return share / (1.0 - share) / burst
+
+
+def shortest(number: float, fits: Callable[[float], bool]) -> float:
+    """Return a number rounded to the fewest significant digits with which it fits; if it never does, as it is."""
+    rounded = (float(f"{number:.{digits}g}") for digits in range(1, 17))
+    return next((candidate for candidate in rounded if fits(candidate)), number)
 
 
 def share_of(word: str) -> float:

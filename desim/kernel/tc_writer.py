@@ -13,9 +13,11 @@ from desim.kernel.medium import Bitrate, Medium, Radio, Unlimited
 from desim.kernel.netem import Netem
 from desim.kernel.netem_tables import TABLES, fit
 from desim.kernel.tc_syntax import HEADERS, LINK, MAX_LIMIT, order_of
-from desim.kernel.tc_units import rate_word, share_word, time_word
+from desim.kernel.tc_units import rate_word, share_word, time_word, to_bad
 from desim.kernel.traits import LinkTraits
 
+DEVICE = re.compile(r"[\w.:@][\w.:@-]{0,14}", re.ASCII)
+"""Matches the name of a network device; a shell expands none of its characters."""
 Words = list[str]
 """The words of a command."""
 
@@ -38,7 +40,8 @@ def script(links: Links, size: int, device: str = "eth0") -> Script:
     own on the sender, DEVICE-SENDER-RECEIVER.
 
     Raises:
-        ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
+        ValueError: if `links.link` names a link that is not in the graph, an edge attribute is invalid, or the name of
+            a device is.
     """
     writer = _Writer(links)
     lines = ["# on each node", writer.command(device, "network.", links.latency, links.loss, links.order)]
@@ -71,7 +74,15 @@ class _Writer:
         self.missing: list[tuple[str, str]] = []
 
     def command(self, device: str, place: str, latency: Any, loss: Any, order: str) -> str:
-        """Return the command for a device; `place` stands before the keys of the models in messages."""
+        """Return the command for a device; `place` stands before the keys of the models in messages.
+
+        Raises:
+            ValueError: if the name of the device is invalid.
+        """
+        if not DEVICE.fullmatch(device):
+            raise ValueError(
+                f"the name of a device has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
+            )
         delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
         keeps_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))
         if len(delay) > 2 and order != keeps_order:
@@ -145,8 +156,7 @@ def _loss(loss: Any) -> Words | None:
     """Return the values of the option `loss`; None if netem has no such model."""
     match loss:
         case GilbertElliott(advance="message"):
-            recovery = 1.0 / loss.burst
-            shares = [recovery * loss.share / (1.0 - loss.share), recovery, loss.loss_bad, loss.loss_good]
+            shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
             is_gilberts = loss.loss_bad == 1.0 and loss.loss_good == 0.0
             return ["gemodel", *map(share_word, shares[:2] if is_gilberts else shares)]
         case FourState():

@@ -65,9 +65,16 @@ def test_commands_without_effect_in_desim_are_warned_of():
             ["--parse", "tc qdisc add dev eth0 root netem los 1%"],
             "--parse:1:34: 'los' is not allowed here; allowed: delay,",
         ),
-        (["--from", "none.sh"], "none.sh: cannot be read: No such file"),
+        (["--from", "none.sh"], "none.sh cannot be read: No such file"),
         (["--parse", "tc qdisc add dev a root netem rate 1bit -99"], "--parse:1:1: medium: should be greater than or"),
         (["none.toml"], "none.toml: cannot be read: No such file"),
+        (["--parse", "tc qdisc del dev eth0 root"], "--parse: no command adds netem, so nothing is read"),
+        (["--parse", ""], "--parse: no command adds netem, so nothing is read"),
+        ([EXAMPLE, "--dev", "$(id)"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
+        ([EXAMPLE, "--dev", "a;b"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
+        ([EXAMPLE, "--dev", "a b"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
+        ([EXAMPLE, "--dev", "-x"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
+        ([EXAMPLE, "--dev", "enp0s31f6abc"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
     ],
 )
 def test_wrong_input_is_refused(words, why):
@@ -75,12 +82,22 @@ def test_wrong_input_is_refused(words, why):
 
 
 def test_a_file_that_is_not_text_and_a_table_that_cannot_be_written_are_refused(tmp_path):
-    (tmp_path / "binary").write_bytes(b"\xff\xfe")
-    assert refused("netem", "--from", tmp_path / "binary").startswith(f"{tmp_path / 'binary'}: is not UTF-8 text")
+    (tmp_path / "binary").write_bytes(b"\xff\xff")
+    assert refused("netem", "--from", tmp_path / "binary").startswith(f"{tmp_path / 'binary'} cannot be read: 'utf-8'")
     (tmp_path / "measured.toml").write_text(MEASURED)
     result = desim("netem", tmp_path / "measured.toml", "--table", tmp_path / "binary")
     assert result.exit_code == 2
     assert "desim-empirical.dist: cannot be written" in result.stderr
+
+
+def test_a_file_of_commands_may_have_a_byte_order_mark_and_lines_of_windows(tmp_path):
+    command = "tc qdisc add dev eth0 root netem delay 100ms"
+    (tmp_path / "links.sh").write_bytes(f"\ufeff{command} \\\r\n  loss 10%\r\n".encode())
+    read, expected = (
+        accepted("netem", "--from", tmp_path / "links.sh"),
+        accepted("netem", "--parse", f"{command} loss 10%"),
+    )
+    assert read.stdout == expected.stdout
 
 
 @pytest.mark.parametrize("words", [[], [EXAMPLE, "--parse", "tc"], ["--from", "a", "--parse", "tc"]])

@@ -19,6 +19,7 @@ from desim.kernel.netem import Netem
 from desim.kernel.netem_tables import SCALE, table_text
 from desim.kernel.tc_reader import read_script
 from desim.kernel.tc_syntax import NOT_MODELLED, OPTIONS, TcError
+from desim.kernel.tc_units import share_of, share_word, steps_of
 from desim.kernel.tc_writer import script
 from tests.command import JARGON
 
@@ -390,3 +391,170 @@ def test_tables_of_one_kind_with_different_numbers_have_different_names():
     lines, tables, _ = script(Links(latency=Lognormal(), link=(own,)), SIZE)
     assert [*tables] == ["desim-lognormal", "desim-lognormal-2"]
     assert lines[-1].endswith("distribution desim-lognormal-2")
+
+
+# Scripts of a shell.
+
+RESULT = {"latency": {"kind": "constant", "value": 0.1}, "loss": {"kind": "bernoulli", "p": 0.1}}
+ADD = "qdisc add dev eth0 root netem delay 100ms loss 10%"
+SCRIPTS = [
+    f"tc qdisc del dev eth0 root; tc {ADD}",
+    f"tc qdisc del dev eth0 root && tc {ADD}",
+    f"tc qdisc del dev eth0 root || tc {ADD}",
+    f"tc qdisc del dev eth0 root;tc {ADD};",
+    f"tc qdisc del dev eth0 root 2>/dev/null || true\ntc {ADD}",
+    f"tc qdisc del dev eth0 root >/dev/null 2>&1; tc {ADD} > log",
+    f"tc qdisc del dev eth0 root &>/dev/null || :; tc {ADD}",
+    f"tc qdisc delete dev eth0 root\n\ttc {ADD} # as measured\n",
+    f"#!/bin/sh\n/sbin/tc {ADD}\ntc qdisc show dev eth0\ntc -s qdisc ls",
+    f"sudo /usr/sbin/tc -s -d {ADD}",
+    f"sudo -E -u root env TC_LIB_DIR=/tmp tc {ADD}",
+    f"docker exec -it -u root node1 tc {ADD}",
+    f"sudo ip netns exec h1 tc {ADD}\nsudo ip netns exec h2 tc {ADD}",
+    f"tc -n h1 {ADD}; tc -n h2 {ADD}",
+    f"tc {ADD}\ntc qdisc del dev eth0 root",
+    "tc q a dev 'eth0' root netem delay \"100ms\" loss 10\\%",
+    "tc qdisc add dev eth0 root netem \\\n delay 100ms \\\r\n loss 10%",
+    f"tc qdisc add dev eth0 root netem delay 7ms; tc {ADD.replace('add', 'change')}",
+    f"tc qdisc add dev eth0 root netem delay 7ms loss 5% duplicate 2%; tc {ADD.replace('add', 'replace')}",
+    f"tc qdisc add dev eth0 root netem rate 1mbit; tc qdisc del dev eth0 root; tc {ADD}",
+    "tc qdisc add dev eth0 root netem rate 1mbit\ntc qdisc replace dev eth0 root handle 2: netem delay 100ms loss 10%",
+    f"tc {ADD.replace('add', 'change')} || tc {ADD}",
+]
+
+
+@pytest.mark.parametrize("script_of_shell", SCRIPTS)
+def test_a_script_is_read_as_a_shell_reads_it(script_of_shell):
+    assert read_script(script_of_shell) == (RESULT, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (f"tc {ADD} | tee log", "tc:1:55: '|' is not allowed here"),
+        (f"tc {ADD} & sleep 1", "tc:1:55: '&' is not allowed here"),
+        (f"for d in a b; do tc {ADD}; done", "tc:1:1: 'for' is not allowed here"),
+        (f"sleep 1; tc {ADD}", "tc:1:1: 'sleep' is not allowed here"),
+        (f"(tc {ADD})", "tc:1:1: '(' is not allowed here"),
+        ("tc -b links.tc", "tc:1:4: '-b' is not allowed here: read the batch file itself"),
+        ("tc qdisc del dev eth0 root", "tc: no command adds netem, so nothing is read; a command is: tc qdisc add"),
+        ("# nothing", "tc: no command adds netem"),
+        (f"tc {ADD}\ntc qdisc add dev eth0 root netem delay 1ms", "tc:2:1: differs from the command above"),
+        (
+            f"tc {ADD} 25%; tc qdisc change dev eth0 root netem loss 1%",
+            "tc:1:60: leaves the correlations of the command before in effect",
+        ),
+        (f"tc {ADD} || tc qdisc change dev eth0 root netem delay 1ms", "tc:1:58: differs from the command before ||"),
+        (f"docker run a tc {ADD}", "tc:1:8: 'run' is not allowed here"),
+        ("tc qdisc link dev a root netem", "tc:1:10: 'link' is not allowed here"),
+        ("tc qdisc add dev a root netem delay 1ms 'x", 'tc:1:41: "\'" is not allowed here'),
+    ],
+)
+def test_a_script_that_does_other_things_is_refused(text, why):
+    with pytest.raises(TcError, match=re.escape(why)):
+        read_script(text)
+
+
+def test_a_change_leaves_the_rate_and_the_table_of_a_distribution():
+    """As in Linux (netem_change, net/sched/sch_netem.c); all other options that are not given are reset."""
+    add = "tc qdisc add dev a root netem delay 10ms 2ms distribution normal loss 1% duplicate 2% rate 1mbit -42\n"
+    network, _ = read_script(add + "tc qdisc change dev a root netem delay 30ms 3ms")
+    assert network["latency"] == {"kind": "netem", "delay": 0.03, "jitter": 0.003, "distribution": "normal"}
+    assert network["medium"] == {"kind": "bitrate", "bitrate": 1e6, "header": 0}
+    assert not network.keys() & {"loss", "duplicate"}
+
+
+def test_a_comment_names_the_link_of_its_line_or_of_the_next_command():
+    text = """\
+        tc qdisc add dev eth0 root netem
+        # link 0 -> 1
+        tc qdisc del dev eth1 root; tc qdisc add dev eth1 root netem loss 1%
+        tc qdisc add dev eth2 root netem loss 2%  # link 1 -> 2
+        tc qdisc change dev eth2 root netem loss 3%
+        """
+    assert read_script(text).network["link"] == [
+        {"src": 0, "dst": 1, "loss": {"kind": "bernoulli", "p": 0.01}},
+        {"src": 1, "dst": 2, "loss": {"kind": "bernoulli", "p": 0.03}},
+    ]
+
+
+RUNNERS = ["", "sudo ", "/sbin/", "sudo -n /usr/sbin/", "env A=1 ", "B=2 sudo "]
+ENDS = [
+    "\n",
+    ";",
+    " ; ",
+    " && ",
+    "\n\n# a comment; tc qdisc del dev a root\n",
+    " # why not && tc\n",
+    " 2>/dev/null || true\n",
+]
+GAPS = [" ", "  ", "\t", " \\\n\t"]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["add", "change", "replace", "del", "delete"]),
+            st.sampled_from(["a", "b"]),
+            st.sampled_from([1, 2, 3]),
+            *map(st.sampled_from, (RUNNERS, ENDS, GAPS)),
+        ),
+        max_size=6,
+    )
+)
+def test_scripts_of_any_form_mean_what_their_commands_do(steps):
+    """Against a list of the commands, applied to two devices one after the other."""
+    text, delays, is_present = "", {}, {"a": False, "b": False}
+    for action, device, delay, runner, end, gap in steps:
+        is_deletion = action.startswith("del")
+        words = [
+            "tc",
+            "qdisc",
+            action,
+            "dev",
+            device,
+            "root",
+            *([] if is_deletion else ["netem", "delay", f"{delay}s"]),
+        ]
+        text += runner + gap.join(words) + end
+        if not is_deletion and is_present[device] and action == "add":
+            delays[device].append(delay)  # refused by Linux, and here, unless it is the same
+        elif not is_deletion:
+            delays[device] = [*delays[device][:-1], delay] if is_present[device] else [delay]
+        is_present[device] = not is_deletion
+    values = {delay for device in delays.values() for delay in device}
+    if len(values) == 1:
+        assert read_script(text).network == {"latency": {"kind": "constant", "value": float(*values)}}
+    else:
+        with pytest.raises(TcError, match="differs" if values else "nothing is read"):
+            read_script(text)
+
+
+@given(st.sampled_from(["gemodel", "state"]), st.lists(st.integers(1, 9999), min_size=1, max_size=2))
+@example("gemodel", [300, 4000])
+@example("state", [100])
+def test_bursts_that_are_printed_again_are_the_same(name, hundredths):
+    values = [f"{number / 100:g}%" for number in hundredths]
+    network = Links.model_validate(read_script(f"tc qdisc add dev a root netem loss {name} {' '.join(values)}").network)
+    printed = script(network, SIZE).lines[1].partition("gemodel ")[2].split()
+    assert printed == (values if len(values) == 2 else [*values, f"{(10_000 - hundredths[0]) / 100:g}%"])
+
+
+@given(st.floats(0.0, 1.0))
+def test_a_share_is_printed_as_the_shortest_text_with_its_number_of_steps(share):
+    word = share_word(share)
+    assert steps_of(share_of(word)) == steps_of(share)
+    assert len(word) <= 15
+
+
+@pytest.mark.parametrize("device", ["eth0", "br-lan", "wlan0.7", "veth@if3", "a_b", "x" * 15])
+def test_a_device_may_have_a_usual_name(device):
+    assert f"dev {device} root" in script(Links(), 2, device).lines[1]
+
+
+@pytest.mark.parametrize(
+    "device", ["", "x" * 16, "a b", "$(id)", "a;b", "`id`", "-a", "a/b", "\u00e9th0", "a\n", "'a'"]
+)
+def test_a_name_that_a_shell_or_linux_does_not_take_is_refused(device):
+    with pytest.raises(ValueError, match="the name of a device has at most 15 letters"):
+        script(Links(), 2, device)
