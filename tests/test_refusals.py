@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
-from desim.kernel.latency import Empirical
+from desim.kernel.latency import Empirical, LatencyMatrix
 from desim.kernel.netem import Netem
 from desim.pursuit.flow import RecordedFlow
 from desim.pursuit.recorded import RecordedMotion
@@ -170,7 +170,8 @@ def _headers(table: Table) -> list[str]:
 
 TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES}
-BY_HAND |= {(each, "file") for each in (Empirical, Edges, Netem, RecordedFlow, RecordedMotion)}
+BY_HAND |= {(each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, RecordedFlow, RecordedMotion)}
+BY_HAND.add((LatencyMatrix, "values"))  # nan stands for a link that does not exist
 """Keys whose refusals are written out below: the value of another key decides what they take."""
 
 
@@ -266,6 +267,11 @@ FAULTS = [
     "fault = [{ kind = 'crash', node = 1, start = 2.0, end = 1.0 }]",
     "fault = [{ kind = 'partition', start = 1.0, groups = [[0, 1], [1]] }]",
     "network.latency = { kind = 'empirical' }",
+    "network.latency = { kind = 'matrix' }",
+    "network.latency = { kind = 'matrix', values = 3 }",
+    "network.latency = { kind = 'matrix', values = [[0.0, -1.0], ['1', 0.0]] }",
+    "network.latency = { kind = 'matrix', values = [[0.0, 1.0], [1.0]] }",
+    "team.count = 3\nnetwork.latency = { kind = 'matrix', values = [[0.0, 1.0], [1.0, 0.0]] }",
     "evader.strategy = { kind = 'recorded' }",
     "evader.strategy = { kind = 'recorded', file = 3 }",
     "evader.strategy = { kind = 'recorded', file = 'no.txt', node = 1 }",

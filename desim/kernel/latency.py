@@ -6,7 +6,7 @@ else one per receiver. A model may also have the methods of `desim.kernel.traits
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import fsum, log, log1p, sqrt
+from math import fsum, inf, isnan, log, log1p, sqrt
 from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
 
@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
-from desim.config.model import MAX_TIME, Flag, Speed, Time, Value
+from desim.config.model import MAX_TIME, Flag, Limit, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.latency_file import latencies_of, matrix_of
 from desim.kernel.link_context import LinkContext
@@ -309,8 +309,8 @@ class LatencyMatrix(Value):
     """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
 
     kind: Literal["matrix"] = "matrix"
-    values: tuple[tuple[Annotated[float, Field(strict=True)] | None, ...], ...] = ()
-    """(N, N) latencies, a row per sender; None where a link does not exist. In Python, an array with nan is as good."""
+    values: tuple[tuple[Limit, ...], ...] = ()
+    """(N, N) latencies, a row per sender; inf or nan where a link does not exist. In Python, it may be an array."""
     file: str | None = None
     """Instead of values: path of a text file with a line of N numbers per sender, separated by commas, semicolons, tabs
     or spaces, relative to the scenario file. The file is read once, when the model is created."""
@@ -334,7 +334,7 @@ class LatencyMatrix(Value):
         if isinstance(values, np.ndarray):
             values = values.tolist()
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
-            values = [[None if number != number else number for number in row] for row in values]
+            values = [[inf if _is_nan(number) else number for number in row] for row in values]
         return given | {"file": None} | ({} if values is None else {"values": values})
 
     @model_validator(mode="after")
@@ -347,9 +347,9 @@ class LatencyMatrix(Value):
             if len(row) != len(self.values):
                 raise ValueError(f"values should be a square: row {k} has {len(row)} of {len(self.values)} numbers")
         base = self.base_latencies
-        for src, dst in np.argwhere((base < 0.0) | (base > MAX_TIME))[:1].tolist():
+        for src, dst in np.argwhere((base > MAX_TIME) & (base < inf))[:1].tolist():
             which = f"got {base[src, dst]:g} s from {src} to {dst}"
-            raise ValueError(f"a latency should be from 0 to {MAX_TIME:g} s ({which})")
+            raise ValueError(f"a latency should be at most {MAX_TIME:g} s ({which})")
         return self
 
     def given(self) -> dict[str, Any]:
@@ -358,7 +358,7 @@ class LatencyMatrix(Value):
 
     @property
     def base_latencies(self) -> Floats:
-        """The (N, N) one-way latencies, s; nan where a link does not exist, and 0 from a node to itself."""
+        """The (N, N) one-way latencies, s; inf where a link does not exist, and 0 from a node to itself."""
         base = np.array(self.values, dtype=float) / (PER_SECOND[self.unit] * (2 if self.rtt else 1))
         np.fill_diagonal(base, 0.0)
         return base
@@ -369,7 +369,7 @@ class LatencyMatrix(Value):
         if len(base) != size:
             raise ValueError(f"the matrix of latencies should have a row for each of {size} nodes, it has {len(base)}")
         for src, dst in links:
-            if np.isnan(base[src, dst]):
+            if base[src, dst] == inf:
                 raise ValueError(f"the matrix of latencies has none from {src} to {dst}")
 
     def start_run(self, size: int) -> "_PlayedMatrix":
@@ -383,8 +383,12 @@ class LatencyMatrix(Value):
     def mean_latency(self) -> float | None:
         """Return the mean over all links, s; None if that of the jitter is not known."""
         base, jitter = self.base_latencies, mean_latency(self.jitter)
-        known = base[~np.isnan(base) & ~np.eye(len(base), dtype=bool)]
+        known = base[(base < inf) & ~np.eye(len(base), dtype=bool)]
         return None if jitter is None or not len(known) else fsum(known) / len(known) + jitter
+
+
+def _is_nan(number: Any) -> bool:
+    return number is None or (isinstance(number, float) and isnan(number))
 
 
 class _PlayedMatrix:

@@ -155,7 +155,7 @@ def commands(text: str, source: str) -> Iterator[Command]:
     words: list[tuple[str, str]] = []
     before: Command | None = None  # the command before `||`
     line, begin = 1, 0
-    for token in _TOKEN.finditer(text + "\n"):
+    for token in _TOKEN.finditer(text.removeprefix("\ufeff") + "\n"):
         where = f"{source}:{line}:{token.start() - begin + 1}"
         match token.lastgroup:
             case "word":
@@ -224,8 +224,9 @@ def _runner(words: _Words) -> list[str]:
     """Take the words before the options of tc; return those that name where it runs."""
     place: list[str] = []
     while (word := words.take("tc")).rpartition("/")[2] != "tc":
-        if re.fullmatch(r"\w+=.*", word, re.ASCII):  # a variable of the environment
+        if "=" in word:  # a variable of the environment
             continue
+        word = word.rpartition("/")[2]
         if word in {"sudo", "env"}:
             _flags(words, word)
         elif word == "ip":

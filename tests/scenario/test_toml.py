@@ -567,7 +567,7 @@ def test_a_file_of_latencies_that_holds_none_is_refused(tmp_path, content):
 
 
 def test_files_are_found_beside_the_scenario_and_kept_in_it(tmp_path):
-    (tmp_path / "delays.txt").write_text("0.1, 0.2\n0.3  # s\n")
+    (tmp_path / "delays.txt").write_text("0.1, 0.2 0.3  # s\n")
     (tmp_path / "good.toml").write_text('network.latency = { kind = "empirical", file = "delays.txt" }\n')
     scenario = load(tmp_path / "good.toml")
     assert scenario.network.latency.values == (0.1, 0.2, 0.3)
