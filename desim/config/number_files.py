@@ -5,6 +5,7 @@ these are refused, and so are decimal commas, thousands separators and units.
 """
 
 import re
+import zlib
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 
@@ -63,18 +64,53 @@ def hint_of(text: str) -> str:
     return ""
 
 
+GZIP = b"\x1f\x8b"
+"""The first bytes of a file that gzip has compressed."""
+MAX_UNPACKED = 2**28
+"""Largest size of a decompressed file, bytes; a small file could otherwise fill the memory."""
+
+
+def content_of(file: Path) -> bytes:
+    """Return the content of a file, decompressed if it was compressed by gzip, whatever its name is.
+
+    Raises:
+        ValueError: if the file cannot be read, is cut, or is larger than `MAX_UNPACKED` when it is decompressed.
+    """
+    try:
+        content = regular_or_missing(file).read_bytes()
+    except OSError as error:
+        raise ValueError(f"{file} cannot be read: {error.strerror or error}") from error
+    if not content.startswith(GZIP):
+        return content
+    unpacked = bytearray()
+    try:
+        while content:  # gzip files may be concatenated
+            member = zlib.decompressobj(zlib.MAX_WBITS | 16)
+            unpacked += member.decompress(content, MAX_UNPACKED + 1 - len(unpacked))
+            if len(unpacked) > MAX_UNPACKED:
+                raise ValueError(f"{file} is larger than {MAX_UNPACKED >> 20} MiB when it is decompressed")
+            if not member.eof:
+                raise ValueError(f"{file} cannot be read: it is compressed by gzip, and its end is missing")
+            content = member.unused_data.lstrip(b"\0")
+    except zlib.error as error:
+        raise ValueError(f"{file} cannot be read: it is not valid gzip: {error}") from error
+    return bytes(unpacked)
+
+
 def text_of_file(file: Path) -> str:
     r"""Return the text of a file in UTF-8, or in UTF-16 with a byte order mark; its lines end with \n.
+
+    The file may be compressed by gzip; see `content_of`.
 
     Raises:
         ValueError: if the file cannot be read, or is not text.
     """
     try:
-        content = regular_or_missing(file).read_bytes()
-        text = _decoded(content)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise ValueError(f"{file} cannot be read: {reason}") from error
+        text = _decoded(content_of(file))
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{file} cannot be read: it is not text in UTF-8 ({error.reason} at byte {error.start})"
+        ) from error
     if "\0" in text:
         raise ValueError(f"{file} cannot be read: it is not text in UTF-8, because it has zero bytes")
     return text.replace("\r\n", "\n").replace("\r", "\n")
