@@ -1,29 +1,87 @@
-"""Recorded motion: an evader, or a pursuer that only relays messages, moves along given waypoints."""
+"""Recorded motion: an evader, or a pursuer that only relays messages, moves along given waypoints.
+
+Pursuers that chase can begin where the nodes of a record do.
+"""
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ModelWrapValidatorHandler, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Coordinate, Time, Value
+from desim.config.model import MAX_COORDINATE, Coordinate, Length, Time, Value
 from desim.config.traits import Follows, Traits, name_of
 from desim.config.trust import resolve_path
 from desim.kernel.graphs import Node
-from desim.kernel.mobility_file import read_waypoints
+from desim.kernel.mobility_file import read_mobility
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.observation import EvaderObservation
 
 SPEED_ROUNDING = 1e-9
 """Share by which a speed that is computed from a record may exceed a limit."""
+Point = tuple[Coordinate, Coordinate]
+"""A position [x, y], m."""
 
 
-class RecordedMotion(Value):
+def _form_of_node(value: Any) -> str:
+    return "name" if isinstance(value, str) else "number"
+
+
+NodeKey = Annotated[
+    Annotated[Node, Tag("number")] | Annotated[Annotated[str, Field(min_length=1)], Tag("name")],
+    Discriminator(_form_of_node),
+]
+"""The number or the name of a node in a mobility file."""
+Points = Sequence[tuple[float, float, float]]
+"""Waypoints [t, x, y] (s, m, m)."""
+
+
+class _Record(Value):
+    """Base of the models that read a record: how its times and positions become those of the simulation."""
+
+    dimensions: Literal[2, 3] | None = None
+    """Coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). It is needed
+    only if the file does not tell."""
+    start_time: Time = 0.0
+    """Time in the record at which the simulation starts, s; what the record says of earlier times is cut off. If in
+    doubt, use 0; traces of setdest and SUMO often begin to move after hundreds of seconds."""
+    scale: Length = 1.0
+    """Factor by which the positions of the record are multiplied, to have them in m: 1 if they are, 1000 for km."""
+    offset: Point = (0.0, 0.0)
+    """Displacement [x, y] that is added to the positions after scaling, m: the negative of the position that becomes
+    the origin."""
+
+    def placed(self, waypoints: Points) -> tuple[Points, int]:
+        """Return the waypoints as the simulation has them, and the number of those cut off at the beginning.
+
+        The first of them is at time 0 if the record begins before `start_time`.
+
+        Raises:
+            ValueError: if the record ends before `start_time`.
+        """
+        (dx, dy), begin = self.offset, nanoseconds(self.start_time)
+        if (self.start_time, self.scale, self.offset) == (0.0, 1.0, (0.0, 0.0)):
+            return waypoints, 0
+        moved = [(nanoseconds(t) - begin, self.scale * x + dx, self.scale * y + dy) for t, x, y in waypoints]
+        cut = max(sum(t <= 0 for t, _, _ in moved) - 1, 0)
+        if moved[-1][0] < 0:
+            end = waypoints[-1][0]
+            raise ValueError(
+                f"start_time should be at most the time of the last waypoint, {end:g} s (got {self.start_time:g})"
+            )
+        if moved[cut][0] < 0:
+            (t, x, y), (after, x_after, y_after) = moved[cut : cut + 2]
+            share = -t / (after - t)
+            moved[cut] = 0, x + share * (x_after - x), y + share * (y_after - y)
+        return [(seconds(t), x, y) for t, x, y in moved[cut:]], cut
+
+
+class RecordedMotion(_Record):
     """Move along recorded waypoints, whatever the pursuers do: straight, and at constant speed from each to the next.
 
     The node stands at the first waypoint until its time, and at the last one from its time on. A motion step ends at
@@ -34,38 +92,55 @@ class RecordedMotion(Value):
     waypoints: tuple[tuple[Time, Coordinate, Coordinate], ...] = ()
     """Waypoints [t, x, y] (s, m, m), in order of time."""
     file: str | None = None
-    """Instead of waypoints: path of a file of BonnMotion or ns-2, relative to the scenario file. The file is read once,
-    when the model is created."""
-    node: Node = 0
-    """The node of the file: in a file of BonnMotion, the number of its line, from 0; in one of ns-2, its number."""
+    """Instead of waypoints: path of a file of BonnMotion or ns-2, or of a table with the columns t, x and y, relative
+    to the scenario file. The file is read once, when the model is created."""
+    node: NodeKey = 0
+    """The node of the file: in a file of BonnMotion, the number of its line, from 0; in one of ns-2, its number; in a
+    table, its number or name in the column node, or the index of a name, from 0."""
 
     @model_validator(mode="wrap")
     @classmethod
     def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        if not isinstance(given, dict) or given.get("file") is None:
+        if not isinstance(given, dict):
             return make(given)
-        if "waypoints" in given:
+        has_file = given.get("file") is not None
+        if has_file and "waypoints" in given:
             raise ValueError("should have waypoints or a file of waypoints, not both")
-        node = given.get("node", 0)
-        if type(node) is not int or node < 0:
-            return make(given)  # which raises the error
-        file = resolve_path(given["file"], info)
-        found = read_waypoints(file, node)
-        made = make(given | {"file": None, "node": 0, "waypoints": [each[:3] for each in found]})
-        made.__dict__["places"] = tuple(f"{file}, line {each.line}" for each in found)  # not a part of its identity
+        # With a file, the other keys are validated first, because they determine how it is read.
+        checked = make(given | {"file": None, "waypoints": [(0.0, 0.0, 0.0)]} if has_file else given)
+        waypoints: Points = checked.waypoints
+        if has_file:
+            file = resolve_path(given["file"], info)
+            track = read_mobility(file, checked.dimensions).track(checked.node)
+            waypoints = [each[:3] for each in track.waypoints]
+        elif checked.node:
+            raise ValueError(f"waypoints are of one node: node {checked.node} needs a file")
+        elif checked.dimensions is not None:
+            raise ValueError("dimensions are of a file: waypoints are [t, x, y]")
+        else:
+            checked._check_order()
+        placed, cut = checked.placed(waypoints)
+        unmoved = {"file": None, "node": 0, "dimensions": None, "start_time": 0.0, "scale": 1.0, "offset": (0.0, 0.0)}
+        made = make({key: value for key, value in given.items() if key not in unmoved} | {"waypoints": placed})
+        if has_file:  # neither the places nor the heights are a part of its identity
+            made.__dict__["places"] = tuple(f"{file}, line {each.line}" for each in track.waypoints[cut:])
+            made.__dict__["has_heights"] = track.has_heights
+        made.check_speed(MAX_COORDINATE)
         return made
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_order(self) -> None:
+        """Raise ValueError unless there are waypoints, and their times increase."""
         if not self.waypoints:
             raise ValueError("should have waypoints, or a file of waypoints")
-        if self.node:
-            raise ValueError(f"waypoints are of one node: node {self.node} needs a file")
         for k, (before, after) in enumerate(pairwise(self._times)):
             if not before < after:
                 t_before, t = self.waypoints[k][0], self.waypoints[k + 1][0]
                 raise ValueError(f"the times of waypoints should increase; after {t_before:g} s comes {t:g} s")
-        return self
+
+    @cached_property
+    def has_heights(self) -> bool:
+        """Whether the file had heights, which were dropped."""
+        return False
 
     @cached_property
     def places(self) -> tuple[str, ...]:
@@ -142,6 +217,33 @@ class RelayTraits(Traits):
                 f"{name_of(value)} has its own __call__, which moves an evader: a relay moves with"
                 " velocity(now, position), so it should have its own, too"
             )
+
+
+class RecordedPositions(_Record):
+    """The positions at which the nodes of a mobility file begin.
+
+    Pursuers that begin there chase; to move along the record instead, see `team.relay`.
+    """
+
+    kind: Literal["recorded"] = "recorded"
+    file: str
+    """Path of a file of BonnMotion or ns-2, or of a table with the columns t, node, x and y, relative to the scenario
+    file. The file is read once, when the model is created."""
+    nodes: tuple[NodeKey, ...] | None = None
+    """The node of each pursuer, see `node` of recorded motion; if absent, all nodes in the order of the file."""
+
+    @classmethod
+    def read(cls, table: dict[str, Any], info: ValidationInfo) -> tuple[list[tuple[float, float]], bool]:
+        """Return the (N,) positions, m, that a table with these keys describes, and whether heights were dropped.
+
+        Raises:
+            ValueError: if a key is not valid or the file cannot be read.
+        """
+        made = cls.model_validate(table, context=info.context)
+        mobility = read_mobility(resolve_path(made.file, info), made.dimensions)
+        tracks = [mobility.track(node) for node in (mobility.nodes if made.nodes is None else made.nodes)]
+        first = [made.placed([each[:3] for each in track.waypoints])[0][0] for track in tracks]
+        return [(x, y) for _, x, y in first], any(track.has_heights for track in tracks)
 
 
 class RelayNode(Value):

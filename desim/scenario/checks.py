@@ -55,6 +55,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _inertia_warnings(scenario)
     yield from _memory_warnings(scenario)
+    yield from _record_warnings(scenario)
     yield from _flow_warnings(scenario)
     yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
@@ -108,6 +109,20 @@ def _memory_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "record.trajectory",
             f"up to {count:,.0f} positions are recorded, about {size / 1e9:,.1f} GB of memory: sample less often",
         )
+
+
+def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about recorded motion whose file has heights."""
+    evaders = scenario.evader if isinstance(scenario.evader, tuple) else (scenario.evader,)
+    keys = [f"evader.{k}.strategy" if evaders is scenario.evader else "evader.strategy" for k in range(len(evaders))]
+    records: list[tuple[str, Any]] = [
+        *((key, evader.record) for key, evader in zip(keys, evaders, strict=True)),
+        *((f"team.relay.{k}.motion", relay.motion) for k, relay in enumerate(scenario.team.relay)),
+        ("team.positions", scenario.team),
+    ]
+    for key, record in records:
+        if getattr(record, "has_heights", False):
+            yield key, "the heights in the file are dropped: motion is in the plane, and so are all distances"
 
 
 def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

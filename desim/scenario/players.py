@@ -1,23 +1,30 @@
 """The players of a scenario: the team of pursuers, and the evaders."""
 
+from functools import cached_property
 from math import inf
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from desim.config.choice import OneOf
-from desim.config.model import Box, Coordinate, Limit, Probability, Speed, Time, Value
+from desim.config.model import Box, Limit, Probability, Speed, Time, Value
 from desim.kernel.seeds import stream
 from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple
 from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
-from desim.pursuit.recorded import RecordedMotion, RelayNode
+from desim.pursuit.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
 from desim.pursuit.traits import StrategyTraits
-
-Point = tuple[Coordinate, Coordinate]
 
 
 class Speeds(Value):
@@ -42,13 +49,24 @@ def _speeds_in(given: Any) -> tuple[float, ...]:
     return given if isinstance(given, tuple) else (given,)
 
 
+def _form_of_positions(value: Any) -> str:
+    return "table" if isinstance(value, dict | RecordedPositions) else "list"
+
+
 class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
     count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
     """Number of pursuers N; with `positions`, it must be their number or be absent."""
-    positions: tuple[Point, ...] | None = None
-    """Initial positions, one [x, y] per pursuer, m; if absent, uniform random draws from `box` per seed."""
+    positions: (
+        Annotated[
+            Annotated[tuple[Point, ...], Tag("list")] | Annotated[RecordedPositions, Tag("table")],
+            Discriminator(_form_of_positions),
+        ]
+        | None
+    ) = None
+    """Initial positions, one [x, y] per pursuer, m, or a table of the kind recorded: those of a mobility file; if
+    absent, uniform random draws from `box` per seed."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both initial coordinates, m."""
     speeds: Annotated[
@@ -67,13 +85,33 @@ class Team(Value):
     relay: tuple[RelayNode, ...] = ()
     """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _count_positions(cls, given: Any) -> Any:
-        positions = given.get("positions") if isinstance(given, dict) else None
+    def _count_positions(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        has_heights, positions = False, given.get("positions") if isinstance(given, dict) else None
+        if isinstance(positions, dict):
+            try:
+                positions, has_heights = RecordedPositions.read(positions, info)
+            except ValueError:
+                pass  # the validator of the field raises it, with its place
+            else:
+                given = given | {"positions": positions}
         if isinstance(positions, list | tuple) and positions and "count" not in given:
-            return given | {"count": len(positions)}
-        return given
+            given = given | {"count": len(positions)}
+        made = make(given)
+        if has_heights:
+            made.__dict__["has_heights"] = True  # not a part of its identity
+        return made
+
+    @field_validator("positions", mode="before")
+    @classmethod
+    def _of_record(cls, given: Any, info: ValidationInfo) -> Any:
+        return RecordedPositions.read(given, info)[0] if isinstance(given, dict) else given
+
+    @cached_property
+    def has_heights(self) -> bool:
+        """Whether the file of the positions had heights, which were dropped."""
+        return False
 
     @field_validator("relay")
     @classmethod

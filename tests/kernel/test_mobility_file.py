@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.mobility_file import Waypoint, _legs, _Move, read_waypoints
+from desim.kernel.mobility import Waypoint
+from desim.kernel.mobility_file import read_mobility
+from desim.kernel.ns2_file import Move, legs
 from desim.kernel.units import nanoseconds
 
 START = "$node_(3) set X_ 1.0\n$node_(3) set Y_ 2.0\n$node_(3) set Z_ 7.0\n"
@@ -14,7 +16,7 @@ START = "$node_(3) set X_ 1.0\n$node_(3) set Y_ 2.0\n$node_(3) set Z_ 7.0\n"
 
 def read(tmp_path, text, node=0):
     (tmp_path / "motion.txt").write_text(text, encoding="utf-8")
-    return read_waypoints(tmp_path / "motion.txt", node)
+    return read_mobility(tmp_path / "motion.txt").track(node).waypoints
 
 
 def moved(tmp_path, *moves):
@@ -68,7 +70,7 @@ $ns_ at 9.0 "$ns_ halt"
 
 
 numbers = st.floats(-100.0, 100.0)
-moves = st.builds(_Move, st.floats(0.0, 50.0), numbers, numbers, st.just(0.0) | st.floats(0.01, 100.0), st.just(1))
+moves = st.builds(Move, st.floats(0.0, 50.0), numbers, numbers, st.just(0.0) | st.floats(0.01, 100.0), st.just(1))
 
 
 def simulated(start, moves, t):
@@ -94,7 +96,7 @@ def interpolated(waypoints, t):
 def test_the_waypoints_of_ns2_are_where_the_moves_lead(given, t):
     """Moves of less than 1 ns are left out: at most 100 m/s for 1 ns each."""
     ordered = sorted(given, key=lambda move: move.t)
-    waypoints = list(_legs(Waypoint(0.0, 1.0, 2.0, 1), ordered))
+    waypoints = list(legs(Waypoint(0.0, 1.0, 2.0, 1), ordered))
     assert all(nanoseconds(before.t) < nanoseconds(after.t) for before, after in pairwise(waypoints))
     assert abs(interpolated(waypoints, t) - simulated((1.0, 2.0), ordered, t)) < 1e-6
 
@@ -124,7 +126,7 @@ def test_a_bad_file_is_refused_with_its_name_and_the_line(tmp_path, text, node, 
 
 
 def test_an_unreadable_file_is_reported_by_its_name(tmp_path):
-    (tmp_path / "binary").write_bytes(b"\xff\x00\x01")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     for name in ("binary", "none"):
         with pytest.raises(ValueError, match=rf"{name} cannot be read"):
-            read_waypoints(tmp_path / name, 0)
+            read_mobility(tmp_path / name)
