@@ -1,5 +1,6 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -155,6 +156,8 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
+        if self.number is not None and isinstance(value, str) and (reason := _why_no_number(value)):
+            raise ValueError(reason)
         value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
@@ -255,6 +258,27 @@ def _or(models: Sequence[type]) -> str:
     """Return the names of some classes, at least one, as a list in words."""
     *names, last = (model.__name__ for model in models)
     return f"{', '.join(names)} or {last}" if names else last
+
+
+NUMBER_AS_TEXT = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?)\s*([^\W\d_]*|%)\s*", re.IGNORECASE)
+"""Matches a text that is meant as a number, and its unit."""
+UNITS = MappingProxyType({"s": ("s", 1.0), "ms": ("s", 1e3), "us": ("s", 1e6), "ns": ("s", 1e9), "%": ("1", 100.0)})
+"""The unit in which a number is expected instead of another one, and how many of these it is."""
+
+
+def _why_no_number(text: str) -> str | None:
+    """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind."""
+    match = NUMBER_AS_TEXT.fullmatch(text)
+    if match is None:
+        return None
+    number, unit = match[1].replace(",", "."), match[2].lower()
+    if not unit:
+        return f"should be a number: {number} instead of the text {text!r}"
+    if unit not in UNITS:
+        return f"should be a number without a unit (got {text!r})"
+    right, count = UNITS[unit]
+    what = "a number from 0 to 1" if right == "1" else "a number, in s"
+    return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
 
 
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:

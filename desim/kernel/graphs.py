@@ -1,18 +1,20 @@
 """Static communication graphs: frozen models that create a networkx graph of a given number of nodes."""
 
-import json
 from collections.abc import Iterator
-from pathlib import Path
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
 from desim.config.trust import resolve_path
+from desim.kernel.graph_attributes import unread_attributes
+from desim.kernel.graph_file import read_graph
 from desim.kernel.implicit_complete import complete_graph, is_implicit
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
+from desim.kernel.node_names import numbered
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -125,56 +127,84 @@ class Link(Edge):
 
 
 class Edges(Value):
-    """A simple graph, given as a list of edges or as a file in node-link JSON or GraphML."""
+    """A simple graph, given as a list of edges, as a file, or in Python as a networkx graph."""
 
     kind: Literal["edges"] = "edges"
     edges: tuple[Edge, ...] = ()
     """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
-    """Instead of edges, nodes and directed: path of a node-link JSON (*.json) or GraphML (*.graphml) file, relative to
-    the scenario file. The file is read once, when the model is created."""
+    """Instead of edges, nodes and names: path of a file in JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML
+    or Pajek's format, of an edge list or of an adjacency list, relative to the scenario file. The file is read once,
+    when the model is created."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
-    """Whether edges are one-way."""
+    """Whether edges are one-way; beside a file, only for an edge list or an adjacency list, which do not say it."""
+    names: tuple[str, ...] = ()
+    """The name of each node, by its number, if the file has names; `desim check` shows them."""
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict) or given.get("file") is None:
-            return given
-        if beside := [name for name in ("edges", "nodes", "directed") if name in given]:
-            raise ValueError(f"should have either a file or {' and '.join(beside)}: a file gives all of them")
-        return given | {"file": None} | _fields(_graph_in(resolve_path(given["file"], info)))
+    def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        if is_networkx(given):
+            fields, notes = _fields(given)
+        elif isinstance(given, dict) and given.get("file") is not None:
+            if beside := [name for name in ("edges", "nodes", "names") if name in given]:
+                raise ValueError(f"should have either a file or {' and '.join(beside)}: a file gives all of them")
+            directed = make(given | {"file": None}).directed if "directed" in given else None
+            file = resolve_path(given["file"], info)
+            graph = read_graph(file, directed)
+            try:
+                fields, notes = _fields(graph)
+            except ValueError as error:
+                raise ValueError(f"{file}: {error}") from error
+            fields = given | {"file": None} | fields
+        else:
+            return make(given)
+        made = make(fields)
+        made.__dict__["notes"] = notes  # not a part of its identity
+        return made
 
     @model_validator(mode="after")
     def _simple(self) -> Self:
+        if self.names and self.nodes is not None and len(self.names) != self.nodes:
+            raise ValueError(f"names should be one per node: there are {self.nodes} nodes and {len(self.names)} names")
         seen: dict[tuple[int, int], int] = {}
         for k, edge in enumerate(self.edges):
             ends = (edge.src, edge.dst) if self.directed else (min(edge.src, edge.dst), max(edge.src, edge.dst))
             if (first := seen.setdefault(ends, k)) != k:
-                raise ValueError(f"edges {first} and {k} are parallel: both join nodes {edge.src} and {edge.dst}")
+                src, dst = (self.names[end] if end < len(self.names) else end for end in (edge.src, edge.dst))
+                raise ValueError(f"edges {first} and {k} are parallel: both join nodes {src} and {dst}")
         return self
 
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings about the file or graph that it was made of: attributes that are not read, shifted numbers."""
+        return ()
+
     @classmethod
-    def of(cls, graph: "nx.Graph[int]") -> "Edges":
-        """Return a networkx graph with the nodes 0 .. n - 1 as a model; see `Edge` for the edge attributes.
+    def of(cls, graph: "nx.Graph[Any]") -> "Edges":
+        """Return a networkx graph as a model; see `Edge` for the edge attributes.
+
+        The nodes 0 .. n - 1 keep their numbers; other nodes get numbers, and `names` then has their names; see
+        `desim.kernel.node_names`.
 
         Raises:
-            ValueError: if the graph has other nodes or parallel edges, or an edge attribute is invalid.
+            ValueError: if the graph has parallel edges, or an edge attribute is invalid.
         """
-        return cls.model_validate(_fields(graph))
+        return cls.model_validate(graph)
 
     def __call__(self, size: int) -> "nx.Graph[int]":
         """Return the graph.
 
         Raises:
-            ValueError: if `nodes` is given and is not `size`, or an edge names a node that does not exist.
+            ValueError: if `nodes` or `names` is given for another size, or an edge names a node that does not exist.
         """
         import networkx as nx
 
-        if self.nodes is not None and self.nodes != size:
-            raise ValueError(f"the graph has {self.nodes} nodes, the network {size}")
+        nodes = self.nodes if self.nodes is not None else len(self.names) or size
+        if nodes != size:
+            raise ValueError(f"the graph has {nodes} nodes, the network {size}")
         graph: nx.Graph[int] = nx.empty_graph(size, create_using=nx.DiGraph if self.directed else nx.Graph)
         for edge in self.edges:
             if max(edge.src, edge.dst) >= size:
@@ -185,47 +215,27 @@ class Edges(Value):
         return graph
 
 
-def _graph_in(file: Path) -> "nx.Graph[Any]":
-    import networkx as nx
-
-    try:
-        if file.suffix == ".graphml":
-            _check_plain(file.read_bytes())
-            return nx.read_graphml(file, node_type=int)
-        data = json.loads(file.read_text(encoding="utf-8-sig"))
-        if not isinstance(data, dict):
-            raise ValueError("it should be an object with nodes and edges")
-        key = "edges" if "edges" in data else "links"  # networkx before 3.4 writes "links"
-        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges, to reject them
-    except OSError as error:
-        raise ValueError(f"{file} cannot be read: {error.strerror}") from error
-    except Exception as error:  # the readers of networkx raise many types of exception for malformed input
-        raise ValueError(f"{file} is not a graph in node-link JSON (.json) or GraphML (.graphml): {error}") from error
+def is_networkx(value: Any) -> bool:
+    """Return whether a value is a networkx graph, without importing networkx, which is slow."""
+    return hasattr(value, "is_multigraph") and hasattr(value, "adjacency")
 
 
-def _check_plain(xml: bytes) -> None:
-    """Raise ValueError if XML declares a document type, whose entities could expand to any amount of text."""
-    from xml.parsers.expat import ParserCreate
-
-    def refuse(*_: object) -> None:
-        raise ValueError("it should declare no document type (<!DOCTYPE ...>)")
-
-    parser = ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.Parse(xml, True)
-
-
-def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
-    """Return a networkx graph as the fields of `Edges`."""
-    size = len(graph)
-    if set(graph) != set(range(size)):
-        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {node_names(graph)}")
+def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return a networkx graph as the fields of `Edges`, and the warnings about it."""
+    numbering = numbered(graph)
+    numbers, notes = numbering.numbers, list(unread_attributes(graph))
+    if numbering.is_shifted:
+        notes.append(
+            f"its nodes have the numbers {numbering.names[0]} .. {numbering.names[-1]}, and here 0 .. {len(graph) - 1},"
+            " in the same order (`names`)"
+        )
     edges = [
-        {"src": int(src), "dst": int(dst)}
+        {"src": numbers[src], "dst": numbers[dst]}
         | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
         for src, dst, own in graph.edges(data=True)
     ]
-    return {"edges": edges, "nodes": size, "directed": graph.is_directed()}
+    fields = {"edges": edges, "nodes": len(graph), "directed": graph.is_directed()}
+    return fields | ({"names": numbering.names} if numbering.names else {}), tuple(notes)
 
 
 def node_names(graph: "nx.Graph[Any]") -> str:

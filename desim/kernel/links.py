@@ -3,10 +3,10 @@
 from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from desim.config.model import Extent, Time, Value
-from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link, Order
+from desim.kernel.graphs import GRAPHS, Complete, Edges, GraphModel, Link, Order, is_networkx
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
@@ -63,7 +63,7 @@ class Links(Value):
     """Name of a set of illustrative values that replace the defaults of this table: wifi, lte, 5g, satellite, acoustic,
     lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
-    """Communication graph, regardless of range."""
+    """Communication graph, regardless of range; in Python also a networkx graph."""
     range: Extent = inf
     """Communication range, m; inf = any distance."""
     reception: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
@@ -90,6 +90,11 @@ class Links(Value):
     messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
+
+    @field_validator("graph", mode="before")
+    @classmethod
+    def _of_networkx(cls, given: Any) -> Any:
+        return Edges.of(given) if is_networkx(given) else given
 
     @model_validator(mode="before")
     @classmethod

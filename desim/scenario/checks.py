@@ -12,7 +12,8 @@ from desim.config.traits import inherits
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.faults import ClockSkew, Fault
-from desim.kernel.graphs import Complete
+from desim.kernel.graph_attributes import unread_attributes
+from desim.kernel.graphs import Complete, Edges, as_model, links_with_attributes
 from desim.kernel.interference import Collision
 from desim.kernel.latency import mean_latency
 from desim.kernel.link_trace_base import LinkTrace
@@ -170,9 +171,11 @@ def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str
         mean, horizon = max(each, key=lambda one: one[0] / one[1])
         share = "not less than" if mean >= horizon else "more than a tenth of"
         if mean >= horizon or all(value > LONG_LATENCY * limit for value, limit in each):
+            of_edge = " of an edge" if key == "network.graph" else ""
             yield (
                 key,
-                f"the mean latency of {mean:g} s is {share} the horizon of {horizon:g} s: times are in s, not ms",
+                f"the mean latency{of_edge} of {mean:g} s is {share} the horizon of {horizon:g} s: times are in s, not"
+                " ms",
             )
 
 
@@ -202,14 +205,30 @@ def _senses_instead(scenario: Scenario) -> bool:
 
 
 def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield the key and the mean (s) of each latency of the network whose mean is known."""
+    """Yield the key and the mean (s) of each latency of the network whose mean is known; of edges, the longest."""
     network = scenario.network
     models = {"network.latency": network.latency}
     models |= {f"network.link.{k}.latency": link.latency for k, link in enumerate(network.link) if link.latency}
     for key, model in models.items():
         if (mean := mean_latency(model)) is not None:
             yield key, mean
+    means = [
+        mean_latency(as_model("latency", own["latency"])) for own in _edge_attributes(scenario) if "latency" in own
+    ]
+    yield "network.graph", max((mean for mean in means if mean is not None), default=0.0)
     yield "network.processing", network.processing.sender + network.processing.receiver
+
+
+def _edge_attributes(scenario: Scenario) -> Iterator[dict[str, Any]]:
+    """Yield the attributes of each link of the graph that has some."""
+    yield from (own for _, _, own in links_with_attributes(scenario.network.graph(scenario.team.count)))
+
+
+def _graph_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about attributes of a graph that are not read, and about shifted numbers of nodes."""
+    model = scenario.network.graph
+    notes = model.notes if isinstance(model, Edges) else unread_attributes(model(scenario.team.count))
+    yield from (("network.graph", note) for note in notes)
 
 
 def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -260,6 +279,7 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about the network, announcements and faults."""
     network, announce = scenario.network, scenario.announce
+    yield from _graph_warnings(scenario)
     if network.preset is not None:
         values, preset = dict(network), dict(Links(preset=network.preset))
         for key in PRESETS[network.preset]:
@@ -338,19 +358,23 @@ def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
-    owners: list[tuple[str, Any]] = [("network", scenario.network)]
-    owners += [(f"network.link.{k}", link) for k, link in enumerate(scenario.network.link)]
+    owners = [("network", dict(scenario.network)), *(("network.graph", own) for own in _edge_attributes(scenario))]
+    owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
+    spans: dict[str, float] = {}
     for key, owner in owners:
         for name in ("latency", "loss"):
-            model = getattr(owner, name)
+            model = owner.get(name)
             if isinstance(model, LinkTrace) and (named := model.named_nodes) is not None:
                 yield f"{key}.{name}.nodes", f"the nodes of {model.name} were numbered by their names: {named}"
             if isinstance(model, LinkTrace) and model.after == "error" and model.span < scenario.horizon:
-                yield (
-                    f"{key}.{name}.after",
-                    f"a message that is sent later than {model.span:g} s ends the run with an error, and the horizon is"
-                    f" {scenario.horizon:g} s",
-                )
+                place = key if key == "network.graph" else f"{key}.{name}.after"
+                spans[place] = min(model.span, spans.get(place, inf))
+    for place, span in spans.items():
+        yield (
+            place,
+            f"a message that is sent later than {span:g} s ends the run with an error, and the horizon is"
+            f" {scenario.horizon:g} s",
+        )
 
 
 def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -145,6 +145,7 @@ WORDS = {
 
 RENAMED = {
     "at": "start",
+    "delay": "latency",
     "floor": "min_timeout",
     "forget_after": "belief_timeout",
     "frozen": "static",
@@ -154,6 +155,8 @@ RENAMED = {
     "needed": "captures_to_end",
     "of": "schedule",
     "otherwise": "normally",
+    "packet_loss": "loss",
+    "packetloss": "loss",
     "pass_on": "relay",
     "patience": "winner_timeout",
     "q": "participation",

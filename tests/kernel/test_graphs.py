@@ -159,48 +159,12 @@ def test_a_file_is_read_beside_the_scenario(tmp_path):
 
 @pytest.mark.parametrize(
     ("beside", "named"),
-    [({"edges": []}, "edges"), ({"nodes": 4}, "nodes"), ({"nodes": 4, "directed": False}, "nodes and directed")],
+    [({"edges": []}, "edges"), ({"nodes": 4}, "nodes"), ({"nodes": 4, "names": []}, "nodes and names")],
 )
 def test_keys_that_a_file_gives_are_refused_beside_it(tmp_path, beside, named):
     file = write(net(), tmp_path, "json")
     with pytest.raises(ValidationError, match=f"should have either a file or {named}: a file gives all of them"):
         Edges.model_validate({"file": file.name} | beside, context={"folder": file.parent})
-
-
-@pytest.mark.parametrize("kind", ["json", "graphml"])
-@pytest.mark.parametrize("nodes", [[1, 2, 3], [0, 1, 3], [-1, 0, 1]])
-def test_nodes_that_are_not_numbered_from_0_are_refused(tmp_path, kind, nodes):
-    graph = nx.relabel_nodes(nx.path_graph(3), dict(enumerate(nodes)))
-    with pytest.raises(ValidationError, match=r"nodes of the graph should be 0 \.\. 2, got \["):
-        from_file(write(graph, tmp_path, kind))
-    with pytest.raises(ValueError, match=r"should be 0 \.\. 2"):
-        Edges.of(graph)
-
-
-def test_nodes_with_names_are_refused(tmp_path):
-    graph = nx.Graph([("Ada", "Bo"), ("Bo", "Cy")])
-    with pytest.raises(ValueError, match=r"should be 0 \.\. 2, got \['Ada', 'Bo', 'Cy'\]"):
-        Edges.of(graph)
-    with pytest.raises(ValidationError, match=r"got \['Ada', 'Bo', 'Cy'\]"):
-        from_file(write(graph, tmp_path, "json"))
-    with pytest.raises(ValidationError, match=r"net\.graphml is not a graph"):
-        from_file(write(graph, tmp_path, "graphml"))
-
-
-NO_GRAPHS = {
-    "bad.json": ["{", "[]", "7", '{"nodes": []}', ""],
-    "bad.txt": ["0 1\n1 2\n"],
-    "bad.graphml": ["<graphml>", '{"nodes": [], "edges": []}', "", '<?xml version="1.0"?><html/>'],
-}
-
-
-@pytest.mark.parametrize(("name", "text"), [(name, text) for name, texts in NO_GRAPHS.items() for text in texts])
-def test_a_file_of_other_things_or_that_is_not_there_is_refused_with_its_name(tmp_path, name, text):
-    with pytest.raises(ValidationError, match=rf"{name} cannot be read: No such file"):
-        from_file(tmp_path / name)
-    (tmp_path / name).write_text(text)
-    with pytest.raises(ValidationError, match=rf"{name} is not a graph in node-link JSON"):
-        from_file(tmp_path / name)
 
 
 def test_an_empty_graph_is_refused(tmp_path):

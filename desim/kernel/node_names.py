@@ -1,0 +1,83 @@
+"""Numbers for the nodes of a graph that may have any names, and the names by number.
+
+1. If the labels or the names of the nodes are 0 .. n - 1, each node keeps its number.
+2. If the nodes have other integers, they are numbered in ascending order.
+3. Otherwise the nodes are numbered in the order of the graph: in a file, that in which it names them.
+"""
+
+from collections.abc import Sequence
+from operator import index
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+LABELS = ("label", "name")
+"""The attributes in which programs keep the names of nodes that their users see."""
+
+
+class Numbering(NamedTuple):
+    """The numbers of the nodes of a graph."""
+
+    numbers: dict[Any, int]
+    """The number of each node."""
+    names: tuple[str, ...]
+    """The name of each node by number; empty if the names are the numbers."""
+    is_shifted: bool
+    """Whether the names are integers, but not the numbers."""
+
+
+def numbered(graph: "nx.Graph[Any]") -> Numbering:
+    """Return the numbers of the nodes of a graph.
+
+    Raises:
+        ValueError: if both the nodes and their labels are 0 .. n - 1, in different orders.
+    """
+    nodes = list(graph)
+    by_name, labels = _integers(nodes), _labels(graph)
+    by_label = None if labels is None else _integers(labels)
+    size = set(range(len(nodes)))
+    is_name, is_label = (numbers is not None and set(numbers) == size for numbers in (by_name, by_label))
+    if is_name and is_label and by_name != by_label:
+        k = next(k for k in range(len(nodes)) if by_name[k] != by_label[k])  # type: ignore[index]
+        raise ValueError(f"node {nodes[k]!r} has the label {labels[k]!r}, so that its number is not clear")  # type: ignore[index]
+    if is_label and by_label is not None:
+        numbers = by_label
+    elif is_name and by_name is not None:
+        numbers = by_name
+    else:
+        order = range(len(nodes)) if by_name is None else sorted(range(len(nodes)), key=by_name.__getitem__)
+        numbers = [0] * len(nodes)
+        for number, k in enumerate(order):
+            numbers[k] = number
+    shown = [str(node) for node in (nodes if labels is None else labels)]
+    names = tuple(name for _, name in sorted(zip(numbers, shown, strict=True)))
+    is_plain = names == tuple(map(str, range(len(nodes))))
+    is_shifted = not (is_name or is_label) and (by_name if labels is None else by_label) is not None
+    return Numbering(dict(zip(nodes, numbers, strict=True)), () if is_plain else names, is_shifted)
+
+
+def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
+    """Return the labels of the nodes, if all have different ones."""
+    for key in LABELS:
+        labels = [own.get(key) for _, own in graph.nodes(data=True)]
+        if labels and None not in labels and "" not in labels and len(set(map(str, labels))) == len(labels):
+            return labels
+    return None
+
+
+def _integers(names: Sequence[Any]) -> list[int] | None:
+    """Return names as integers, if all are integers or their decimal digits, and different."""
+    found = [_integer(name) for name in names]
+    integers = [number for number in found if number is not None]
+    return integers if len(set(integers)) == len(names) else None
+
+
+def _integer(name: Any) -> int | None:
+    if isinstance(name, str):
+        is_digits = name.isascii() and name.removeprefix("-").isdecimal()
+        return int(name) if is_digits and str(int(name)) == name else None
+    try:
+        return None if isinstance(name, bool) else index(name)  # also of numpy
+    except TypeError:
+        return None

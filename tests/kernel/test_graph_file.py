@@ -1,0 +1,390 @@
+"""Graphs in files: any graph comes back from every format, and what a file cannot mean is refused or told."""
+
+import gzip
+import json
+import re
+import warnings as python_warnings
+from pathlib import Path
+
+import networkx as nx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.graphs import Edges
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.scenario.checks import warnings
+from desim.scenario.scenario import Scenario, Team
+
+
+def as_json(data_of):
+    return lambda graph, file: Path(file).write_text(json.dumps(data_of(graph)))
+
+
+def write_table(mark):
+    def write(graph, file):
+        names = list(dict.fromkeys(name for *_, own in graph.edges(data=True) for name in own))
+        rows = [[src, dst, *(own.get(name, "") for name in names)] for src, dst, own in graph.edges(data=True)]
+        lines = [mark.join(map(str, row)) for row in [["Source", "Target", *names], *rows]]
+        Path(file).write_text("\n".join(lines) + "\n")
+
+    return write
+
+
+def write_list(of):
+    def write(graph, file):
+        of(graph, file, comments="#")
+
+    return write
+
+
+WRITERS = {
+    "node_link.json": as_json(lambda graph: nx.node_link_data(graph, edges="edges")),
+    "links.json": as_json(lambda graph: nx.node_link_data(graph, edges="links")),
+    "adjacency.json": as_json(nx.adjacency_data),
+    "cytoscape.json": as_json(nx.cytoscape_data),
+    "net.graphml": nx.write_graphml,
+    "net.GraphML": nx.write_graphml,
+    "net.XML": nx.write_graphml,
+    "net.gexf": nx.write_gexf,
+    "net.gml": nx.write_gml,
+    "net.edgelist": write_list(nx.write_edgelist),
+    "net.csv": write_table(","),
+    "semicolons.csv": write_table(";"),
+    "net.tsv": write_table("\t"),
+    "net.net": nx.write_pajek,
+    "net.adjlist": write_list(nx.write_adjlist),
+}
+WITHOUT_ATTRIBUTES = {"net.net", "net.adjlist"}
+LISTS = {"net.edgelist", "net.csv", "semicolons.csv", "net.tsv", "net.adjlist"}
+"""The formats that do not say whether edges are one-way."""
+EDGES_ONLY = LISTS - {"net.adjlist"}
+"""The formats that have no nodes without edges."""
+ATTRIBUTED = sorted(set(WRITERS) - WITHOUT_ATTRIBUTES)
+
+
+def written(graph, folder, kind):
+    """Write a graph, and return the path."""
+    file = folder / kind
+    with python_warnings.catch_warnings():
+        python_warnings.simplefilter("ignore")  # of Pajek, about attributes
+        WRITERS[kind](graph, file)
+    return file
+
+
+def read(file, directed=None):
+    beside = {} if directed is None else {"directed": directed}
+    return Edges.model_validate({"file": file.name} | beside, context={"folder": file.parent})
+
+
+def links(edges):
+    """Return the edges by the names of their ends, with latency and loss."""
+    names = edges.names or [*map(str, range(edges.nodes))]
+    return {
+        (names[edge.src], names[edge.dst]): (edge.latency and edge.latency.value, edge.loss and edge.loss.p)
+        for edge in edges.edges
+    }
+
+
+def expected(graph, kind):
+    own = {} if kind in WITHOUT_ATTRIBUTES else {ends: graph.edges[ends] for ends in graph.edges}
+    return {
+        tuple(map(str, ends)): (own.get(ends, {}).get("latency"), own.get(ends, {}).get("loss")) for ends in graph.edges
+    }
+
+
+def undirected(found):
+    return {frozenset(ends): value for ends, value in found.items()}
+
+
+@st.composite
+def graphs(draw):
+    """Draw a graph with an edge: the nodes are 0 .. n - 1 in any order, or have names."""
+    size = draw(st.integers(2, 6))
+    names = draw(st.permutations(range(size)) | st.permutations(["uav", "n0", "b", "n1", "a7", "base"][:size]))
+    graph = nx.DiGraph() if draw(st.booleans()) else nx.Graph()
+    graph.add_nodes_from(names)
+    numbers = st.floats(0.0, 1.0).map(lambda number: round(number, 4))
+    for k in range(1, size):  # a tree, so that every node has an edge
+        own = draw(st.fixed_dictionaries({}, optional={"latency": numbers, "loss": numbers}))
+        graph.add_edge(names[k], names[draw(st.integers(0, k - 1))], **own)
+    return graph
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(graph=graphs())
+def test_any_graph_comes_back_from_every_format(tmp_path, kind, graph):
+    """With its names or its numbers, its direction and the attributes that the format has."""
+    edges = read(written(graph, tmp_path, kind), graph.is_directed() if kind in LISTS else None)
+    assert edges.directed == graph.is_directed()
+    assert edges.nodes == len(graph)
+    found, right = links(edges), expected(graph, kind)
+    assert (found == right) if graph.is_directed() else (undirected(found) == undirected(right))
+    if kind not in LISTS:  # lists have the order in which edges name the nodes
+        in_order = isinstance(next(iter(graph)), str)
+        assert edges.names == (tuple(graph) if in_order else ())
+    assert Edges.model_validate(edges.plain()) == edges
+
+
+@settings(max_examples=30)
+@given(graph=graphs())
+def test_a_networkx_graph_is_the_graph_of_a_network_with_its_names(graph):
+    edges = Links(graph=graph).graph
+    found, right = links(edges), expected(graph, "of")
+    assert (found == right) if graph.is_directed() else (undirected(found) == undirected(right))
+    assert edges == Edges.of(graph)
+
+
+def plain(folder, kind, **attributes):
+    """Write the path from 0 to 2 with attributes of the first edge."""
+    graph = nx.path_graph(3)
+    graph.edges[0, 1].update(attributes)
+    return written(graph, folder, kind)
+
+
+CONTAINERS = {
+    "gzip": lambda content: gzip.compress(content),
+    "two members": lambda content: gzip.compress(content[:20]) + gzip.compress(content[20:]),
+    "BOM": lambda content: b"\xef\xbb\xbf" + content,
+    "CRLF": lambda content: content.replace(b"\r\n", b"\n").replace(b"\n", b"\r\n"),
+    "UTF-16": lambda content: content.decode().replace("encoding='utf-8'", "").encode("utf-16"),
+}
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.parametrize("kind", WRITERS)
+def test_compression_byte_order_marks_and_line_ends_make_no_difference(tmp_path, kind, container):
+    file = plain(tmp_path, kind)
+    right = read(file)
+    file.write_bytes(CONTAINERS[container](file.read_bytes()))
+    assert read(file) == right
+    assert links(right).keys() == {("0", "1"), ("1", "2")}
+
+
+def told(file, **table):
+    """Return the warnings about the graph of a network."""
+    graph = Edges.model_validate({"file": file.name}, context={"folder": file.parent})
+    scenario = Scenario(team=Team(count=3), network=Links(graph=graph), **table)
+    return [why for key, why in warnings(scenario) if key == "network.graph"]
+
+
+UNREAD = {
+    "delay": (0.2, r"delay \(did you mean latency, in s\?\)"),
+    "packetloss": (0.5, r"packetloss \(did you mean loss, from 0 to 1\?\)"),
+    "packet_loss": (0.5, r"packet_loss \(did you mean loss, from 0 to 1\?\)"),
+    "latency_ms": (5.0, r"latency_ms \(did you mean latency, in s\?\)"),
+    "Latency": (5.0, r"Latency \(did you mean latency, in s\?\)"),
+    "latncy": (5.0, r"latncy \(did you mean 'latency'\?\)"),
+    "jitter": (0.1, r"jitter \(did you mean a latency with a kind"),
+    "bandwidth": (100.0, r"bandwidth \(did you mean network\.medium"),
+    "weight": (2.0, r"not read: weight;"),
+    "mood": (2.0, r"not read: mood;"),
+}
+
+
+@pytest.mark.parametrize("name", UNREAD)
+@pytest.mark.parametrize("kind", ATTRIBUTED)
+def test_an_attribute_that_is_not_read_is_named(tmp_path, kind, name):
+    value, text = UNREAD[name]
+    (why,) = told(plain(tmp_path, kind, **{name: value}))
+    assert re.search(text, why)
+    assert told(plain(tmp_path, kind, latency=0.01)) == []
+
+
+@pytest.mark.parametrize("kind", ATTRIBUTED)
+def test_milliseconds_are_noticed_and_texts_are_refused(tmp_path, kind):
+    """50 as a latency in s is longer than the horizon; 10 ms and 0.2 as texts are no numbers."""
+    (why,) = told(plain(tmp_path, kind, latency=50.0), horizon=3.0)
+    assert why == "the mean latency of an edge of 50 s is not less than the horizon of 3 s: times are in s, not ms"
+    with pytest.raises(ValueError, match="10 ms"):
+        read(plain(tmp_path, kind, latency="10 ms"))
+    if kind not in EDGES_ONLY - {"net.edgelist"}:  # tables declare no types
+        with pytest.raises(ValueError, match=r"should be a number: 0\.2 instead of the text '0\.2'"):
+            read(plain(tmp_path, kind, loss="0.2"))
+
+
+LAST_END = {
+    "node_link.json": '"target": 2',
+    "links.json": '"target": 2',
+    "adjacency.json": '"id": 2}], [',
+    "cytoscape.json": '"target": 2',
+    "net.graphml": 'target="2"',
+    "net.gexf": 'target="2"',
+    "net.gml": "target 2",
+    "net.net": "2 3",
+}
+"""The end of the last edge in the file of a path of three nodes."""
+
+
+@pytest.mark.parametrize("kind", LAST_END)
+def test_an_edge_to_a_node_that_is_not_declared_and_half_a_file_are_refused(tmp_path, kind):
+    file = plain(tmp_path, kind)
+    content, end = file.read_text(), LAST_END[kind]
+    file.write_text(content.replace(end, end.replace("2" if "3" not in end else "3", "7")))
+    assert file.read_text() != content
+    with pytest.raises(ValueError, match="is not a graph in"):
+        read(file)
+    file.write_text(content[: len(content) // 2 if kind != "net.net" else content.rindex("2 3") + 2])
+    with pytest.raises(ValueError, match="is not a graph in"):
+        read(file)
+
+
+NO_GRAPHS = {
+    "empty.json": ("", "is not a graph: it is empty"),
+    "empty.csv": ("\n", "is not a graph: it is empty"),
+    "list.json": ("[]", "is not a graph in JSON: it should be an object with nodes and edges"),
+    "number.json": ("7", "it should be an object with nodes and edges"),
+    "nodes.json": ('{"nodes": []}', r"it should have nodes, and edges or links \(node-link\), adjacency, or elements"),
+    "texts.json": ('{"nodes": ["a"], "links": []}', "its nodes should be a list of objects"),
+    "ends.json": ('{"nodes": [{"id": 0}], "links": [{"source": 0}]}', "there is no 'target'"),
+    "twice.json": ('{"nodes": [{"id": 0}, {"id": 0}], "links": []}', "node 0 is declared twice"),
+    "cut.graphml": ("<graphml>", "is not a graph in GraphML or GEXF: it is not valid XML"),
+    "page.graphml": ('<?xml version="1.0"?><html/>', "its first element is <html>"),
+    "json.graphml": ("nodes", "is not a graph in graphml: it does not begin like one"),
+    "bomb.graphml": ('<!DOCTYPE g [<!ENTITY a "b">]><graphml/>', "should declare no document type"),
+    "bomb.gexf": ('<!DOCTYPE g [<!ENTITY a "b">]><gexf/>', "should declare no document type"),
+    "time.gexf": ('<gexf><graph mode="dynamic"/></gexf>', "a graph that changes in time"),
+    "net.dot": ("graph { 0 -- 1 }", r"\.dot is not read; in Python, nx\.nx_pydot\.read_dot reads it"),
+    "both.net": ("*Vertices 3\n*Arcs\n1 2\n*Edges\n2 3\n", "has edges and arcs"),
+    "list.net": ("*Vertices 3\n*Arcslist\n1 2 3\n", r"line 2: \*Arcslist is not read"),
+    "three.csv": ("0,1,2,3\n", "line 1: should have two nodes; attributes need a first line that names the columns"),
+    "adjacency.txt": ("0 1 2\n1 2\n", "an adjacency list needs the ending .adjlist"),
+    "ragged.csv": ("source,target,loss\n0,1\n", "line 2: should have 3 columns, has 2"),
+    "commas.csv": ("source;target;loss\n0;1;0,5\n", "line 2: loss: '0,5' is not a number; the decimal sign is a point"),
+    "unit.csv": ("source,target,latency\n0,1,10 ms\n", "line 2: latency: '10 ms' is not a number"),
+    "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
+    "parallel.csv": ("0,1\n0,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
+    "some.txt": ("0 1\n1 0\n1 2\n", "has 1 of its edges in both directions and the others in one: set directed = true"),
+    "dict.edgelist": ("0 1 {'latency': f()}\n", r"line 1: the attributes should be like \{'latency': 0\.1\}"),
+}
+
+
+@pytest.mark.parametrize("name", NO_GRAPHS)
+def test_a_file_that_is_no_graph_is_refused_with_the_reason(tmp_path, name):
+    text, why = NO_GRAPHS[name]
+    with pytest.raises(ValueError, match=rf"{name} cannot be read: No such file|\.dot is not read"):
+        read(tmp_path / name)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=why):
+        read(tmp_path / name)
+
+
+def test_a_cut_or_huge_gzip_file_is_refused(tmp_path, monkeypatch):
+    file = tmp_path / "net.json.gz"
+    file.write_bytes(gzip.compress(b" " * 1000)[:-4])
+    with pytest.raises(ValueError, match="its end is missing"):
+        read(file)
+    monkeypatch.setattr("desim.config.number_files.MAX_UNPACKED", 999)
+    file.write_bytes(gzip.compress(b" " * 1000))
+    with pytest.raises(ValueError, match=r"is larger than .* when it is decompressed"):
+        read(file)
+
+
+GRAPHML = """<graphml xmlns="http://graphml.graphdrawing.org/xmlns">
+<key id="d0" for="edge" attr.name="latency" attr.type="double"><default>0.5</default></key>
+<key id="d1" for="node" attr.name="label" attr.type="string"/>
+<graph edgedefault="directed">
+<node id="n0"><data key="d1">{}</data></node><node id="n1"><data key="d1">{}</data></node>
+<edge source="n0" target="n1"/><edge source="n1" target="n0"><data key="d0">0.1</data></edge>
+</graph></graphml>"""
+
+
+@pytest.mark.parametrize(
+    ("labels", "names", "first"),
+    [(("Ada", "Bo"), ("Ada", "Bo"), (0, 1)), (("1", "0"), (), (1, 0)), (("x", "x"), ("n0", "n1"), (0, 1))],
+)
+def test_default_attributes_count_and_labels_name_the_nodes(tmp_path, labels, names, first):
+    """A default of GraphML is not an attribute in networkx. Labels that are 0 .. n - 1 are the numbers."""
+    (tmp_path / "net.graphml").write_text(GRAPHML.format(*labels))
+    edges = read(tmp_path / "net.graphml")
+    assert edges.names == names
+    found = {(edge.src, edge.dst): edge.latency for edge in edges.edges}
+    assert found == {first: Constant(value=0.5), first[::-1]: Constant(value=0.1)}
+
+
+def test_names_that_contradict_the_labels_are_refused(tmp_path):
+    nodes = [{"id": 0, "label": "1"}, {"id": 1, "label": "0"}]
+    (tmp_path / "net.json").write_text(json.dumps({"nodes": nodes, "links": [{"source": 0, "target": 1}]}))
+    with pytest.raises(ValueError, match=r"net\.json: node 0 has the label '1', so that its number is not clear"):
+        read(tmp_path / "net.json")
+
+
+def test_other_integers_are_numbered_in_ascending_order_and_this_is_told(tmp_path):
+    (tmp_path / "net.txt").write_text("7 3\n3 5\n")
+    edges = read(tmp_path / "net.txt")
+    assert edges.names == ("3", "5", "7")
+    assert [(edge.src, edge.dst) for edge in edges.edges] == [(2, 0), (0, 1)]
+    assert edges.notes == ("its nodes have the numbers 3 .. 7, and here 0 .. 2, in the same order (`names`)",)
+    with pytest.raises(ValueError, match="the graph has 3 nodes, the network 4"):
+        edges(4)
+
+
+def test_lists_may_be_directed_and_no_other_format_may_be_told_to_be(tmp_path):
+    (tmp_path / "net.txt").write_text("# a comment\n0 1\n1 0\n1 2\n3\n")
+    assert len(read(tmp_path / "net.txt", directed=True).edges) == 3
+    edges = read(tmp_path / "net.txt", directed=False)
+    assert (len(edges.edges), edges.nodes) == (2, 4)
+    with pytest.raises(ValueError, match=r"directed is only for edge lists and adjacency lists: .* is JSON"):
+        read(plain(tmp_path, "node_link.json"), directed=True)
+
+
+def test_attributes_of_nodes_of_the_graph_and_of_functions_are_named():
+    graph = nx.path_graph(3)
+    graph.graph.update(delay=0.1, name="a graph")
+    graph.nodes[0].update(pos=(1, 2), label="a", speed=3)
+    assert Edges.of(graph).notes == (
+        "nodes have attributes that are not read: pos (team.positions has initial positions, in m), speed; no attribute"
+        " of a node is read",
+        "the graph has attributes that are not read: delay (did you mean latency, in s?); give them to its edges",
+    )
+
+    def function(size):
+        made = nx.path_graph(size)
+        made.edges[0, 1].update(packetloss=0.5, latency=9.0)
+        return made
+
+    scenario = Scenario(team=Team(count=3), network=Links(graph=function), horizon=10.0)
+    found = [why for key, why in warnings(scenario) if key == "network.graph"]
+    assert [why.split(" (")[0] for why in found] == [
+        "edges have attributes that are not read: packetloss",
+        "the mean latency of an edge of 9 s is more than a tenth of the horizon of 10 s: times are in s, not ms",
+    ]
+
+
+@pytest.mark.parametrize("graph", [nx.path_graph(3), nx.DiGraph([("a", "b")]), nx.grid_2d_graph(2, 2)])
+def test_a_scenario_takes_a_networkx_graph_and_its_file_repeats_it(graph):
+    scenario = Scenario(team=Team(count=len(graph)), network=Links(graph=graph))
+    assert Scenario.model_validate(scenario.plain()).network.graph == Edges.of(graph)
+
+
+def test_parallel_edges_and_loops_of_networkx_are_refused():
+    with pytest.raises(ValueError, match="edges 0 and 1 are parallel: both join nodes a and b"):
+        Links(graph=nx.MultiGraph([("a", "b"), ("b", "a")]))
+    with pytest.raises(ValueError, match="no node should be linked to itself"):
+        Scenario(team=Team(count=1), network=Links(graph=nx.Graph([(0, 0)])))
+
+
+TEXTS = {
+    "10 ms": "should be a number, in s: 0.01 instead of the text '10 ms'",
+    "0.2": "should be a number: 0.2 instead of the text '0.2'",
+    "5%": "should be a number from 0 to 1: 0.05 instead of the text '5%'",
+    "1,5": "should be a number: 1.5 instead of the text '1,5'",
+    "3 km": "should be a number without a unit",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+@pytest.mark.parametrize("key", ["latency", "loss"])
+def test_a_number_as_a_text_is_refused_with_what_to_write(key, text):
+    with pytest.raises(ValueError, match=TEXTS[text].replace("(", r"\(")):
+        Links(**{key: text})
+    with pytest.raises(ValueError, match=TEXTS[text]):
+        Edges(edges=[{"src": 0, "dst": 1, key: text}])
+
+
+def test_an_edge_of_a_file_has_the_models_of_its_attributes(tmp_path):
+    (edge, _) = read(plain(tmp_path, "net.csv", latency=0.25, loss=0.5)).edges
+    assert (edge.latency, edge.loss) == (Constant(value=0.25), Bernoulli(p=0.5))
