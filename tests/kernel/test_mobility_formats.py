@@ -1,0 +1,194 @@
+"""Mobility files of all formats: any record comes back from each, in every encoding, and other meanings are refused."""
+
+import gzip
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from math import hypot
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.mobility import Waypoint
+from desim.kernel.mobility_file import read_mobility
+from tests.kernel.test_mobility_file import interpolated
+
+NAMES = ["uav3", "base", "n0"]
+NAMED = {"csv", "header with units", "commented header", "semicolons", "tabs", "dates", "since 1970"}
+"""The formats in which nodes have names."""
+
+
+def bonnmotion(tracks, z=""):
+    return "".join(" ".join(f"{t!r} {x!r} {y!r}{z}" for t, x, y, _ in track) + "\n" for track in tracks)
+
+
+def ns2(tracks, array="$node_({})"):
+    lines = []
+    for k, track in enumerate(tracks):
+        node, (_, x, y, _) = array.format(k), track[0]
+        lines += [f"{node} set X_ {x!r}; {node} set Y_ {y!r} ;# node {k}", f"{node} set Z_ 0.0"]
+        for (t, x, y, _), (t_after, x_after, y_after, _) in pairwise(track):
+            speed = hypot(x_after - x, y_after - y) / (t_after - t)
+            lines.append(f'$ns_ at {t!r} "{node} setdest {x_after!r} {y_after!r} {speed!r}" ;# leg')
+    return "\n".join(lines) + "\n"
+
+
+def table(tracks, mark=",", header="t,node,x,y", names=NAMES, when=repr):
+    rows = sorted((t, k, x, y) for k, track in enumerate(tracks) for t, x, y, _ in track)
+    return "\n".join([header, *(mark.join([when(t), names[k], repr(x), repr(y)]) for t, k, x, y in rows)]) + "\n"
+
+
+def date(t):
+    return (datetime(2024, 5, 1, tzinfo=UTC) + timedelta(seconds=t)).isoformat()
+
+
+FORMATS = {
+    "BonnMotion": bonnmotion,
+    "BonnMotion with heights": lambda tracks: f"#3D\n{bonnmotion(tracks, ' 7.5')}",
+    "BonnMotion since 1970": lambda tracks: bonnmotion(
+        [[each._replace(t=1.7e9 + each.t) for each in track] for track in tracks]
+    ),
+    "ns-2": ns2,
+    "ns-2 of SUMO": lambda tracks: ns2(tracks, "$mnode_({})"),
+    "ns-2 with variables": lambda tracks: ns2(tracks, "$n{}"),
+    "csv": table,
+    "csv with numbers": lambda tracks: table(tracks, names="012"),
+    "header with units": lambda tracks: table(tracks, header="Time [s],ID,X [m],Y [m]"),
+    "commented header": lambda tracks: table(tracks, " ", "# t node x y"),
+    "semicolons": lambda tracks: table(tracks, ";", "t;node;x;y"),
+    "tabs": lambda tracks: table(tracks, "\t", "time\tid\tx\ty"),
+    "dates": lambda tracks: table(tracks, when=date),
+    "since 1970": lambda tracks: table(tracks, when=lambda t: repr(1.7e9 + t)),
+}
+ENCODINGS = {
+    "plain": str.encode,
+    "gzip": lambda text: gzip.compress(text.encode()),
+    "BOM": lambda text: text.encode("utf-8-sig"),
+    "UTF-16": lambda text: text.encode("utf-16"),
+    "CRLF": lambda text: text.replace("\n", "\r\n").encode(),
+}
+numbers = st.integers(-800, 800).map(lambda number: number / 8.0)
+
+
+@st.composite
+def tracks(draw):
+    """Draw the waypoints of up to three nodes; all begin at time 0, and times are multiples of 1/8 s."""
+    made = []
+    for _ in range(draw(st.integers(1, 3))):
+        times = sorted(draw(st.sets(st.integers(1, 400), max_size=4)))
+        made.append([Waypoint(t / 8.0, draw(numbers), draw(numbers), 0) for t in (0, *times)])
+    return made
+
+
+def read(folder, content, node=0, **keys):
+    (folder / "motion.txt").write_bytes(content)
+    return read_mobility(folder / "motion.txt", **keys).track(node)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("name", FORMATS)
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(tracks=tracks(), t=st.floats(0.0, 60.0))
+def test_any_record_comes_back_from_every_format(tmp_path, name, encoding, tracks, t):
+    """At any time each node is where the record says."""
+    dimensions = 2 if name in {"BonnMotion", "BonnMotion since 1970"} else None
+    for k, right in enumerate(tracks):
+        node = NAMES[k] if name in NAMED else k
+        found = read(tmp_path, ENCODINGS[encoding](FORMATS[name](tracks)), node, dimensions=dimensions)
+        assert abs(interpolated(found.waypoints, t) - interpolated(right, t)) < 1e-6
+        assert found.has_heights == (name == "BonnMotion with heights")
+
+
+HEIGHTS = {
+    "marked": ("#3D\n0 10 12 5 6 12 12 12 16 14 12 18\n", None),
+    "told": ("0 10 12 5 6 12 12 12 16 14 12 18\n", 3),
+    "times increase in one reading only": ("0 10 12 50 6 12 12 12 16 14 12 18\n", None),
+}
+
+
+@pytest.mark.parametrize("name", HEIGHTS)
+def test_heights_are_dropped_if_it_is_clear_that_they_are_heights(tmp_path, name):
+    """INET's example of a drone, once with a greater first height, which cannot be a time."""
+    text, dimensions = HEIGHTS[name]
+    track = read(tmp_path, text.encode(), dimensions=dimensions)
+    assert [each[:3] for each in track.waypoints] == [(0.0, 10.0, 12.0), (6.0, 12.0, 12.0), (16.0, 14.0, 12.0)]
+    assert track.has_heights
+
+
+def test_triples_stay_triples(tmp_path):
+    """Twelve numbers, of which every fourth decreases; and a line beside of another length."""
+    text = b"0 50 2 5 10 40 16 5 2 31 1 1\n"
+    assert [each[0] for each in read(tmp_path, text).waypoints] == [0.0, 5.0, 16.0, 31.0]
+    text = b"0 5 2 5 6 40 10 15 22 31 1 1\n0 1 1\n"
+    assert [each[0] for each in read(tmp_path, text).waypoints] == [0.0, 5.0, 10.0, 31.0]
+
+
+def test_dates_share_one_clock_and_rows_of_several_nodes_may_alternate(tmp_path):
+    text = b"id,t,x,y,z\nb,2024-05-01T12:00:00Z,1,2,\na,2024-05-01T12:00:02.5Z,7,8,\nb,2024-05-01T12:00:04Z,3,4,9\n"
+    assert [each[:3] for each in read(tmp_path, text, "a").waypoints] == [(2.5, 7.0, 8.0)]
+    assert [each[:3] for each in read(tmp_path, text, "b").waypoints] == [(0.0, 1.0, 2.0), (4.0, 3.0, 4.0)]
+    assert read(tmp_path, text, 0).has_heights
+    assert not read(tmp_path, text, 1).has_heights
+
+
+START = "$node_(0) set X_ 1.0\n$node_(0) set Y_ 2.0\n"
+REFUSED = {
+    "quadruples": (
+        "0 10 12 5 6 12 12 12\n",
+        r"line 1: .*there are 8; 4 numbers per waypoint\? Then set dimensions = 3",
+    ),
+    "either": ("0 10 12 5 6 12 12 12 16 14 12 18\n", r"with two and with three coordinates .*: set dimensions = 2"),
+    "cut quadruples": (
+        "#3D\n0 1 2 3 1 2\n",
+        r"line 2: should be t1 x1 y1 z1 t2 \.\.\., four numbers each; there are 6",
+    ),
+    "only moves": ('$ns_ at 1.0 "$node_(0) setdest 5 5 1"\n', r"node 0 has no initial position: \$node_\(0\) set X_"),
+    "only moves of n0": (
+        '$ns_ at 1.0 "$n0 setdest 5 5 1"\n',
+        r"node 0 has no initial position: \$n0 set X_ is missing",
+    ),
+    "twice": (f"{START}$node_(0) set X_ 3\n", r"line 3: sets X_ of node 0 again; line 1 has set it"),
+    "two arrays": (f"{START}$mnode_(0) set X_ 1\n", r"line 3: names nodes \$mnode_, and the lines above \$node_"),
+    "height": (f'{START}$ns_ at 1 "$node_(0) setdest 1 2 3 4"\n', r"line 3: a setdest with a height .* is not read"),
+    "commas": ("0,0 10,5 12,0 5,0 1,0 2,0\n", r"line 1: '0,0' is .*; the decimal sign is a point"),
+    "commas in a table": ("t;x;y\n0;1,5;2\n", r"line 2: '1,5' is not a number; the decimal sign is a point"),
+    "commas of ns-2": ("$node_(0) set X_ 1,5\n", r"line 1: '1,5' is not a number; the decimal sign is a point"),
+    "underscore": ("0 1_0 2\n", r"line 1: '1_0' is not a number"),
+    "degrees": ("t,lat,lon\n0,48.1,11.5\n", r"has positions in degrees; project them to m"),
+    "kilometres": ("t,x [km],y [km]\n0,1,2\n", r"column 'x' is in km, and should be in m; .* set scale"),
+    "milliseconds": ("time [ms],x,y\n0,1,2\n", r"column 'time' is in ms, and should be in s"),
+    "since 1970 in ms": ("t,x,y\n1714564800250,1,2\n", r"line 2: '1714564800250' is too great for a time in s"),
+    "no header": ("0,1,2\n1,2,3\n", r"line 1: has no column t; the first line should name the columns, t, x and y"),
+    "no y": ("t,x,why\n0,1,2\n", r"line 1: has no column y"),
+    "no header in a table": ("0 1 2\n1 2 3\n2 3 4\n", r"the first line of a table should name its columns"),
+    "two columns": ("t,x,X,y\n0,1,2,3\n", r"has several columns 'x'"),
+    "cells": ("t,x,y\n0,1\n", r"line 2: has 2 cells, but the header 3"),
+    "row numbers": ("id,t,x,y\n0,0,1,2\n1,1,2,3\n2,2,3,4\n", r"column 'id' is different in each row"),
+    "order": ("t,x,y\n1,1,2\n0,1,2\n", r"line 3: the times of a node should increase; after 1 s comes 0 s"),
+    "no rows": ("t,x,y\n", r"has no rows below its header"),
+    "missing": ("t,x,y\n0,,2\n", r"line 2: '' is not a number"),
+    "GPX": ('<?xml version="1.0"?>\n<gpx>', r"GPX has positions in degrees"),
+    "FCD": ('<?xml version="1.0"?>\n<fcd-export>', r"traceExporter\.py --fcd-input"),
+    "JSON": ("{}", r"JSON is not read; write it as a table with the columns t, node, x, y"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_record_that_may_mean_something_else_is_refused(tmp_path, name):
+    text, why = REFUSED[name]
+    with pytest.raises(ValueError, match=rf"motion\.txt.*{why}"):
+        read(tmp_path, text.encode())
+
+
+def test_dimensions_are_of_bonnmotion_and_agree_with_its_mark(tmp_path):
+    with pytest.raises(ValueError, match=r"line 1: #3D says that dimensions should be 3"):
+        read(tmp_path, b"#3D\n0 1 2 3\n", dimensions=2)
+    with pytest.raises(ValueError, match="dimensions are of a file of BonnMotion, which this is not"):
+        read(tmp_path, b"t,x,y\n0,1,2\n", dimensions=3)
+
+
+def test_an_unknown_node_is_refused_with_those_that_there_are(tmp_path):
+    with pytest.raises(ValueError, match=r"has no node uav4, did you mean 'uav3'\?: it has nodes uav3, base"):
+        read(tmp_path, b"t,node,x,y\n0,uav3,1,2\n0,base,1,2\n", "uav4")
+    with pytest.raises(ValueError, match="has no node 2: it has nodes 3, 7"):
+        read(tmp_path, b"t,node,x,y\n0,7,1,2\n0,3,1,2\n", 2)
