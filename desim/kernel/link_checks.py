@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.graphs import links_with_attributes
+from desim.kernel.graphs import Edges, links_with_attributes
+from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.links import Links
+from desim.kernel.node_names import shortened
 from desim.kernel.traits import link_trait
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
         links: the link models; their links are in the graph.
         graph: the communication graph.
     """
+    yield from _name_misfits(links)
     for name in ("latency", "loss"):
         own = dict(_own_models(links, graph, name))
         uses: list[tuple[Place, Any, Iterator[Way]]] = [
@@ -35,6 +38,19 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
                     check(len(graph), ways)
             except ValueError as error:
                 yield place, str(error)
+
+
+def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
+    """Yield the key and the text of each table that numbers the names of nodes in another way than the graph does."""
+    names = links.graph.names if isinstance(links.graph, Edges) else ()
+    owners: list[tuple[Place, Any]] = [((), links), *((("link", k), link) for k, link in enumerate(links.link))]
+    for place, owner in owners:
+        for name in ("latency", "loss"):
+            model = getattr(owner, name)
+            order = (model.nodes or model.measurements.names) if isinstance(model, LinkTrace) else None
+            if names and order and tuple(order) != names:
+                text = f"numbers the nodes {shortened(order)}, and the graph {shortened(names)}"
+                yield (*place, name), f"{model.name} {text}: set nodes to the names in the order of the graph"
 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:

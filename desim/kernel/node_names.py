@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 LABELS = ("label", "name")
 """The attributes in which programs keep the names of nodes that their users see."""
 
+SHOWN = 5
+"""Number of names in a message."""
+
 
 class Numbering(NamedTuple):
     """The numbers of the nodes of a graph."""
@@ -55,6 +58,11 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
     is_plain = names == tuple(map(str, range(len(nodes))))
     is_shifted = not (is_name or is_label) and (by_name if labels is None else by_label) is not None
     return Numbering(dict(zip(nodes, numbers, strict=True)), () if is_plain else names, is_shifted)
+
+
+def shortened(names: Sequence[str]) -> str:
+    """Return the first names, in the order of their numbers, as a text."""
+    return ", ".join([*names[:SHOWN], *(["..."] if len(names) > SHOWN else [])])
 
 
 def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import ceil
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, ValidationInfo, model_validator
@@ -233,17 +233,30 @@ class RecordedPositions(_Record):
     """The node of each pursuer, see `node` of recorded motion; if absent, all nodes in the order of the file."""
 
     @classmethod
-    def read(cls, table: dict[str, Any], info: ValidationInfo) -> tuple[list[tuple[float, float]], bool]:
-        """Return the (N,) positions, m, that a table with these keys describes, and whether heights were dropped.
+    def read(cls, table: dict[str, Any], info: ValidationInfo) -> "Starts":
+        """Return the starts that a table with these keys describes.
 
         Raises:
             ValueError: if a key is not valid or the file cannot be read.
         """
         made = cls.model_validate(table, context=info.context)
         mobility = read_mobility(resolve_path(made.file, info), made.dimensions)
-        tracks = [mobility.track(node) for node in (mobility.nodes if made.nodes is None else made.nodes)]
+        nodes = mobility.nodes if made.nodes is None else made.nodes
+        tracks = [mobility.track(node) for node in nodes]
         first = [made.placed([each[:3] for each in track.waypoints])[0][0] for track in tracks]
-        return [(x, y) for _, x, y in first], any(track.has_heights for track in tracks)
+        names = tuple(node for node in nodes if isinstance(node, str))
+        return Starts([(x, y) for _, x, y in first], names, any(track.has_heights for track in tracks))
+
+
+class Starts(NamedTuple):
+    """Where the nodes of a record begin."""
+
+    positions: list[tuple[float, float]]
+    """(N,) positions, m."""
+    names: tuple[str, ...]
+    """The names of the nodes, if they have names."""
+    has_heights: bool
+    """Whether the file had heights, which were dropped."""
 
 
 class RelayNode(Value):

@@ -88,30 +88,36 @@ class Team(Value):
     @model_validator(mode="wrap")
     @classmethod
     def _count_positions(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        has_heights, positions = False, given.get("positions") if isinstance(given, dict) else None
+        starts, positions = None, given.get("positions") if isinstance(given, dict) else None
         if isinstance(positions, dict):
             try:
-                positions, has_heights = RecordedPositions.read(positions, info)
+                starts = RecordedPositions.read(positions, info)
             except ValueError:
                 pass  # the validator of the field raises it, with its place
             else:
+                positions = starts.positions
                 given = given | {"positions": positions}
         if isinstance(positions, list | tuple) and positions and "count" not in given:
             given = given | {"count": len(positions)}
         made = make(given)
-        if has_heights:
-            made.__dict__["has_heights"] = True  # not a part of its identity
+        if starts is not None:  # neither is a part of its identity
+            made.__dict__["has_heights"], made.__dict__["names"] = starts.has_heights, starts.names
         return made
 
     @field_validator("positions", mode="before")
     @classmethod
     def _of_record(cls, given: Any, info: ValidationInfo) -> Any:
-        return RecordedPositions.read(given, info)[0] if isinstance(given, dict) else given
+        return RecordedPositions.read(given, info).positions if isinstance(given, dict) else given
 
     @cached_property
     def has_heights(self) -> bool:
         """Whether the file of the positions had heights, which were dropped."""
         return False
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names of the pursuers, if the file of the positions had names."""
+        return ()
 
     @field_validator("relay")
     @classmethod

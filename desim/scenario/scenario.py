@@ -29,10 +29,11 @@ from desim.config.traits import kind_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import Partition, nodes_of
-from desim.kernel.graphs import graph_of
+from desim.kernel.graphs import Edges, graph_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, airtime_of
+from desim.kernel.node_names import shortened
 from desim.kernel.topology import Topology
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Behaviour
@@ -266,6 +267,13 @@ class Scenario(Value):
             yield ("network", "medium"), str(error)
         else:
             yield from _channel_misfits(self)
+        names = self.network.graph.names if isinstance(self.network.graph, Edges) else ()
+        if names and self.team.names and names != self.team.names:
+            yield (
+                ("team", "positions"),
+                f"the file numbers the pursuers {shortened(self.team.names)}, and the graph {shortened(names)}: set"
+                " nodes to the names in the order of the graph",
+            )
         yield from _motion_misfits(self)
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (

@@ -204,6 +204,133 @@ def test_a_record_that_does_not_fit_is_refused_with_the_place(written, tmp_path,
         written(text, "0 1 2 0.5 1 2.2 1 1 2.7\n0 5 5\n")
 
 
+PLACED = {
+    "scale": ({"scale": 1000.0}, [(1.0, 0.0, 4000.0), (3.0, 2000.0, 4000.0), (4.0, 2000.0, 6000.0)]),
+    "offset": ({"offset": [-2.0, 1.0]}, [(1.0, -2.0, 5.0), (3.0, 0.0, 5.0), (4.0, 0.0, 7.0)]),
+    "both": ({"scale": 0.5, "offset": [1.0, 0.0]}, [(1.0, 1.0, 2.0), (3.0, 2.0, 2.0), (4.0, 2.0, 3.0)]),
+    "before the first": ({"start_time": 0.5}, [(0.5, 0.0, 4.0), (2.5, 2.0, 4.0), (3.5, 2.0, 6.0)]),
+    "at the first": ({"start_time": 1.0}, [(0.0, 0.0, 4.0), (2.0, 2.0, 4.0), (3.0, 2.0, 6.0)]),
+    "between two": ({"start_time": 1.5}, [(0.0, 0.5, 4.0), (1.5, 2.0, 4.0), (2.5, 2.0, 6.0)]),
+    "at the second": ({"start_time": 3.0}, [(0.0, 2.0, 4.0), (1.0, 2.0, 6.0)]),
+    "at the last": ({"start_time": 4.0}, [(0.0, 2.0, 6.0)]),
+}
+
+
+@pytest.mark.parametrize(("keys", "right"), PLACED.values(), ids=PLACED)
+def test_a_record_is_scaled_moved_and_cut(written, keys, right):
+    """The record is at (0, 4) at 1 s, at (2, 4) at 3 s and at (2, 6) at 4 s; between them it moves straight."""
+    waypoints = [(1.0, 0.0, 4.0), (3.0, 2.0, 4.0), (4.0, 2.0, 6.0)]
+    made = RecordedMotion(waypoints=waypoints, **keys)
+    assert made.waypoints == tuple(right)
+    assert made == RecordedMotion(waypoints=right)
+    values = ", ".join(f"{key} = {value}" for key, value in keys.items())
+    text = f"evader.speed = 1e6\n{RECORDED.replace(' }', f', {values} }}')}"
+    assert written(text, "1 0 4 3 2 4 4 2 6\n").evader.strategy == made
+
+
+@given(records(), st.floats(0.0, 4.0), st.floats(0.1, 10.0), places, st.floats(0.0, 4.0))
+def test_a_cut_record_is_where_the_whole_one_is(record, start_time, scale, offset, t):
+    """x(t) of the new record is scale x(t + start_time) + offset."""
+    assume(start_time <= record.waypoints[-1][0] and record.top_speed < 1e4)
+    keys = {"start_time": start_time, "scale": scale, "offset": offset}
+    made = RecordedMotion(waypoints=record.waypoints, **keys)
+    right = scale * interpolated(path_of(record), t + start_time) + complex(*offset)
+    assert abs(interpolated(path_of(made), t) - right) < 1e-4
+
+
+def test_a_record_that_has_ended_or_is_impossibly_fast_is_refused():
+    with pytest.raises(ValidationError, match=r"start_time should be at most the time of the last waypoint, 1 s"):
+        RecordedMotion(waypoints=[(0, 0, 0), (1, 2, 0)], start_time=1.5)
+    with pytest.raises(ValidationError, match=r"waypoints\.1: the record moves at 1e\+11 m/s from 0 to 1e-08 s"):
+        RecordedMotion(waypoints=[(0, 0, 0), (1e-8, 1000, 0)])
+    with pytest.raises(ValidationError, match="dimensions are of a file"):
+        RecordedMotion(waypoints=[(0, 0, 0)], dimensions=3)
+    with pytest.raises(ValidationError, match="scale"):
+        RecordedMotion(waypoints=[(0, 0, 0)], scale=0.0)
+
+
+HIGH = "#3D\n0 10 12 5 6 12 12 12\n0 1 2 0 9 3 4 0\n"
+LEVELS = {
+    "evader.strategy": 'evader.speed = 9.0\nevader.strategy = { kind = "recorded", file = "walk.txt" }',
+    "evader.0.strategy": '[[evader]]\nspeed = 9.0\nstrategy = { kind = "recorded", file = "walk.txt" }',
+    "team.relay.0.motion": '[[team.relay]]\npursuer = 0\nmotion = { kind = "recorded", file = "walk.txt" }',
+    "team.positions": 'team.positions = { kind = "recorded", file = "walk.txt" }',
+}
+
+
+@pytest.mark.parametrize(("key", "text"), LEVELS.items(), ids=LEVELS)
+def test_dropped_heights_give_a_warning_wherever_a_record_is_used(written, key, text):
+    found = [(name, why) for name, why in warnings(written(text, HIGH)) if "heights" in why]
+    assert found == [(key, "the heights in the file are dropped: motion is in the plane, and so are all distances")]
+    flat = written(text, HIGH.replace("12 5 6", "12 0 6").replace("12 12 12", "12 12 0"))
+    assert not [why for _, why in warnings(flat) if "heights" in why]
+
+
+POSITIONS = 'team.positions = { kind = "recorded", file = "walk.txt" }'
+
+
+def test_pursuers_begin_where_a_record_does_and_chase(written):
+    """Their number is that of the nodes, and the file is not needed to repeat the run."""
+    scenario = written(f'{POSITIONS}\nprune = "none"\nteam.speeds = 2.0')
+    assert scenario.team.count == 2
+    assert scenario.team.start(7).tolist() == [[1.0, 2.0], [5.0, 5.0]]
+    assert scenario == Scenario.model_validate(scenario.plain())
+    trace = run(scenario, 0).trace
+    assert trace.of(Captured)
+    assert [complex(*each) for each in trace.of(Sampled)[0].pursuers] == [1 + 2j, 5 + 5j]
+    moved = POSITIONS.replace(" }", ", nodes = [1, 0, 1], scale = 2.0, offset = [1, 0], start_time = 0.5 }")
+    right = [[11.0, 11.0], [3.0, 4.8], [11.0, 11.0]]
+    found = written(moved, "0 1 2 1 1 2.8\n0 5 5 1 5 6\n").team.start(0).tolist()
+    assert [tuple(map(round, each, (9, 9))) for each in found] == [tuple(each) for each in right]
+
+
+def test_the_record_of_positions_may_be_beside_a_base_and_have_names(written, tmp_path):
+    table = "t,node,x,y\n0,b,1,2\n0,a,3,4\n"
+    written(POSITIONS, table)
+    (tmp_path / "s.toml").rename(tmp_path / "base.toml")
+    (tmp_path / "above").mkdir()
+    (tmp_path / "walk.txt").rename(tmp_path / "above" / "walk.txt")
+    (tmp_path / "base.toml").rename(tmp_path / "above" / "base.toml")
+    (tmp_path / "top.toml").write_text('base = "above/base.toml"\n')
+    scenario = load(tmp_path / "top.toml")
+    assert scenario.team.start(0).tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert scenario.team.names == ("b", "a")
+
+
+BAD_POSITIONS = {
+    "count": (f"team.count = 3\n{POSITIONS}", r"team\.positions: should be one per pursuer: count is 3, there are 2"),
+    "no file": (POSITIONS.replace("walk", "none"), r"s\.toml:2: team\.positions: .*none\.txt cannot be read: No such"),
+    "no node": (POSITIONS.replace(" }", ", nodes = [2] }"), r"team\.positions: .*has no node 2: it has nodes 0 to 1"),
+    "key": (POSITIONS.replace(" }", ", scal = 2 }"), r"team\.positions\.scal: unknown key, did you mean 'scale'"),
+    "scale": (POSITIONS.replace(" }", ", scale = -2 }"), r"team\.positions\.scale: should be greater than 0"),
+    "outside": (POSITIONS.replace("walk", "../walk"), r"leads out of the folder"),
+    "late": (POSITIONS.replace(" }", ", start_time = 5 }"), r"start_time should be at most the time of the last"),
+}
+
+
+@pytest.mark.parametrize(("text", "why"), BAD_POSITIONS.values(), ids=BAD_POSITIONS)
+def test_positions_that_do_not_fit_are_refused_with_the_place(written, text, why):
+    with pytest.raises(ValueError, match=why):
+        written(text)
+
+
+def test_names_that_a_graph_a_record_and_a_trace_number_differently_are_refused(written, tmp_path):
+    """The graph numbers them in the order of its file, and the trace alphabetically."""
+    (tmp_path / "graph.csv").write_text("source,target\nb,a\n")
+    (tmp_path / "trace.csv").write_text("t,src,dst,value\n0,a,b,0.1\n0,b,a,0.2\n")
+    graph = 'network.graph = { kind = "edges", file = "graph.csv" }'
+    trace = 'network.latency = { kind = "trace", file = "trace.csv" }'
+    table = "t,node,x,y\n0,a,1,2\n0,b,3,4\n"
+    order = "set nodes to the names in the order of the graph"
+    with pytest.raises(ValueError, match=rf"team\.positions: the file numbers the pursuers a, b, .* b, a: {order}"):
+        written(f"{graph}\n{POSITIONS}", table)
+    with pytest.raises(ValueError, match=rf"network\.latency: trace\.csv numbers the nodes a, b, .* b, a: {order}"):
+        written(f"{graph}\n{trace}\nteam.count = 2")
+    nodes = ', nodes = ["b", "a"] }'
+    scenario = written("\n".join([graph, trace.replace(" }", nodes), POSITIONS.replace(" }", nodes)]), table)
+    assert scenario.network.graph.names == scenario.team.names == scenario.network.latency.nodes == ("b", "a")
+
+
 def test_a_script_is_told_the_number_of_the_waypoint():
     with pytest.raises(ValidationError, match=r"waypoints\.1: the record moves at 2 m/s from 0 to 1 s"):
         Evader(strategy=RecordedMotion(waypoints=[(0, 0, 0), (1, 2, 0)]))
