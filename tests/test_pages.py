@@ -1,7 +1,8 @@
 """The code and the commands of the README and the pages run, and the modules and keys that they name exist.
 
-A block whose first line is `# NAME.py` or `# NAME.toml` is the content of that file. In a folder that holds a copy of
-the scenarios, the files of a page are written first; then its Python runs, block after block; then its commands.
+A block whose first line is `# NAME.py`, `# NAME.toml` or `# NAME.csv` is the content of that file. In a folder that
+holds a copy of the scenarios, the files of a page are written first; then its Python runs, block after block; then its
+commands.
 """
 
 import re
@@ -57,8 +58,8 @@ def is_page_with(part):
 def folder(page, tmp_path, monkeypatch):
     """Go to a folder with the scenarios and the files of a page."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
-    for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml")):
-        if name := re.match(r"# (\w+\.(?:py|toml))\n", block):
+    for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml"), *blocks(TEXTS[page], "csv")):
+        if name := re.match(r"# (\w+\.(?:py|toml|csv))\n", block):
             (tmp_path / name[1]).write_text(block, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
