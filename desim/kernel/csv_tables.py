@@ -153,7 +153,7 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     rows, kept = rows_of(text, name), StringIO()
     has_commas = separator_of(text) == ","
     if not has_commas:
-        rows = _with_points(rows, chosen, name)
+        rows = with_points(rows, chosen, name)
     writer = csv.writer(kept, lineterminator="\n")
     first, _ = next(rows)
     kept.write("\n" * (first - 1))
@@ -191,10 +191,10 @@ def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
     if separator is None:
         text, separator = re.sub(r"(?m)(?<=\S) +(?=\S)", "\t", text), "\t"
     rows = rows_of(text, name, separator)
-    return rows if separator == "," else _with_points(rows, list, name)
+    return rows if separator == "," else with_points(rows, list, name)
 
 
-def _with_points(
+def with_points(
     rows: Iterator[tuple[int, list[str]]], chosen: Callable[[list[str]], Sequence[str]], name: str
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield rows with decimal points instead of decimal commas.

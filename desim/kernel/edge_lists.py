@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.number_files import number_of
+from desim.kernel.csv_tables import with_points
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -46,7 +47,11 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     Raises:
         ValueError: if a line is no edge; the message names the file and the line.
     """
-    header, rows = _header_of(_rows(file, text))
+    delimiter = _delimiter(text)
+    header, rows = _header_of(_rows(file, text, delimiter))
+    if delimiter in {";", "\t"}:  # then numbers may have decimal commas
+        points = with_points(((row.line, row.cells) for row in rows), list, str(file))
+        rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not header:
         is_weighted = all(len(row.cells) == 3 and _is_number(row.cells[2]) for row in rows)
         header = ["source", "target", *(["weight"] if is_weighted else [])]
@@ -82,7 +87,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
 
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
     """Return the graph in an adjacency list: each line is a node and its neighbours; see `read_edge_list`."""
-    rows = _rows(file, text, delimiter="")
+    rows = _rows(file, text, "")
     edges: list[Edge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
     return _graph(file, [row.cells[0] for row in rows], edges, directed)
 
@@ -129,15 +134,18 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
     return graph
 
 
-def _rows(file: Path, text: str, delimiter: str | None = None) -> list[Row]:
-    """Return the lines of a list with their cells, without comments; a dict at the end of a line is a cell.
+def _delimiter(text: str) -> str:
+    """Return the sign that separates the cells of a list; "": white space."""
+    first = next((line for line in text.split("\n") if line.strip() and line.strip()[0] not in "#%"), "")
+    return next((mark for mark in ";\t," if mark in first.partition("{")[0]), "")
+
+
+def _rows(file: Path, text: str, delimiter: str) -> list[Row]:
+    """Return the lines of a list with their cells, without comments.
 
     A comment that names the columns is kept.
     """
     lines = text.split("\n")
-    first = next((line for line in lines if line.strip() and line.strip()[0] not in "#%"), "")
-    if delimiter is None:
-        delimiter = next((mark for mark in ";\t," if mark in first.partition("{")[0]), "")
 
     def cells_of(line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.number_files import COMMAS
+from desim.kernel.csv_tables import with_points
 from desim.kernel.measurements import start_of, time_of
 from desim.kernel.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
 
@@ -79,7 +80,11 @@ class MobilityTable(MobilityFile):
                 f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
             )
         self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
-        for line, cells in _cells(file, lines, first, delimiter):
+        used = [column for column in columns.values() if column is not None]
+        rows = _cells(file, lines, first, delimiter)
+        if delimiter in {";", "\t"}:
+            rows = with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(file))
+        for line, cells in rows:
             if len(cells) != len(header.names):
                 raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {len(header.names)}")
             node = "0" if columns["node"] is None else cells[columns["node"]].strip()

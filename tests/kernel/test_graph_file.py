@@ -40,6 +40,12 @@ def write_list(of):
     return write
 
 
+def replaced(write, graph, file):
+    """Write a table with decimal commas."""
+    write(graph, file)
+    Path(file).write_text(Path(file).read_text().replace(".", ","))
+
+
 WRITERS = {
     "node_link.json": as_json(lambda graph: nx.node_link_data(graph, edges="edges")),
     "links.json": as_json(lambda graph: nx.node_link_data(graph, edges="links")),
@@ -53,12 +59,13 @@ WRITERS = {
     "net.edgelist": write_list(nx.write_edgelist),
     "net.csv": write_table(","),
     "semicolons.csv": write_table(";"),
+    "commas.csv": lambda graph, file: replaced(write_table(";"), graph, file),
     "net.tsv": write_table("\t"),
     "net.net": nx.write_pajek,
     "net.adjlist": write_list(nx.write_adjlist),
 }
 WITHOUT_ATTRIBUTES = {"net.net", "net.adjlist"}
-LISTS = {"net.edgelist", "net.csv", "semicolons.csv", "net.tsv", "net.adjlist"}
+LISTS = {"net.edgelist", "net.csv", "semicolons.csv", "commas.csv", "net.tsv", "net.adjlist"}
 """The formats that do not say whether edges are one-way."""
 EDGES_ONLY = LISTS - {"net.adjlist"}
 """The formats that have no nodes without edges."""
@@ -253,7 +260,8 @@ NO_GRAPHS = {
     "three.csv": ("0,1,2,3\n", "line 1: should have two nodes; attributes need a first line that names the columns"),
     "adjacency.txt": ("0 1 2\n1 2\n", "an adjacency list needs the ending .adjlist"),
     "ragged.csv": ("source,target,loss\n0,1\n", "line 2: should have 3 columns, has 2"),
-    "commas.csv": ("source;target;loss\n0;1;0,5\n", "line 2: loss: '0,5' is not a number; the decimal sign is a point"),
+    "commas.txt": ("source target loss\n0 1 0,5\n", "line 2: loss: '0,5' is not a number; the decimal sign is a point"),
+    "signs.csv": ("source;target;loss\n0;1;0,5\n1;2;0.5\n", "either decimal points or decimal commas"),
     "unit.csv": ("source,target,latency\n0,1,10 ms\n", "line 2: latency: '10 ms' is not a number"),
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
     "parallel.csv": ("0,1\n0,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),

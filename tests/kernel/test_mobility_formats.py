@@ -14,7 +14,7 @@ from desim.kernel.mobility_file import read_mobility
 from tests.kernel.test_mobility_file import interpolated
 
 NAMES = ["uav3", "base", "n0"]
-NAMED = {"csv", "header with units", "commented header", "semicolons", "tabs", "dates", "since 1970"}
+NAMED = {"csv", "header with units", "commented header", "semicolons", "decimal commas", "tabs", "dates", "since 1970"}
 """The formats in which nodes have names."""
 
 
@@ -56,6 +56,7 @@ FORMATS = {
     "header with units": lambda tracks: table(tracks, header="Time [s],ID,X [m],Y [m]"),
     "commented header": lambda tracks: table(tracks, " ", "# t node x y"),
     "semicolons": lambda tracks: table(tracks, ";", "t;node;x;y"),
+    "decimal commas": lambda tracks: table(tracks, ";", "t;node;x;y").replace(".", ","),
     "tabs": lambda tracks: table(tracks, "\t", "time\tid\tx\ty"),
     "dates": lambda tracks: table(tracks, when=date),
     "since 1970": lambda tracks: table(tracks, when=lambda t: repr(1.7e9 + t)),
@@ -151,7 +152,8 @@ REFUSED = {
     "two arrays": (f"{START}$mnode_(0) set X_ 1\n", r"line 3: names nodes \$mnode_, and the lines above \$node_"),
     "height": (f'{START}$ns_ at 1 "$node_(0) setdest 1 2 3 4"\n', r"line 3: a setdest with a height .* is not read"),
     "commas": ("0,0 10,5 12,0 5,0 1,0 2,0\n", r"line 1: '0,0' is .*; the decimal sign is a point"),
-    "commas in a table": ("t;x;y\n0;1,5;2\n", r"line 2: '1,5' is not a number; the decimal sign is a point"),
+    "commas in a table": ("t,x,y\n0,1,5,2\n", r"line 2: has 4 cells, but the header 3"),
+    "both signs": ("t;x;y\n0;1,5;2.5\n", r"numbers should have either decimal points or decimal commas"),
     "commas of ns-2": ("$node_(0) set X_ 1,5\n", r"line 1: '1,5' is not a number; the decimal sign is a point"),
     "underscore": ("0 1_0 2\n", r"line 1: '1_0' is not a number"),
     "degrees": ("t,lat,lon\n0,48.1,11.5\n", r"has positions in degrees; project them to m"),
