@@ -17,6 +17,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import Scenario, Team
+from desim.scenario.toml import load
 
 
 def as_json(data_of):
@@ -396,3 +397,19 @@ def test_a_number_as_a_text_is_refused_with_what_to_write(key, text):
 def test_an_edge_of_a_file_has_the_models_of_its_attributes(tmp_path):
     (edge, _) = read(plain(tmp_path, "net.csv", latency=0.25, loss=0.5)).edges
     assert (edge.latency, edge.loss) == (Constant(value=0.25), Bernoulli(p=0.5))
+
+
+@pytest.mark.parametrize(("key", "meant"), [("delay", "latency"), ("packetloss", "loss"), ("packet_loss", "loss")])
+def test_an_edge_in_a_scenario_file_has_known_keys_only(tmp_path, key, meant):
+    (tmp_path / "s.toml").write_text(
+        f'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, {key} = 0.2 }}] }}\n'
+    )
+    with pytest.raises(ValueError, match=rf"s\.toml:1: network\.graph\.edges\.0\.{key}: unknown key, .*'{meant}'"):
+        load(tmp_path / "s.toml")
+
+
+def test_a_trace_on_an_edge_that_may_end_before_the_run_gives_a_warning():
+    trace = {"kind": "trace", "table": "t,value\n0,0.1\n1,0.2\n", "after": "error"}
+    graph = Edges(edges=[{"src": 0, "dst": 1, "latency": trace}])
+    found = dict(warnings(Scenario(team=Team(count=2), network=Links(graph=graph), horizon=9.0)))
+    assert found["network.graph"].startswith("a message that is sent later than 2 s ends the run with an error")
