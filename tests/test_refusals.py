@@ -23,7 +23,7 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical, LatencyMatrix
 from desim.kernel.netem import Netem
 from desim.pursuit.flow import RecordedFlow
-from desim.pursuit.recorded import RecordedMotion
+from desim.pursuit.recorded import RecordedMotion, RecordedPositions
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
@@ -172,7 +172,10 @@ TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES}
 BY_HAND |= {(each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, RecordedFlow, RecordedMotion)}
 BY_HAND.add((LatencyMatrix, "values"))  # nan stands for a link that does not exist
-"""Keys whose refusals are written out below: the value of another key decides what they take."""
+BY_HAND |= {(RecordedMotion, "node"), (RecordedPositions, "nodes")}
+"""Keys whose refusals are written out below or in `tests/pursuit/test_recorded.py`.
+
+They take several types, or the value of another key decides what they take."""
 
 
 @pytest.mark.parametrize("table", TABLES, ids=str)

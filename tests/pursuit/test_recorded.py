@@ -168,6 +168,8 @@ REFUSED = {
     "bad line": (RECORDED.replace("walk", "bad"), r"s\.toml:2: evader\.strategy: .*bad\.txt, line 2: 'x' is not a num"),
     "no node": (RECORDED.replace(" }", ", node = 2 }"), r"walk\.txt has no node 2: it has nodes 0 to 1"),
     "bad node": (RECORDED.replace(" }", ", node = -1 }"), r"evader\.strategy\.node: should be greater than or equal"),
+    "half a node": (RECORDED.replace(" }", ", node = 1.5 }"), r"evader\.strategy\.node: should be an integer"),
+    "no name": (RECORDED.replace(" }", ', node = "" }'), r"evader\.strategy\.node: .*at least 1"),
     "both": (RECORDED.replace(" }", ", waypoints = [[0, 1, 2]] }"), r"should have waypoints or a file"),
     "neither": (RECORDED.replace(', file = "walk.txt"', ""), r"should have waypoints, or a file of waypoints"),
     "node without a file": (
@@ -301,6 +303,7 @@ BAD_POSITIONS = {
     "count": (f"team.count = 3\n{POSITIONS}", r"team\.positions: should be one per pursuer: count is 3, there are 2"),
     "no file": (POSITIONS.replace("walk", "none"), r"s\.toml:2: team\.positions: .*none\.txt cannot be read: No such"),
     "no node": (POSITIONS.replace(" }", ", nodes = [2] }"), r"team\.positions: .*has no node 2: it has nodes 0 to 1"),
+    "negative": (POSITIONS.replace(" }", ", nodes = [-1] }"), r"nodes\.0: should be greater than or equal to 0"),
     "key": (POSITIONS.replace(" }", ", scal = 2 }"), r"team\.positions\.scal: unknown key, did you mean 'scale'"),
     "scale": (POSITIONS.replace(" }", ", scale = -2 }"), r"team\.positions\.scale: should be greater than 0"),
     "outside": (POSITIONS.replace("walk", "../walk"), r"leads out of the folder"),
