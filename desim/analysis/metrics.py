@@ -16,8 +16,6 @@ from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from desim.analysis.activity import (
     active_time,
     activity,
@@ -55,6 +53,7 @@ from desim.analysis.transport import (
 )
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
+from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.kernel.events import Cause
 from desim.kernel.portable_math import portable_sum
@@ -449,8 +448,7 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
     """
     where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
     try:
-        value = metric(result)
-        value = value.item() if isinstance(value, np.generic) else value
+        value = as_python(metric(result))
     except (Exception, SystemExit) as error:
         raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
     if value is not None and not isinstance(value, bool | int | float):

@@ -26,6 +26,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core
 
 from desim.config.model import markers_of
 from desim.config.packages import check_visible
+from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import ALLOW_HINT, is_trusted
@@ -201,9 +202,12 @@ class OneOf:
         """Return the table that a bare string or number stands for; return any other value unchanged."""
         if isinstance(value, str):
             return {"kind": value}
-        if self.number is not None and type(value) in {int, float}:
+        if self.number is None or isinstance(value, dict):
+            return value
+        number = as_python(value)
+        if type(number) is int or type(number) is float:
             kind, key = self.number
-            return {"kind": kind, key: value}
+            return {"kind": kind, key: number}
         return value
 
     def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:

@@ -3,20 +3,23 @@
 import ast
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
-from types import MappingProxyType
-from typing import Annotated, Any, get_args, get_origin
+from types import MappingProxyType, UnionType
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     Field,
     GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    model_validator,
 )
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
@@ -24,6 +27,7 @@ from pydantic_core import CoreSchema
 
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
+from desim.config.python_numbers import as_python
 
 if sys.version_info >= (3, 14):
     from annotationlib import Format, get_annotations
@@ -67,6 +71,13 @@ Unsigned = AfterValidator(lambda number: number + 0.0)
 """Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
 
 
+class FirstError(FailFast):
+    """Marks a list of numbers: of the items that are wrong, only the first is reported."""
+
+    def __hash__(self) -> int:  # a type in a union has to have one
+        return hash(type(self))
+
+
 class Counted:
     """Marks a field that is a time, which the clock rounds to whole nanoseconds."""
 
@@ -99,6 +110,15 @@ class Value(BaseModel):
         ser_json_inf_nan="strings",
         defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
+
+    @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
+    @classmethod
+    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+        """Convert the numbers and lists given for fields, see `as_python`."""
+        if not isinstance(given, dict):
+            return make(given)
+        plain = _plain_fields(cls)
+        return make({name: as_python(value) if name in plain else value for name, value in given.items()})
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -139,6 +159,29 @@ class Value(BaseModel):
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
+
+
+@cache
+def _plain_fields(model: type[Value]) -> frozenset[str]:
+    """Return the names of the fields that hold numbers, texts, or lists and tables of anything."""
+    return frozenset(name for name, field in model.model_fields.items() if _is_plain(field.annotation))
+
+
+def _is_plain(annotation: Any) -> bool:
+    """Return whether an annotation takes a number, a text, a list or a table.
+
+    A field that takes anything, for example an array of a user's model, keeps what it is given.
+    """
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _is_plain(annotation.__origin__)
+    if origin in {Union, UnionType}:
+        return any(map(_is_plain, get_args(annotation)))
+    return (origin or annotation) in PLAIN_TYPES
+
+
+PLAIN_TYPES = frozenset({int, float, bool, str, tuple, list, dict, set, frozenset, Sequence, Mapping, Literal})
+"""The types of fields whose values are converted to Python numbers and lists."""
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:

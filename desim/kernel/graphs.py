@@ -4,10 +4,11 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
-from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
+from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
 from desim.kernel.graph_attributes import unread_attributes
 from desim.kernel.graph_file import read_graph
@@ -262,23 +263,30 @@ def as_model(name: str, value: Any) -> Any:
     """
     if name == "order" and value not in (None, *get_args(Order)):
         raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")
-    if name == "order" or isinstance(value, bool) or not isinstance(value, int | float):
+    number = value if name == "order" or callable(value) else as_python(value)
+    if type(number) is not int and type(number) is not float:
         return value
-    return Constant(value=float(value)) if name == "latency" else Bernoulli(p=float(value))
+    return Constant(value=number) if name == "latency" else Bernoulli(p=number)
 
 
-def edge_model(name: str, value: Any) -> Any:
-    """Return an edge attribute as a model, or an order; see `as_model`.
+def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
+    """Return the model that an edge attribute stands for: a number, the table or the name of a kind, or a model.
 
     Raises:
-        ValueError: if the attribute is invalid, or no model.
+        ValueError: if the attribute is not valid; the message names the edge and the attribute.
     """
     model = as_model(name, value)
-    if name != "order":
-        try:
-            (LATENCIES if name == "latency" else LOSSES).check(model)
-        except ValueError as error:
-            raise ValueError(f"the {name} of an edge {error}") from error
+    if name == "order":
+        return model
+    try:
+        if not callable(model):
+            return dict(Edge(src=0, dst=0, **{name: model}))[name]
+        (LATENCIES if name == "latency" else LOSSES).check(model)
+    except ValidationError as error:
+        why = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        raise ValueError(f"the {name} of the edge from {src} to {dst}: {why} (got {value!r})") from error
+    except ValueError as error:
+        raise ValueError(f"the {name} of the edge from {src} to {dst} {error}") from error
     return model
 
 
@@ -295,10 +303,10 @@ def graph_of(model: GraphModel, size: int) -> "nx.Graph[int]":
         raise ValueError(f"should be a simple graph of {size} nodes, got {type(graph).__name__}, not a networkx.Graph")
     if len(graph) != size or graph.is_multigraph():
         raise ValueError(f"should be a simple graph of {size} nodes, got {graph}")
-    for _, _, attributes in links_with_attributes(graph):
+    for src, dst, attributes in links_with_attributes(graph):
         for name in ("latency", "loss", "order"):
             if (value := attributes.get(name)) is not None:
-                edge_model(name, value)
+                edge_model(src, dst, name, value)
     return graph
 
 

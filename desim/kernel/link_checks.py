@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.graphs import Edges, links_with_attributes
+from desim.kernel.graphs import Edges, edge_model, links_with_attributes
 from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.links import Links
 from desim.kernel.node_names import shortened
@@ -57,8 +57,8 @@ def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tup
     """Yield the links with a latency or a loss of their own, each with the key of the model and the model."""
     for src, dst, attributes in links_with_attributes(graph):
         model = attributes.get(name)
-        if model is not None and not isinstance(model, int | float):
-            yield (src, dst), (("graph",), model)
+        if model is not None:
+            yield (src, dst), (("graph",), edge_model(src, dst, name, model))
     for k, link in enumerate(links.link):
         if (model := dict(link)[name]) is not None:
             for way in link.ways():

@@ -15,7 +15,7 @@ from desim.kernel.inbox import Message
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
 from desim.kernel.message_log import MessageLog
-from desim.kernel.message_size import negative_size, size_of
+from desim.kernel.message_size import checked_size, size_of
 from desim.kernel.network_state import NetworkState
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.records import Arrival, Record, per_receiver
@@ -130,8 +130,8 @@ class LinkLayer:
             receivers, reachable = [dst], self._departure.reachable(src, dst, number)
         if size is None:
             size = size_of(content.body)
-        elif size < 0:
-            raise negative_size(size)
+        elif type(size) is not int or size < 0:
+            size = checked_size(size)
         transmission = _new(
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )

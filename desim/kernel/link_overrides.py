@@ -25,7 +25,7 @@ def link_overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]
     for src, dst, attributes in links_with_attributes(graph):
         for name, overrides in found.items():
             if (value := attributes.get(name)) is not None:
-                overrides.setdefault(src, {})[dst] = edge_model(name, value)
+                overrides.setdefault(src, {})[dst] = edge_model(src, dst, name, value)
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):

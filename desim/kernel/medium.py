@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import MAX_TIME, Flag, Limit, Value
+from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.traits import MediumTraits
@@ -155,9 +155,9 @@ class LoRa(Radio):
     kind: Literal["lora"] = "lora"
     spreading_factor: SpreadingFactor = 7
     """SF: bits per symbol; a symbol takes 2^SF / bandwidth."""
-    spreading_factors: tuple[SpreadingFactor, ...] | None = None
+    spreading_factors: Annotated[tuple[SpreadingFactor, ...], FirstError()] | None = None
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
-    frequencies: tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...] | None = None
+    frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
     bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
     """Hz"""

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.python_numbers import whole
 from desim.kernel.portable_math import portable_sum
 from desim.kernel.records import Record
 
@@ -49,9 +50,16 @@ def size_of(body: Any) -> int:
     return HEADER + _size(body)
 
 
-def negative_size(size: int) -> ValueError:
-    """Return the error about a negative size of a message."""
-    return ValueError(f"the size of a message should be at least 0 bytes (got {size})")
+def checked_size(size: int) -> int:
+    """Return the size (bytes) that a sender gives for a message, an integer of any kind, as an `int`.
+
+    Raises:
+        ValueError: if the size is negative or not an integer.
+    """
+    size = whole(size, "the size of a message, in bytes,")
+    if size < 0:
+        raise ValueError(f"the size of a message should be at least 0 bytes (got {size})")
+    return size
 
 
 def _size(body: Any) -> int:

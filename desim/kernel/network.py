@@ -26,6 +26,7 @@ from desim.kernel.propagation import LinkSampler
 from desim.kernel.received_records import Records
 from desim.kernel.receiving_nodes import ReceivingNodes
 from desim.kernel.records import Predicate, Record
+from desim.kernel.seeds import seed_of
 from desim.kernel.topology import Topology
 from desim.kernel.transport import Transport
 from desim.kernel.transport_layer import TransportLayer
@@ -77,7 +78,7 @@ class Network(ReceivingNodes):
         predicate: Predicate | None = None,
         clocks: Sequence[NodeClock] = (),
     ):
-        links = links or Links()
+        links, seed = links or Links(), seed_of(seed)
         self.topology = topology = Topology(
             graph,
             links.range,
@@ -122,9 +123,10 @@ class Network(ReceivingNodes):
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
 
         Raises:
-            ValueError: if the size is negative.
+            ValueError: if the size is negative or not an integer.
         """
-        self._transmit(src, None, self.next_record(src, body, stamp), size)
+        record = self.next_record(src, body, stamp)
+        self._transmit(record.src, None, record, size)
 
     def send(
         self,
@@ -148,13 +150,13 @@ class Network(ReceivingNodes):
         it; later changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if the receiver is the sender, the size is negative, or messages at the port have another
-                transport.
+            ValueError: if the receiver is the sender, the size is negative or not an integer, or messages at the port
+                have another transport.
         """
-        if not 0 <= src < self._size:
-            raise self._unknown(src)
-        if dst is not None and not 0 <= dst < self._size:
-            raise self._unknown(dst)
+        if type(src) is not int or not 0 <= src < self._size:
+            src = self._node(src)
+        if dst is not None and (type(dst) is not int or not 0 <= dst < self._size):
+            dst = self._node(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
         message = _new(Message, (src, self._env.now, as_sent(body)))
@@ -165,8 +167,8 @@ class Network(ReceivingNodes):
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
-        if not 0 <= src < self._size:
-            raise self._unknown(src)
+        if type(src) is not int or not 0 <= src < self._size:
+            src = self._node(src)
         self._seq[src] = seq = self._seq[src] + 1
         return _new(Record, (src, seq, self._env.now if stamp is None else stamp, as_sent(body)))
 
@@ -182,8 +184,7 @@ class Network(ReceivingNodes):
         Raises:
             ValueError: if the network was created without a `FaultState`, or its faults are planned (see `FaultState`).
         """
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
+        node = self._node(node)
         self.fault_state.crash(node)
         self._link_layer.crash(node)
 
@@ -194,6 +195,7 @@ class Network(ReceivingNodes):
             ValueError: if the network was created without a `FaultState`, its faults are planned, or the node is not
                 down.
         """
+        node = self._node(node)
         self.fault_state.recover(node)
         if not memory:
             self._forget(node)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from desim.config.python_numbers import whole
 from desim.kernel.arrivals import Arrivals
 from desim.kernel.inbox import Inbox
 from desim.kernel.message_size import as_sent
@@ -69,6 +70,13 @@ class ReceivingNodes:
         """Delete the received records and the unread messages of a node."""
         self._records.forget(node)
         self._inboxes.drain(node)
+
+    def _node(self, node: int) -> int:
+        """Return the id of a node, an integer of any kind, as an `int`; raise ValueError if there is no such node."""
+        number = whole(node, "a node")
+        if not 0 <= number < self._size:
+            raise self._unknown(number)
+        return number
 
     def _unknown(self, node: int) -> ValueError:
         """Return the error about a node that does not exist."""

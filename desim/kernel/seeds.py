@@ -11,9 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Integers
+from desim.config.python_numbers import whole
 
 ROOM = 2**22
 """Maximum number of values in a cache with one value per pair of nodes; further values are computed at each use."""
+
+
+def seed_of(value: int) -> int:
+    """Return a seed, an integer of any kind, as an `int`.
+
+    Raises:
+        ValueError: if the value is not an integer, or is negative.
+    """
+    seed = whole(value, "the seed")
+    if seed < 0:
+        raise ValueError(f"the seed should be at least 0, got {seed}")
+    return seed
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
@@ -58,7 +71,7 @@ def _key(seed: int, name: str) -> np.uint64:
 
 
 def _sequence(seed: int, name: str, index: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), index))
+    return np.random.SeedSequence(seed_of(seed), spawn_key=(zlib.crc32(name.encode()), index))
 
 
 def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:

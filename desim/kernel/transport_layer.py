@@ -20,7 +20,7 @@ from desim.kernel.clock import Phase
 from desim.kernel.estimates import Estimates
 from desim.kernel.events import Trace, TransportCounts
 from desim.kernel.inbox import Inbox, Message, deliver
-from desim.kernel.message_size import negative_size, size_of
+from desim.kernel.message_size import checked_size, size_of
 from desim.kernel.network_state import NetworkState
 from desim.kernel.retransmission import first_timeout
 from desim.kernel.transport import Reliable, Transport
@@ -104,8 +104,8 @@ class TransportLayer:
         """
         if size is None:
             size = size_of(message.body)
-        elif size < 0:
-            raise negative_size(size)
+        elif type(size) is not int or size < 0:
+            size = checked_size(size)
         if not self._nodes:
             self._start()
         known = self._transports.setdefault(port, transport)

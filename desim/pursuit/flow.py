@@ -17,7 +17,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_val
 
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
-from desim.config.model import MAX_COORDINATE, Coordinate, Duration, Length, Speed, Time, Value
+from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
 from desim.config.traits import Follows, Traits, inherits, is_ours
 from desim.config.trust import resolve_path
 from desim.kernel import portable_math
@@ -168,7 +168,7 @@ class RecordedFlow(UniformFlow):
     """A measured flow, the same everywhere: linear in time between the measurements, and constant outside of them."""
 
     kind: Literal["recorded"] = "recorded"
-    velocities: tuple[tuple[Time, Component, Component], ...] = ()
+    velocities: Annotated[tuple[Annotated[tuple[Time, Component, Component], FirstError()], ...], FirstError()] = ()
     """Measurements [t, x, y] (s, m/s, m/s), in order of time."""
     file: str | None = None
     """Instead of measurements: path of a CSV file with the columns t, x and y, relative to the scenario file. The file

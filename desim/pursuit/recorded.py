@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import MAX_COORDINATE, Coordinate, Length, Time, Value
+from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Time, Value
 from desim.config.traits import Follows, Traits, name_of
 from desim.config.trust import resolve_path
 from desim.kernel.graphs import Node
@@ -89,7 +89,7 @@ class RecordedMotion(_Record):
     """
 
     kind: Literal["recorded"] = "recorded"
-    waypoints: tuple[tuple[Time, Coordinate, Coordinate], ...] = ()
+    waypoints: Annotated[tuple[Annotated[tuple[Time, Coordinate, Coordinate], FirstError()], ...], FirstError()] = ()
     """Waypoints [t, x, y] (s, m, m), in order of time."""
     file: str | None = None
     """Instead of waypoints: path of a file of BonnMotion or ns-2, or of a table with the columns t, x and y, relative

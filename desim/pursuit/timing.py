@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import simpy
 
+from desim.config.python_numbers import real
 from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.network import Network
 
@@ -37,8 +38,10 @@ class Timing:
         """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
-            ValueError: if the time is infinite or nan.
+            ValueError: if the time is infinite, nan or not a number.
         """
+        if type(time) is not float:
+            time = real(time, f"pursuer {self.id}: at: the time")
         try:
             return Instant(self._env, max(self._clock.when(time), self._env.now), phase + self.id)
         except (OverflowError, ValueError) as error:
@@ -48,8 +51,10 @@ class Timing:
         """Return an event that happens after a duration (s) on the local clock.
 
         Raises:
-            ValueError: if the duration is negative, infinite or nan.
+            ValueError: if the duration is negative, infinite, nan or not a number.
         """
+        if type(duration) is not float:
+            duration = real(duration, f"pursuer {self.id}: sleep: the duration")
         try:
             return Instant(self._env, self._env.now + self._clock.span(duration), phase + self.id)
         except (OverflowError, ValueError) as error:
@@ -60,7 +65,7 @@ class Timing:
         """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
 
         Raises:
-            ValueError: if the duration is negative, infinite or nan.
+            ValueError: if the duration is negative, infinite, nan or not a number.
         """
         restarts_before = self.restarts
 

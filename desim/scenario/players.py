@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from desim.config.choice import OneOf
-from desim.config.model import Box, Limit, Probability, Speed, Time, Value
+from desim.config.model import Box, FirstError, Limit, Probability, Speed, Time, Value
 from desim.kernel.seeds import stream
 from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple
 from desim.pursuit.evader import EvaderController
@@ -60,7 +60,7 @@ class Team(Value):
     """Number of pursuers N; with `positions`, it must be their number or be absent."""
     positions: (
         Annotated[
-            Annotated[tuple[Point, ...], Tag("list")] | Annotated[RecordedPositions, Tag("table")],
+            Annotated[tuple[Point, ...], FirstError(), Tag("list")] | Annotated[RecordedPositions, Tag("table")],
             Discriminator(_form_of_positions),
         ]
         | None
@@ -70,7 +70,9 @@ class Team(Value):
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both initial coordinates, m."""
     speeds: Annotated[
-        Annotated[Speed, Tag("number")] | Annotated[tuple[Speed, ...], Tag("list")] | Annotated[Speeds, Tag("table")],
+        Annotated[Speed, Tag("number")]
+        | Annotated[tuple[Speed, ...], FirstError(), Tag("list")]
+        | Annotated[Speeds, Tag("table")],
         Discriminator(_form_of_speeds),
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""

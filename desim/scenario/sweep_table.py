@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Set
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
 from pydantic_core import PydanticCustomError
 
@@ -36,18 +35,7 @@ def _in_order(values: Any) -> Any:
     return values
 
 
-def _from_numpy(value: Any) -> Any:
-    """Return a value with numpy numbers and arrays converted to Python numbers and lists."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, dict):
-        return {key: _from_numpy(each) for key, each in value.items()}
-    return [_from_numpy(each) for each in value] if isinstance(value, list | tuple) else value
-
-
-Values = Annotated[
-    tuple[Annotated[Any, BeforeValidator(_from_numpy)], ...], Field(min_length=1), BeforeValidator(_in_order)
-]
+Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_in_order)]
 """The values of one key of a grid."""
 
 

@@ -16,6 +16,7 @@ from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.graphs import graph_of
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
+from desim.kernel.seeds import seed_of
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announced_action
@@ -155,11 +156,12 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
+        ValueError: if the seed is negative or not an integer.
         TimedOut: if the caller set a time limit (`desim.simulation.watchdog.within`) and it is exceeded; the text lists
             what each process is waiting for.
         RuntimeError: if code of the scenario calls `sys.exit`, which would otherwise look like success.
     """
-    seed = scenario.seed if seed is None else seed
+    seed = scenario.seed if seed is None else seed_of(seed)
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)

@@ -11,6 +11,8 @@ from traceback import walk_tb
 from types import GeneratorType
 from typing import TYPE_CHECKING, Any
 
+from desim.config.python_numbers import real
+
 if TYPE_CHECKING:
     from desim.kernel.clock import Clock
     from desim.simulation.restartable import RestartableProcess
@@ -25,11 +27,12 @@ class TimedOut(BaseException):
 
 
 def checked_limit(limit: float) -> float:
-    """Return a time limit, s, unchanged.
+    """Return a time limit, s, as a `float`.
 
     Raises:
-        ValueError: if the limit is not positive, or is longer than a thread can wait.
+        ValueError: if the limit is not a number, is not positive, or is longer than a thread can wait.
     """
+    limit = real(limit, "a time limit")
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"a time limit should be > 0 s and at most {TIMEOUT_MAX:g} s (got {limit:g})")
     return limit
@@ -49,7 +52,7 @@ def within(limit: float) -> Iterator[None]:
         TimedOut: if the block takes longer than `limit`.
         ValueError: if `limit`, s, is not valid; see `checked_limit`.
     """
-    checked_limit(limit)
+    limit = checked_limit(limit)
     set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), get_ident()
     is_late = is_over = False
 

@@ -13,13 +13,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import reduce
-from operator import index
 from pathlib import Path
 from typing import Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
+from desim.config.python_numbers import whole
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.seeds import seed_of
 from desim.scenario.scenario import Scenario
 from desim.study.configurations import Configuration, without_metrics
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
@@ -83,7 +84,7 @@ class Variants:
             ValueError: if there are fewer than 2 runs, the seed is negative, or a metric has a wrong name.
             ScenarioError: if an object of the scenario has no stable hash.
         """
-        if index(runs) < 2:
+        if (runs := whole(runs, "runs")) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
         own, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
@@ -95,7 +96,7 @@ class Variants:
             distinct.setdefault(configuration.key, configuration)
         return cls(
             SweepPlan(
-                scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed), metrics=own
+                scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else seed_of(seed), metrics=own
             ),
             configurations,
         )

@@ -8,12 +8,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, takewhile
-from operator import index
 from pathlib import Path
 from typing import Any, Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
+from desim.config.python_numbers import real, whole
+from desim.kernel.seeds import seed_of
 from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
@@ -81,15 +82,15 @@ class SweepPlan:
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
-        reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
+        reps = whole(base.sweep.reps if reps is None else reps, "reps")
+        root = base.seed if seed is None else seed_of(seed)
         own, found = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
         return cls(without_metrics(base), found, reps, root, base.sweep.seeds == "common", own)
 
     def __post_init__(self) -> None:
         if self.reps < 1:
             raise ValueError(f"there should be at least one run of each configuration, got {self.reps}")
-        if self.root < 0:
-            raise ValueError(f"the seed should be at least 0, got {self.root}")
+        seed_of(self.root)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -238,6 +239,7 @@ def sweep(
         checked_limit(timeout)
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
     if until is not None:
+        until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:
         plan.register(kept, mix_versions=mix_versions)

@@ -14,10 +14,10 @@ from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from operator import index
 from typing import Any, Self, TypeVar
 
 from desim.config.interrupts import SIGNALS, deferred
+from desim.config.python_numbers import whole
 from desim.config.trust import NO_CWD_IMPORT
 from desim.kernel.portable_math import portable_sum
 from desim.study.serialization import Call, called, packed
@@ -209,15 +209,15 @@ def workers_for(executor: Executor | int | str, calls: int | None = None) -> Wor
     if isinstance(executor, Executor):
         return Workers(executor)
     try:
-        executor = index(executor)
-    except TypeError:
+        number = whole(executor, "the number of workers")
+    except ValueError:
         raise ValueError(
             "executor should be a number of processes, the address of a Dask scheduler or an executor of"
             f" concurrent.futures, such as ProcessPoolExecutor (got {executor!r})"
         ) from None
-    if executor < 0:
-        raise ValueError(f"the number of workers should be at least 0, got {executor}")
-    count = executor or os.cpu_count() or 1
+    if number < 0:
+        raise ValueError(f"the number of workers should be at least 0, got {number}")
+    count = number or os.cpu_count() or 1
     if calls is not None:
         count = max(min(count, calls), 1)
     return InProcess() if count == 1 else Processes(count)
