@@ -3,7 +3,7 @@
 import ast
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
@@ -19,15 +19,17 @@ from pydantic import (
     Field,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    ValidationError,
     model_validator,
 )
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
 from desim.config.python_numbers import as_python
+from desim.config.suggestion import did_you_mean
 
 if sys.version_info >= (3, 14):
     from annotationlib import Format, get_annotations
@@ -131,6 +133,54 @@ class Value(BaseModel):
 
     def __str__(self) -> str:
         return repr(self)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values of some fields, validated like a new model; `copy.replace` does the same.
+
+        A field whose value followed from another one, for instance from a preset, follows anew. To change a key deep
+        inside a scenario use `Scenario.with_`.
+
+        Args:
+            update: the new values by field; a table replaces a whole table, it is not merged.
+            deep: whether the values that stay are copied deeply.
+
+        Raises:
+            ValidationError: if there is no such field, or the values are not valid together.
+        """
+        copy = super().model_copy(deep=deep)
+        if not update:
+            return copy
+        self._check_names(update)
+        kept = {name: getattr(copy, name) for name in self.own_fields()}
+        return type(self).model_validate(kept | dict(update), by_name=True)
+
+    def own_fields(self) -> Set[str]:
+        """Return the names of the fields that were given, without those whose values follow from others."""
+        return self.model_fields_set - self._derived()
+
+    def _derived(self) -> Set[str]:
+        """Return the names of the fields that were not given, but follow from others."""
+        return frozenset()
+
+    @classmethod
+    def _check_names(cls, values: Iterable[str]) -> None:
+        """Raise ValidationError if a name is not a field; with what may be meant, which pydantic does not say."""
+        forbids = cls.model_config.get("extra") == "forbid"
+        unknown = [name for name in values if forbids and name not in cls.model_fields]
+        problems = [
+            InitErrorDetails(
+                type=PydanticCustomError(
+                    "extra_forbidden",
+                    "unknown key{hint}; allowed: {allowed}",
+                    {"hint": did_you_mean(str(name), cls.model_fields), "allowed": ", ".join(sorted(cls.model_fields))},
+                ),
+                loc=(name,),
+                input=name,
+            )
+            for name in unknown
+        ]
+        if problems:
+            raise ValidationError.from_exception_data(cls.__name__, problems)
 
     def given(self) -> dict[str, Any]:
         """Return the fields without a default, and those that differ from their defaults, by name."""

@@ -11,7 +11,7 @@ from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
@@ -261,7 +261,8 @@ class PerPair(Value):
         """Return a model for one run of `size` nodes; it caches the base latencies."""
         base, jitter = model_of_run(self.base, size), model_of_run(self.jitter, size)
         _check_quantiles(base)
-        return _Pairs(self.model_copy(update={"base": base, "jitter": jitter}), size)
+        # Not validated: what a model is in one run need not be a value of a scenario.
+        return _Pairs(BaseModel.model_copy(self, update={"base": base, "jitter": jitter}), size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""

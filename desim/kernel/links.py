@@ -1,5 +1,6 @@
 """The link models of a network as one immutable object: graph, range, reception, latency, loss, medium."""
 
+from collections.abc import Set
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -103,3 +104,10 @@ class Links(Value):
         if not isinstance(preset, str) or preset not in PRESETS:
             return given
         return PRESETS[preset] | given | _tables_completed(given, PRESETS[preset])
+
+    def _derived(self) -> Set[str]:
+        """Return the names of the fields with the value that the preset stands for."""
+        if self.preset is None:
+            return super()._derived()
+        own, stands_for = dict(self), dict(type(self)(preset=self.preset))
+        return {key for key in PRESETS[self.preset] if own[key] == stands_for[key]}

@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
+from desim.config.python_numbers import as_python
 from desim.kernel.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
 from desim.scenario.scenario import Scenario
@@ -43,14 +44,7 @@ class Source:
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
         """Return the source of a scenario that was constructed in Python: the arguments given, without defaults."""
-        tables = _tables(scenario)
-        preset = scenario.network.preset
-        if preset is not None:  # leave its values out, so that another preset replaces them
-            given, stands_for = dict(scenario.network), dict(type(scenario.network)(preset=preset))
-            for key in PRESETS[preset]:
-                if given[key] == stands_for[key]:
-                    tables["network"].pop(key, None)
-        return cls("the scenario", tables, allow_import=True)
+        return cls("the scenario", _tables(scenario), allow_import=True)
 
     def where(self, place: KeyPath) -> str:
         """Return the place where a key was set: `file:line`, or the description of the last override.
@@ -142,6 +136,20 @@ class Source:
             ScenarioError: if the text does not have this form, or the key cannot be set; see `set`.
         """
         self._set_as_text("--grid", text, key_and_values, above="sweep.grid.")
+
+    def replace(self, name: str, value: Any) -> None:
+        """Set a key to a value of Python.
+
+        Raises:
+            ScenarioError: if the name is not a dotted key, or the key cannot be set to this value; see `set`.
+        """
+        origin = "with_"
+        try:
+            if not isinstance(name, str) or not all(name.split(".")):
+                raise ValueError(f"a dotted key is for instance network.latency.value (got {name!r})")
+            self.set(name, as_python(value), origin)
+        except ValueError as error:
+            raise ScenarioError(f"{origin}: {error}") from error
 
     def _set_as_text(self, option: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
         """Set a key, which is put after `above`, to a value, given the text of an option."""
@@ -263,10 +271,8 @@ def holds(node: Any, key: Any) -> bool:
 
 def _tables(model: Value) -> dict[str, Any]:
     """Return the arguments given to a model as tables; a nested model whose kind is not installed stays a model."""
-    fields = type(model).model_fields
-    return {
-        name: _table(value, fields[name]) for name, value in model if name in model.model_fields_set or name == "kind"
-    }
+    fields, names = type(model).model_fields, {"kind", *model.own_fields()}
+    return {name: _table(value, fields[name]) for name, value in model if name in names}
 
 
 def _table(value: Any, info: FieldInfo) -> Any:
@@ -287,11 +293,8 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
-    values = dict(model)
-    fields = {each: values[each] for each in model.model_fields_set}
-    fields[name] = _replaced(values[name], rest, value) if rest else value
     try:
-        return type(model)(**fields)
+        return model.model_copy(update={name: _replaced(getattr(model, name), rest, value) if rest else value})
     except ValidationError as error:
         why = "; ".join(each["msg"].replace("Input should", "should") for each in error.errors())
         raise ScenarioError(f"{name}: {why}") from error

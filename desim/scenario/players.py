@@ -1,5 +1,6 @@
 """The players of a scenario: the team of pursuers, and the evaders."""
 
+from collections.abc import Set
 from functools import cached_property
 from math import inf
 from typing import Annotated, Any, Self
@@ -120,6 +121,10 @@ class Team(Value):
     def names(self) -> tuple[str, ...]:
         """The names of the pursuers, if the file of the positions had names."""
         return ()
+
+    def _derived(self) -> Set[str]:
+        """Return the number of pursuers, if it is the number of their positions."""
+        return super()._derived() if self.positions is None else {"count"}
 
     @field_validator("relay")
     @classmethod

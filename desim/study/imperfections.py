@@ -189,7 +189,7 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     network = scenario.network
     if dict(network) | ideal == dict(network):
         return scenario
-    return scenario.model_copy(update={"network": network.model_copy(update={"preset": None, **ideal})})
+    return scenario.model_copy(update={"network": type(network)(**dict(network) | {"preset": None} | ideal)})
 
 
 def _contends(medium: Medium) -> TypeGuard[Radio]:
@@ -199,8 +199,9 @@ def _contends(medium: Medium) -> TypeGuard[Radio]:
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     """Return the links without their model `key`; links that have no model of their own left are dropped."""
-    bare = [link.model_copy(update={key: None}) for link in network.link]
-    return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
+    others = {"latency", "loss", "order"} - {key}
+    kept = [link for link in network.link if any(getattr(link, name) is not None for name in others)]
+    return tuple(link.model_copy(update={key: None}) for link in kept)
 
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
