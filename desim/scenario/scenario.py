@@ -1,6 +1,6 @@
 """A scenario: a complete experiment as one immutable, validated object, from Python or from a file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -162,6 +162,27 @@ class Scenario(Value):
     """Faults of pursuers, of their messages, of clocks and of the network."""
     record: Recording = Recording()
     sweep: Sweep = Sweep()
+
+    def with_(self, changes: Mapping[str, Any]) -> "Scenario":
+        """Return the scenario with other values of some keys, checked as a scenario file with `--set` is.
+
+        Use it to vary a scenario in a script:
+
+            late = scenario.with_({"network.latency.value": 0.5, "team.count": 8})
+            lossy = scenario.with_({"network.loss": GilbertElliott(p=0.1), "fault.0.start": 2.0})
+
+        Args:
+            changes: dotted keys, with the index of an item of a list as in "fault.0.start", and their new values: a
+                number, a text, a list, an array, a table, a model or a function. With a new `kind`, a table loses the
+                keys that this kind does not have.
+
+        Raises:
+            ScenarioError: if there is no such key, or the scenario would not be valid; the message has a line per
+                error, with what is allowed.
+        """
+        from desim.scenario.toml import changed
+
+        return changed(self, changes)
 
     def play(self, timeout: float = 30.0) -> "PlayWidget":
         """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.

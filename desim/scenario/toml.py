@@ -3,7 +3,7 @@
 import os
 import re
 from codecs import BOM_UTF8
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,6 +143,14 @@ def validate(source: Source) -> Scenario:
     except ValidationError as error:
         problems = [problem for each in error.errors() for problem in explain(each, source, Scenario, ())]
         raise ScenarioError("\n".join(text for _, text in sorted(problems))) from error
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with other values of some keys; see `Scenario.with_`."""
+    source = Source.of(scenario)
+    for name, value in changes.items():
+        source.replace(name, value)
+    return validate(source)
 
 
 def dump(scenario: Scenario) -> str:
