@@ -23,6 +23,7 @@ from typing import Annotated, Any, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
+from desim.config.error_texts import text_of
 from desim.config.model import Value, annotated
 
 Model = TypeVar("Model")
@@ -89,8 +90,9 @@ class Traits(Value):
             return cls.model_validate(attributes(value, [name for name in cls.model_fields if name not in outdated]))
         except ValidationError as error:
             first = error.errors()[0]
-            name, says = first["loc"][0], first["msg"].removeprefix("Input ")
-            raise ValueError(f"{name} of {name_of(value)}: {says} (got {first['input']!r})") from error
+            raise ValueError(
+                f"{first['loc'][0]} of {name_of(value)}: {text_of(first)} (got {first['input']!r})"
+            ) from error
 
     @classmethod
     def check(cls, value: Any) -> None:

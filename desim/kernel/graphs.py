@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_a
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
+from desim.config.error_texts import text_of
 from desim.config.model import Flag, Value
 from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
@@ -283,7 +284,7 @@ def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
             return dict(Edge(src=0, dst=0, **{name: model}))[name]
         (LATENCIES if name == "latency" else LOSSES).check(model)
     except ValidationError as error:
-        why = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        why = text_of(error.errors(include_url=False)[0])
         raise ValueError(f"the {name} of the edge from {src} to {dst}: {why} (got {value!r})") from error
     except ValueError as error:
         raise ValueError(f"the {name} of the edge from {src} to {dst} {error}") from error

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from desim.config.error_texts import text_of
 from desim.kernel.links import Links
 from desim.kernel.netem_tables import TABLES
 from desim.kernel.tc_syntax import FORM, HEADERS, LINK, Command, Device, TcError, Way, commands, order_of
@@ -235,6 +236,5 @@ def _checked(network: Table) -> Table:
         Links.model_validate(network)
     except ValidationError as error:
         first = error.errors()[0]
-        why = first["msg"].removeprefix("Value error, ").replace("Input should be", "should be")
-        raise ValueError(f"{first['loc'][0]}: {why}") from error
+        raise ValueError(f"{first['loc'][0]}: {text_of(first)}") from error
     return network

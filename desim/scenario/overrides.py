@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
+from desim.config.error_texts import text_of
 from desim.config.model import Value, fields_of, models_in
 from desim.config.python_numbers import as_python
 from desim.kernel.presets import PRESETS
@@ -137,7 +138,7 @@ class Source:
         """
         self._set_as_text("--grid", text, key_and_values, above="sweep.grid.")
 
-    def replace(self, name: str, value: Any) -> None:
+    def replace(self, name: Any, value: Any) -> None:
         """Set a key to a value of Python.
 
         Raises:
@@ -296,7 +297,7 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
     try:
         return model.model_copy(update={name: _replaced(getattr(model, name), rest, value) if rest else value})
     except ValidationError as error:
-        why = "; ".join(each["msg"].replace("Input should", "should") for each in error.errors())
+        why = "; ".join(text_of(each) for each in error.errors())
         raise ScenarioError(f"{name}: {why}") from error
 
 

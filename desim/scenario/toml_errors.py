@@ -8,6 +8,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
+from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.model import fields_of, markers_of
 from desim.config.suggestion import close_to
 from desim.scenario.key_index import homes_of
@@ -42,7 +43,7 @@ def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPat
             yield from explain(each, source, error["ctx"]["model"], place)
         return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
-    note = f"; {description}" if description and error["type"] != "import_refused" else ""
+    note = f"; {description}" if description and error["type"] not in SAYS_ENOUGH else ""
     more = [BASE] if owner is Scenario and source.line(place) else []
     yield _problem(source, place, f"{_reason(error, place, owner, info, more)}{note}{_input_text(error)}")
 
@@ -125,22 +126,12 @@ def _reason(
         most = kind == "too_long"
         limit = context["max_length" if most else "min_length"]
         return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
-    text = error["msg"]
-    for machine, human in WORDS.items():
-        text = text.replace(machine, human)
-    return text
+    return text_of(error)
 
 
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
-WORDS = {
-    "Input should be": "should be",
-    "a valid tuple": "a list",
-    "a valid integer": "an integer",
-    "a valid boolean": "true or false",
-    "valid ": "",
-    "Value error, ": "",
-}
-"""Phrases of pydantic messages and their replacements."""
+SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
+"""Types of errors whose texts say what the key is for, or list what is allowed."""
 
 
 RENAMED = {

@@ -163,7 +163,7 @@ def test_a_key_of_a_model_that_is_not_installed_is_set_where_it_is_part_of_one_t
         ("protocol.warmth.heat", 1.0, "Warmth has no key 'heat'"),
         ("protocol.gain.more", 1.0, "float has no key 'more'"),
         ("protocol.gain", -1.0, "gain: should be greater than 0"),
-        ("protocol.warmth.level", "hot", "level: should be a valid number"),
+        ("protocol.warmth.level", "hot", "level: should be a number"),
     ],
 )
 def test_a_wrong_key_or_value_of_a_model_that_is_not_installed_is_refused(key, value, why):

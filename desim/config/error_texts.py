@@ -1,0 +1,26 @@
+"""The errors of pydantic in words; only the beginnings of messages are replaced, what a user wrote stays as it is."""
+
+from collections.abc import Mapping
+from typing import Any
+
+OF_EXCEPTIONS = {"value_error", "assertion_error"}
+"""Types of errors whose message is the text of an exception, after the words "Value error, " for instance."""
+BEGINNINGS = {
+    "Input should be a valid tuple": "should be a list",
+    "Input should be a valid integer": "should be an integer",
+    "Input should be a valid boolean": "should be true or false",
+    "Input should be a valid ": "should be a ",
+    "Input should ": "should ",
+}
+"""The beginnings of all other messages, and their replacements; the first that fits counts."""
+
+
+def text_of(error: Mapping[str, Any]) -> str:
+    """Return the message of a pydantic error in the words of this package."""
+    text = str(error["msg"])
+    if error["type"] in OF_EXCEPTIONS:
+        return text.partition(", ")[2]
+    for machine, human in BEGINNINGS.items():
+        if text.startswith(machine):
+            return human + text.removeprefix(machine)
+    return text
