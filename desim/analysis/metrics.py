@@ -448,11 +448,12 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
     """
     where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
     try:
-        value = as_python(metric(result))
+        returned = metric(result)
+        value = as_python(returned)
     except (Exception, SystemExit) as error:
         raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
     if value is not None and not isinstance(value, bool | int | float):
-        raise MetricError(f"{where}: should return a number, True, False or None, not a {type(value).__name__}")
+        raise MetricError(f"{where}: should return a number, True, False or None, not a {type(returned).__name__}")
     return None if isinstance(value, float) and isnan(value) else value
 
 

@@ -3,7 +3,7 @@
 import ast
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set, Sized
 from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
@@ -17,6 +17,7 @@ from pydantic import (
     ConfigDict,
     FailFast,
     Field,
+    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
@@ -24,7 +25,7 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
@@ -78,6 +79,25 @@ class FirstError(FailFast):
 
     def __hash__(self) -> int:  # a type in a union has to have one
         return hash(type(self))
+
+
+class NotEmpty:
+    """Marks a list that has at least one item; `min_length` counts valid items only, and so reports a second error."""
+
+    min_length = 1
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(_not_empty, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(schema) | {"minItems": 1}
+
+
+def _not_empty(items: Sized) -> Sized:
+    if not items:
+        context = {"min_length": 1, "actual_length": 0}
+        raise PydanticCustomError("too_short", "should have at least 1 item, has none", context)
+    return items
 
 
 class Counted:

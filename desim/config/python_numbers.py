@@ -13,8 +13,6 @@ from numbers import Complex, Integral, Real
 from operator import index
 from typing import Any
 
-from pydantic import BaseModel
-
 ATOMS = frozenset({int, float, bool, str, type(None)})
 """Types of values that need no conversion."""
 ROWS = frozenset({list, tuple})
@@ -41,7 +39,7 @@ def as_python(value: Any) -> Any:
             if ATOMS.issuperset(map(type, value.values()))
             else {key: as_python(item) for key, item in value.items()}
         )
-    if isinstance(value, BaseModel) or callable(value):  # models can be iterated, and are no lists
+    if callable(value):  # a model of a user, which may be a list, too
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES:
         return list(value) if getattr(value, "ndim", 0) else value

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import MAX_TIME, Extent, FirstError, Limit, Period, Time, Value
+from desim.config.model import MAX_TIME, Extent, FirstError, Limit, NotEmpty, Period, Time, Value
 from desim.kernel.units import nanoseconds
 
 Window = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
@@ -135,7 +135,7 @@ class Tdma(Value):
     """Length of a slot, s, with its guard time."""
     guard: Time = 0.0
     """Time at the end of a slot in which no node transmits, s; less than `slot`."""
-    slots: Annotated[tuple[Owner, ...], Field(min_length=1), FirstError()] | None = None
+    slots: Annotated[tuple[Owner, ...], FirstError(), NotEmpty()] | None = None
     """The owners of the slots, which are repeated; if None, the nodes take turns by id."""
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, Rate, Time, Value
+from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, NotEmpty, Rate, Time, Value
 from desim.kernel.events import Nanoseconds
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
@@ -54,7 +54,7 @@ class Partition(Window):
     """Groups of nodes cannot communicate with each other."""
 
     kind: Literal["partition"] = "partition"
-    groups: Annotated[tuple[Annotated[tuple[Node, ...], FirstError()], ...], Field(min_length=1), FirstError()]
+    groups: Annotated[tuple[Annotated[tuple[Node, ...], FirstError()], ...], FirstError(), NotEmpty()]
     """Lists of nodes; nodes in no list form one more group."""
 
     @field_validator("groups")

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
-from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Speed, Time, Value
+from desim.config.model import MAX_TIME, FirstError, Flag, Limit, NotEmpty, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.latency_file import latencies_of, matrix_of
 from desim.kernel.link_context import LinkContext
@@ -182,7 +182,7 @@ class Empirical(_Drawn):
     """Latencies are drawn uniformly from a list, for instance of measurements."""
 
     kind: Literal["empirical"] = "empirical"
-    values: Annotated[tuple[Time, ...], Field(min_length=1), FirstError()] = ()
+    values: Annotated[tuple[Time, ...], FirstError(), NotEmpty()] = ()
     """One-way latencies, s."""
     file: str | None = None
     """Instead of values: path of a text file of latencies in s, relative to the scenario file. The file is read once,

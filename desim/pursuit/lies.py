@@ -12,10 +12,10 @@ from math import inf
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Duration, Extent, FirstError, Probability, Rate, Value
+from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probability, Rate, Value
 from desim.kernel.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, Window
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import pair_uniform, stream
@@ -267,7 +267,7 @@ class Slander(ByzantineFault):
     """A pursuer accuses honest teammates with each of its announcements (`announce.trust` "accusations")."""
 
     kind: Literal["slander"] = "slander"
-    accused: Annotated[tuple[Node, ...], Field(min_length=1), FirstError()]
+    accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]
     """The teammates that it accuses."""
 
     def named(self) -> Mapping[str, int]:
