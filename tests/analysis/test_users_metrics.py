@@ -1,6 +1,8 @@
 """Metrics of users: what they may return, how they may be named, and where they are shown."""
 
 import json
+from decimal import Decimal
+from fractions import Fraction
 from math import inf, nan
 
 import numpy as np
@@ -38,7 +40,8 @@ def test_a_metric_that_is_given_is_in_the_summary_after_the_built_in_ones(result
 @pytest.mark.parametrize(
     ("value", "expected"),
     [(1, 1), (2.5, 2.5), (True, True), (None, None), (nan, None), (inf, inf), (np.float32(0.5), 0.5), (np.int64(3), 3),
-     (np.bool_(True), True), (np.float64("nan"), None)],
+     (np.bool_(True), True), (np.float64("nan"), None), (np.longdouble(0.5), 0.5), (np.array(2), 2),
+     (Fraction(1, 4), 0.25), (Decimal("0.25"), 0.25)],
 )  # fmt: skip
 def test_a_metric_is_a_number_a_truth_value_or_none(result, value, expected):
     found = summary(result, {"x": lambda result: value})["x"]
@@ -52,8 +55,9 @@ def test_infinity_is_a_text_in_json(result):
 
 @pytest.mark.parametrize("value", ["3", [1.0], 1j, np.array([1.0]), {}, np.complex128(1j)])
 def test_anything_else_is_an_error_that_names_the_metric_the_scenario_and_the_seed(result, value):
-    kind = type(value.item() if isinstance(value, np.generic) else value).__name__
-    said = f"metric 'x' of 'short' with seed 7: should return a number, True, False or None, not a {kind}$"
+    said = (
+        f"metric 'x' of 'short' with seed 7: should return a number, True, False or None, not a {type(value).__name__}$"
+    )
     with pytest.raises(MetricError, match=said):
         summary(result, {"x": lambda result: value})
 

@@ -1,0 +1,269 @@
+"""Numbers and lists of numpy, pandas and others mean what those of Python mean, in every field of every model."""
+
+import array
+import enum
+from collections import UserList, deque
+from decimal import Decimal
+from fractions import Fraction
+from itertools import chain
+from math import inf, isnan
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import numpy as np
+import pandas as pd
+import pytest
+from pydantic import ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from desim.config.choice import choices_of
+from desim.config.model import Value
+from desim.config.python_numbers import as_python, real, whole
+from desim.kernel.netem import Netem
+from desim.scenario.players import Team
+from tests.models import MODELS, made
+
+COUNTED = (0, 1, 2, 7, 8)
+"""Whole numbers that every integer type of numpy represents, and of which each integer field takes one."""
+MEASURED = (0.0, 0.5, 1.0, 2.5, 8.0)
+"""Numbers that every float type of numpy represents, and of which each number field takes one."""
+LISTS: tuple[list[Any], ...] = ([0, 1], [7, 8], [0.5, 2.5], [0.0, 1.0])
+ROWS: tuple[list[Any], ...] = ([[0, 1], [2, 3]], [[0.5, 1.0], [1.0, 2.0]], [[0.0, 1.0, 2.0], [1.0, 2.0, 2.5]])
+WRONG = (True, "1", "a", [True, False], ["1", "2"], [[True, False]], -1, -0.5, [-1, -2], [])
+"""Values that no number field, or not every one, takes: strict types stay strict."""
+INTEGERS = (np.int8, np.int16, np.int32, np.int64, np.intp)
+UNSIGNED = (np.uint8, np.uint16, np.uint32, np.uint64)
+FLOATS = (np.float16, np.float32, np.float64, np.longdouble)
+
+
+ALONE_WRONG = {"duty_cycle", "frequencies", "noise", "share", "spreading_factors", "table"}
+"""Fields that are right together with others only, so that only refusals are compared."""
+
+
+def forms_of(value: Any) -> list[Any]:
+    """Return objects of others that mean the same as a value of Python."""
+    if isinstance(value, bool):
+        return [np.bool_(value), np.array(value)]
+    if isinstance(value, int):
+        types = INTEGERS + (UNSIGNED if value >= 0 else ())
+        return [*(kind(value) for kind in types), np.array(value), enum.IntEnum("Own", {"one": value}).one]
+    if isinstance(value, float):
+        return [*(kind(value) for kind in FLOATS), np.array(value), Fraction(value), Decimal(value)]
+    if isinstance(value, str):
+        return [np.str_(value)]
+    views = [dict.fromkeys(value).keys()] if len(value) and not isinstance(value[0], list) else []
+    others = [np.array(value), pd.Series(value, dtype=object), tuple(value), iter(value), deque(value), UserList(value)]
+    lists = [*others, *views, [form for item in value for form in forms_of(item)[:1]], dict(enumerate(value)).values()]
+    if len(value) and isinstance(value[0], list):
+        return [
+            *lists,
+            np.array(value, dtype=np.float16 if isinstance(value[0][0], float) else None),
+            zip(*zip(*value, strict=True), strict=True),
+        ]
+    if len(value) and type(value[0]) is int and value[1:2] == [value[0] + 1]:
+        return [*lists, range(value[0], value[0] + len(value)), np.array(value, np.int8), pd.Index(value)]
+    if len(value) and type(value[0]) is float:
+        return [*lists, array.array("d", value), pd.Series(value), np.array(value, np.longdouble)]
+    return lists
+
+
+def outcome(model: type[Value], changes: dict[str, Any]) -> Any:
+    """Return what is made of arguments: the object, its text and its JSON; or the errors, without what was given."""
+    try:
+        value = made(model, changes)
+    except ValidationError as error:
+        return [(each["loc"], each["msg"]) for each in error.errors()]
+    except ValueError as error:
+        return str(error)
+    return value, repr(value), value.model_dump_json(warnings=False), [type(part) for part in parts_of(dict(value))]
+
+
+def parts_of(value: Any) -> list[Any]:
+    """Return the numbers and texts in nested values."""
+    if isinstance(value, dict):
+        return list(chain.from_iterable(map(parts_of, value.values())))
+    if isinstance(value, list | tuple):
+        return list(chain.from_iterable(map(parts_of, value)))
+    return [value]
+
+
+def takes_numbers(field: FieldInfo) -> bool:
+    """Return whether a field takes numbers or booleans, or lists of them, or a number in place of a table."""
+    if any(choice.number is not None for choice in choices_of(field)):
+        return True
+    return bool({int, float, bool} & {*leaves(field.annotation)})
+
+
+def leaves(annotation: Any) -> list[Any]:
+    """Return the types of the values in an annotation; those of a function are none, nor are those of a table."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return leaves(annotation.__origin__)
+    if origin is Literal:
+        return [type(value) for value in get_args(annotation)]
+    return list(chain.from_iterable(map(leaves, get_args(annotation)))) if origin in CONTAINERS else [annotation]
+
+
+CONTAINERS = {tuple, list, Union, UnionType}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.__module__.rpartition('.')[2]}.{model.__name__}")
+def test_numbers_of_others_mean_what_those_of_python_mean_in_every_field(model):
+    """The same object, text, JSON and types, or the same errors: so hashes and digests are the same, too."""
+    differing = []
+    for name, field in model.model_fields.items():
+        if not takes_numbers(field):
+            continue
+        taken = False
+        for value in (*COUNTED, *MEASURED, *LISTS, *ROWS, *WRONG):
+            expected = outcome(model, {name: value})
+            taken |= isinstance(expected, tuple)
+            for form in forms_of(value):
+                shown = repr(form)
+                if outcome(model, {name: form}) != expected:
+                    differing.append((name, value, shown))
+        assert taken or name in ALONE_WRONG, f"no value is a right one for {name}"
+    assert differing == []
+
+
+class Unit:
+    """A quantity with a unit, as libraries of units have it: without its unit it is no number."""
+
+    def tolist(self):
+        raise NotImplementedError
+
+    def __array__(self):
+        raise AssertionError("the unit would be lost")
+
+
+class Called(list[int]):
+    """A list that can be called: a model of a user."""
+
+    def __call__(self):
+        return 1
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *(
+            np.timedelta64(5, "ns"),
+            np.datetime64("2020-01-01"),
+            pd.Timedelta(1, "s"),
+            np.complex64(1),
+            np.clongdouble(1),
+        ),
+        *(np.ma.masked, pd.NA, Unit(), Called([np.int64(1)]), {1, 2}, b"12", Fraction(10**400), Decimal("1e999")),
+        np.longdouble("1e4000"),
+    ],
+    ids=repr,
+)
+def test_what_is_no_number_and_no_list_is_returned_unchanged(value):
+    assert as_python(value) is value
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (pd.Series([1, 2], dtype="Int64"), [1, 2]),
+        (pd.DataFrame({"x": [0.0, 1.0], "y": [2.0, 3.0]}), [[0.0, 2.0], [1.0, 3.0]]),
+        (np.ma.array([1.0, 2.0], mask=[False, True]), [1.0, None]),
+        (np.array([Fraction(1, 2), Decimal("0.25")]), [0.5, 0.25]),
+        ({"a": np.int64(1), "b": [np.float32(0.5), (np.uint8(3),)]}, {"a": 1, "b": [0.5, (3,)]}),
+        (np.array([[1, 2], [3, 4]], np.uint8)[:, 1], [2, 4]),
+        (np.zeros((0, 2)), []),
+        (memoryview(np.array([1.0, 2.0])), [1.0, 2.0]),
+    ],
+    ids=["masked pandas", "frame", "masked numpy", "objects", "nested", "slice", "empty", "memory"],
+)
+def test_numbers_inside_are_converted_too(values, expected):
+    assert as_python(values) == expected
+
+
+def test_infinity_and_nan_stay_what_they_are():
+    assert as_python(np.float32(inf)) == as_python(Decimal("inf")) == inf
+    assert isnan(as_python(np.float16("nan")))
+    assert isnan(as_python(Decimal("nan")))
+
+
+def test_a_list_of_plain_numbers_is_not_copied():
+    for values in ([1.0, 2, None, "a"], ((1.0, 2.0), (3.0, 4.0)), {"a": 1}, [[1, 2], (3,)]):
+        assert as_python(values) is values
+
+
+@pytest.mark.parametrize("value", [2.0, np.float64(2.0), "2", True, np.True_, None, [2], Fraction(4, 2), Decimal(2)])
+def test_an_integer_is_one_whatever_its_type_and_nothing_else_is(value):
+    assert whole(np.uint8(2), "x") == whole(np.array(2), "x") == whole(10**30, "x") // 5 / 10**29
+    with pytest.raises(ValueError, match="the number should be an integer"):
+        whole(value, "the number")
+
+
+@pytest.mark.parametrize("value", ["2", True, np.True_, None, [2.0], np.timedelta64(1, "s"), 1j])
+def test_a_number_is_one_whatever_its_type_and_nothing_else_is(value):
+    assert real(np.float32(0.5), "x") == real(Fraction(1, 2), "x") == real(Decimal("0.5"), "x") == 0.5
+    assert type(real(np.int8(2), "x")) is float
+    with pytest.raises(ValueError, match="the number should be a number"):
+        real(value, "the number")
+
+
+class Users(Value):
+    """A model of a user that computes with an array, and with whatever it is given."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    weights: np.ndarray
+    anything: Any = None
+    gain: Annotated[float, Field(ge=0)] = 1.0
+
+
+def test_a_field_for_arrays_or_for_anything_keeps_what_it_is_given():
+    weights = np.array([1.0, 2.0])
+    users = Users(weights=weights, anything=weights, gain=np.float32(0.5))
+    assert users.weights is weights
+    assert users.anything is weights
+    assert type(users.gain) is float
+
+
+def takes_many(annotation: Any) -> bool:
+    """Return whether a field takes a list of any number of numbers, or of rows of numbers."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return takes_many(annotation.__origin__)
+    if origin in {Union, UnionType}:
+        return any(map(takes_many, inner))
+    return origin is tuple and inner[-1] is Ellipsis and {*leaves(annotation)} <= {int, float, Ellipsis}
+
+
+MANY = [(model, name) for model in MODELS for name, field in model.model_fields.items() if takes_many(field.annotation)]
+WRONG_ITEMS = {
+    "texts": ["a"] * 4096,
+    "complex": np.full(4096, 0.5j),
+    "four columns": np.zeros((1024, 4)),
+    "three dimensions": np.zeros((64, 32, 2)),
+    "dates": np.full(4096, 5, "m8[ms]"),
+    "masked": np.ma.masked_all(4096),
+}
+
+
+@pytest.mark.parametrize("values", WRONG_ITEMS)
+@pytest.mark.parametrize(("model", "name"), MANY, ids=lambda part: part if isinstance(part, str) else part.__name__)
+def test_a_list_of_wrong_numbers_is_one_error(model, name, values):
+    if (name, values) == ("groups", "four columns"):
+        pytest.skip("groups of any size are right")
+    with pytest.raises(ValidationError) as refused:
+        made(model, {name: WRONG_ITEMS[values]})
+    assert [error["loc"][0] for error in refused.value.errors()] == [name]
+
+
+def test_lists_of_numbers_are_found():
+    """Without this, the test above would pass for a list of which nobody knows."""
+    found = {f"{model.__name__}.{name}" for model, name in MANY}
+    assert found >= {"Team.positions", "Team.speeds", "Netem.table", "Empirical.values", "RecordedMotion.waypoints"}
+
+
+def test_the_number_of_pursuers_is_that_of_their_positions_whatever_holds_them():
+    rows = [(1.0, 2.0), (3.0, 4.0)]
+    for positions in (np.array(rows), iter(rows), zip([1, 3], [2, 4], strict=True), {2: rows[0], 5: rows[1]}.values()):
+        assert Team(positions=positions) == Team(positions=rows, count=2)
+    assert Netem(table=np.arange(4096), delay=1.0).table == tuple(range(4096))

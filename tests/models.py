@@ -1,0 +1,76 @@
+"""Every class of models in the packages, and what each needs, so that a property can be tested over all of them."""
+
+import importlib
+import pkgutil
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import desim
+import protocols
+from desim.config.model import Value
+from desim.pursuit.recorded import RecordedMotion
+
+TABLE = "t,value\n0,0.5\n1,0.25\n"
+WAYPOINTS = [[0.0, 1.0, 1.0], [1.0, 2.0, 2.0]]
+NEEDED: dict[str, dict[str, Any]] = {
+    "Bitrate": {"bitrate": 9600.0},
+    "ByzantineFault": {"start": 1.0, "node": 0},
+    "ConstantPosition": {"value": [1.0, 2.0]},
+    "Crash": {"start": 1.0, "node": 1},
+    "Edge": {"src": 0, "dst": 1},
+    "Empirical": {"values": [0.5]},
+    "Equivocate": {"start": 1.0, "node": 0},
+    "FalseAnnouncements": {"start": 1.0, "node": 0},
+    "GyreFlow": {"speed": 0.5, "size": 2.0},
+    "HarmonicFlow": {"amplitude": [0.5, 0.0], "period": 2.0},
+    "Jamming": {"start": 1.0, "centre": [1.0, 2.0], "radius": 1.0},
+    "LatencyTrace": {"table": TABLE},
+    "Liar": {"start": 1.0, "node": 0},
+    "Link": {"src": 0, "dst": 1, "latency": 0.5},
+    "LossTrace": {"table": TABLE},
+    "Misbehaviour": {"start": 1.0, "node": 0, "model": "liar", "number": 0},
+    "Partition": {"start": 1.0, "groups": [[0, 1], [2]]},
+    "RecordedFlow": {"velocities": [[0.0, 0.5, 0.0]]},
+    "RecordedMotion": {"waypoints": WAYPOINTS},
+    "RelayNode": {"pursuer": 1, "motion": RecordedMotion(waypoints=WAYPOINTS)},
+    "ReplayAttack": {"start": 1.0, "node": 0},
+    "Selective": {"start": 1.0, "node": 0},
+    "SignalTrace": {"table": TABLE},
+    "Silent": {"start": 1.0, "node": 0},
+    "Slander": {"start": 1.0, "node": 0, "accused": [1]},
+    "SlottedAloha": {"slot": 1.0},
+    "Spoof": {"start": 1.0, "node": 0},
+    "SteadyFlow": {"velocity": [0.5, 0.0]},
+    "VoronoiVertex": {"arena": [0.0, 5.0]},
+    "Window": {"start": 1.0},
+}
+"""The arguments without which a class has no valid object, by its name."""
+
+
+ABSTRACT = {"LinkTrace", "_LossTrace"}
+"""Classes without objects."""
+
+
+def classes(base: type[Value] = Value) -> Iterator[type[Value]]:
+    """Yield every class derived from `Value` in the packages, private ones included."""
+    if base is Value:
+        for package in (desim, protocols):
+            for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+                if not module.name.endswith("__main__"):
+                    importlib.import_module(module.name)
+    for model in base.__subclasses__():
+        if model.__module__.partition(".")[0] in {"desim", "protocols"}:
+            yield model
+            yield from classes(model)
+
+
+MODELS = sorted(
+    {model for model in classes() if model.__name__ not in ABSTRACT},
+    key=lambda model: (model.__module__, model.__qualname__),
+)
+
+
+def made(model: type[Value], changes: Mapping[str, Any] = MappingProxyType({})) -> Value:
+    """Return an object of a class, with what it needs and with changes."""
+    return model(**NEEDED.get(model.__name__, {}) | dict(changes))

@@ -1,0 +1,132 @@
+"""`Scenario.with_`: a scenario with other values of some keys, checked as `--set` checks those of a file."""
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.kernel.faults import Crash
+from desim.kernel.latency import Constant, Uniform
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording, Scenario
+from desim.scenario.toml import load
+from protocols.cbba import CBBA
+
+BASE = Scenario(team=Team(count=3), horizon=2.0, fault=(Crash(node=1, start=0.5),))
+
+
+def still(me):
+    yield me.sleep(1.0)
+
+
+def half(result):
+    return 0.5
+
+
+CHANGES = {
+    "a number": ({"network.latency.value": 0.5}, {"network": Links(latency=0.5)}),
+    "several": ({"network.latency": 0.5, "team.count": 8}, {"network": Links(latency=0.5), "team": Team(count=8)}),
+    "a kind": ({"network.latency.kind": "uniform"}, {"network": Links(latency=Uniform())}),
+    "a kind and its key": (
+        {"network.latency.kind": "uniform", "network.latency.high": 0.2},
+        {"network": Links(latency=Uniform(high=0.2))},
+    ),
+    "a table": ({"network.latency": {"kind": "uniform", "high": 0.2}}, {"network": Links(latency=Uniform(high=0.2))}),
+    "a model": ({"network.loss": GilbertElliott(share=0.1)}, {"network": Links(loss=GilbertElliott(share=0.1))}),
+    "a key of a model": (
+        {"network.loss": Bernoulli(p=0.1), "network.loss.p": 0.2},
+        {"network": Links(loss=Bernoulli(p=0.2))},
+    ),
+    "an item": ({"fault.0.start": 1.0}, {"fault": (Crash(node=1, start=1.0),)}),
+    "a protocol": ({"protocol": "cbba"}, {"protocol": CBBA()}),
+    "a function": ({"protocol": still}, {"protocol": still}),
+    "metrics": ({"record.metrics": [half]}, {"record": Recording(metrics=(half,))}),
+    "a preset": ({"network.preset": "wifi"}, {"network": Links(preset="wifi")}),
+    "positions": ({"team": Team(positions=[(0.0, 0.0)] * 3)}, {"team": Team(positions=np.zeros((3, 2)))}),
+    "numpy": ({"team.speeds": np.arange(1, 4)}, {"team": Team(count=3, speeds=(1.0, 2.0, 3.0))}),
+    "an integer of numpy": ({"team.count": np.int64(4)}, {"team": Team(count=4)}),
+    "pandas": ({"team.speeds": pd.Series([1, 2, 3])}, {"team": Team(count=3, speeds=(1.0, 2.0, 3.0))}),
+    "a fraction": ({"horizon": Fraction(1, 2)}, {"horizon": 0.5}),
+    "nothing": ({}, {}),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_what_the_same_arguments_make(name):
+    changes, fields = CHANGES[name]
+    before = BASE.model_dump_json()
+    assert BASE.with_(changes) == BASE.model_copy(update=fields)
+    assert BASE.model_dump_json() == before
+
+
+WRONG = {
+    "horizn": (3.0, "horizn: unknown key, did you mean 'horizon'?"),
+    "network.latenc.value": (0.5, "network.latenc: unknown key, did you mean 'latency'?"),
+    "network.latency.kind": ("unifrm", "network.latency.kind: there is no 'unifrm', did you mean 'uniform'?"),
+    "network.latency.high": (
+        1.0,
+        "network.latency.high: unknown key, it is one of the kind uniform; allowed",
+    ),
+    "team.count": ("many", "team.count: should be an integer"),
+    "team.speeds": (np.ones(2), "team.speeds: should be one per pursuer: count is 3, there are 2"),
+    "horizon": (np.True_, "horizon: should be a number"),
+    "fault.1.start": (1.0, "fault.1.start is not a key of a table"),
+    "fault.0.node": (7, "fault.0.node: there is no pursuer 7"),
+}
+
+
+@pytest.mark.parametrize("key", WRONG)
+def test_a_wrong_change_is_refused_with_what_may_be_meant(key):
+    value, why = WRONG[key]
+    with pytest.raises(ScenarioError, match=f"^with_: {re.escape(why)}"):
+        BASE.with_({key: value})
+
+
+def test_all_errors_are_listed():
+    with pytest.raises(ScenarioError) as refused:
+        BASE.with_({"horizon": -1.0, "seed": -1, "evader.speed": "fast"})
+    assert [line.split(": ")[1] for line in str(refused.value).splitlines()] == ["evader.speed", "horizon", "seed"]
+
+
+@pytest.mark.parametrize("key", ["", "a..b", ".", 3, None, ("team", "count")])
+def test_what_is_no_dotted_key_is_refused(key):
+    with pytest.raises(ScenarioError, match=r"a dotted key is for instance network\.latency\.value"):
+        BASE.with_({key: 1})
+
+
+@pytest.mark.slow
+@given(
+    st.dictionaries(
+        st.sampled_from(["horizon", "seed", "team.count", "network.latency.value", "network.loss.p", "evader.speed"]),
+        st.one_of(st.integers(-1, 5), st.floats(-0.5, 2.0), st.sampled_from(["a", "inf"])),
+        max_size=3,
+    )
+)
+def test_it_agrees_with_set(tmp_path_factory, changes):
+    """The same scenario as of a file with --set, or the same errors, apart from where the key was set."""
+    file = tmp_path_factory.mktemp("with") / "f.toml"
+    file.write_text("team.count = 3\nhorizon = 2.0\nfault = [{ kind = 'crash', node = 1, start = 0.5 }]\n")
+
+    origin = re.compile(r"^(--set \S+|with_|the scenario|\S+f\.toml:\d+): ")
+
+    def outcome(make):
+        try:
+            return make()
+        except ScenarioError as error:
+            return sorted(origin.sub("", line) for line in str(error).splitlines())
+
+    texts = [f'{key}="{value}"' if isinstance(value, str) else f"{key}={value}" for key, value in changes.items()]
+    assert outcome(lambda: BASE.with_(changes)) == outcome(lambda: load(file, texts))
+
+
+def test_a_latency_of_a_number_can_be_varied_further():
+    assert BASE.with_({"network.latency": 0.5}).with_({"network.latency.value": 0.1}).network.latency == Constant(
+        value=0.1
+    )
