@@ -130,6 +130,9 @@ def test_numbers_of_others_mean_what_those_of_python_mean_in_every_field(model):
 class Unit:
     """A quantity with a unit, as libraries of units have it: without its unit it is no number."""
 
+    def __repr__(self):
+        return "Unit()"
+
     def tolist(self):
         raise NotImplementedError
 
