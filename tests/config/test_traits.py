@@ -82,7 +82,7 @@ def test_a_parameter_of_another_type_has_no_effect():
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [
-        ("melodic", "yes", r"melodic of Bird: should be a valid boolean \(got 'yes'\)"),
+        ("melodic", "yes", r"melodic of Bird: should be true or false \(got 'yes'\)"),
         ("volume", "loud", r"volume of Bird: should be 'low' or 'high' \(got 'loud'\)"),
         ("answer", 3, r"answer of Bird: should be callable \(got 3\)"),
     ],
