@@ -7,7 +7,6 @@ possibly attributes, named in a header or as Python writes a dict. A line with o
     uav1,uav2,0.05,0.1
 """
 
-import ast
 import csv
 import re
 from collections.abc import Callable, Sequence
@@ -19,6 +18,10 @@ from desim.kernel.csv_tables import with_points
 
 if TYPE_CHECKING:
     import networkx as nx
+PARTS = re.compile(r"""(?:'[^']*'|"[^"]*"|[^,'"])+""")
+"""Matches an item of a dict."""
+PAIR = re.compile(r"""\s*(['"])(.*?)\1\s*:\s*(?:(['"])(.*?)\3|([\w.+-]+))\s*""")
+"""Matches the name and the value of an item: a text or a word, such as a number."""
 
 
 class Row(NamedTuple):
@@ -165,15 +168,14 @@ def _rows(file: Path, text: str, delimiter: str) -> list[Row]:
     return rows
 
 
-def _dict(text: str, place: str) -> Any:
-    """Return the attributes that a text gives as Python writes a dict."""
-    try:
-        found = ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+def _dict(text: str, place: str) -> dict[str, Any]:
+    """Return the attributes that a text gives as Python writes a dict of numbers and texts."""
+    inside = text[1:-1].strip()
+    pairs = [PAIR.fullmatch(part) for part in PARTS.findall(inside)] if inside else []
+    if None in pairs or (inside and not pairs):
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
-    return {str(name): value for name, value in found.items()}
+    found = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
+    return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in found}
 
 
 def _names_ends(cells: Sequence[str]) -> bool:

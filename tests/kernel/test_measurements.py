@@ -251,7 +251,7 @@ def test_a_loss_is_a_probability_and_a_signal_is_in_decibels(read, model, cell, 
     ("name", "why"),
     [
         ("none.csv", "No such file"),
-        ("binary.csv", "codec can't decode"),
+        ("binary.csv", "it is not text in UTF-8"),
         (".", "Is a directory"),
     ],
 )

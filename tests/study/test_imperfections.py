@@ -276,6 +276,7 @@ THERE = {
     "many": "latency",
     "lora": "contention",
     "measured": "latency, loss",
+    "named": "latency, loss, serial decisions",
     "netem": "latency, loss, duplicates",
     "noisy": "latency, noise",
     "radio": "latency, range limit",
