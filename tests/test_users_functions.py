@@ -216,6 +216,7 @@ def test_losses_of_a_users_model_have_a_cause_of_their_own():
         assert dict(summary(result).messages_lost_by) == {cause: len(result.trace.of(Lost))}
 
 
+@pytest.mark.slow
 def test_an_unknown_cause_is_read_from_a_folder_and_drawn(tmp_path):
     """In all pages and exports that name causes."""
     result = run(scenario(network=Links(loss=Fog(p=0.5)), protocol="best_response"), 1)
