@@ -18,7 +18,6 @@ from typing import Any
 
 from desim.kernel.arrival_losses import ArrivalLosses
 from desim.kernel.clock import Instant, Phase
-from desim.kernel.inbox import deliver
 from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Arrival, Record, pairs, per_receiver
 from desim.kernel.transmission import Flight, Lose, Transmission
@@ -239,4 +238,4 @@ class Arrivals:
         if isinstance(content, Record):
             self._records.insert(reached, content)
         else:
-            deliver(content, self._inboxes.at(transmission.port), reached, now, transmission.number)
+            self._inboxes.deliver(content, transmission.port, reached, now, transmission.number)

@@ -16,7 +16,6 @@ from desim.kernel.arrivals import Arrivals
 from desim.kernel.contention import Contention
 from desim.kernel.events import Cause
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import deliver
 from desim.kernel.links import Links
 from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Arrival, Record, per_receiver
@@ -100,7 +99,7 @@ class Delivery:
         if isinstance(content, Record):
             self._records.schedule(content, reached, arrival, unreached)
         else:
-            deliver(content, self._inboxes.at(transmission.port), reached, arrival, transmission.number)
+            self._inboxes.deliver(content, transmission.port, reached, arrival, transmission.number)
 
     def _settled(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int

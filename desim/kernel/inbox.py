@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import simpy
 
 from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.message_body import is_immutable, own_copy
 from desim.kernel.portable_math import portable_sum
-from desim.kernel.records import Arrival
+from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.units import SECOND
 
 
@@ -125,9 +126,14 @@ class Inbox:
 
 
 class Inboxes:
-    """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used."""
+    """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used.
+
+    Attributes:
+        has_mutable: whether a message with a mutable body may have been sent.
+    """
 
     def __init__(self, env: Clock, size: int):
+        self.has_mutable = False
         self._env, self._size = env, size
         self._ports: dict[str, list[Inbox]] = {}
 
@@ -146,22 +152,23 @@ class Inboxes:
         """Return the number of messages in flight, counted once per receiver."""
         return portable_sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
 
+    def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
+        """Put a message into the inboxes of its receivers; its arrival wakes the processes that wait at these inboxes.
 
-def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Put a message into the inboxes of its receivers; its arrival wakes the processes that wait at these inboxes.
-
-    Simultaneous messages are ordered by `number`, the number of their transmission.
-    """
-    if isinstance(arrival, int):
-        letter = arrival, number, message
-        for node in receivers:
+        Simultaneous messages are ordered by `number`, the number of their transmission. Each receiver gets its own copy
+        of a mutable body.
+        """
+        boxes, copies = self.at(port), self.has_mutable and not is_immutable(message.body)
+        if isinstance(arrival, int) and not copies:
+            letter = arrival, number, message
+            for node in receivers:
+                box = boxes[node]
+                box._letters.append(letter)
+                if box._waited_for is not None:
+                    box._expect(arrival)
+            return
+        for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
-            box._letters.append(letter)
-            if box._waited_for is not None:
-                box._expect(arrival)
-    else:
-        for node, when in zip(receivers, arrival, strict=True):
-            box = boxes[node]
-            box._letters.append((when, number, message))
+            box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
             if box._waited_for is not None:
                 box._expect(when)

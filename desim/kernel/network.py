@@ -19,7 +19,7 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
-from desim.kernel.message_size import as_sent
+from desim.kernel.message_body import as_sent
 from desim.kernel.network_state import NetworkState
 from desim.kernel.positions import PositionFunction, as_position_source
 from desim.kernel.propagation import LinkSampler
@@ -117,13 +117,13 @@ class Network(ReceivingNodes):
 
         Args:
             src: the node that publishes.
-            body: its state. All receivers share one object and must not change it; later changes by the sender have no
-                effect, see `desim.kernel.message_size.as_sent`.
+            body: its state. Each receiver gets a copy, unless the body is immutable; later changes by the sender have
+                no effect, see `desim.kernel.message_body.as_sent`.
             size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
 
         Raises:
-            ValueError: if the size is negative or not an integer.
+            ValueError: if the size is not an integer of at least 0, or the body has none, or the body cannot be copied.
         """
         record = self.next_record(src, body, stamp)
         self._transmit(record.src, None, record, size)
@@ -146,20 +146,21 @@ class Network(ReceivingNodes):
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
-        is one that fails the range check (see `Links.range_check`). All receivers share one body and must not change
-        it; later changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
+        is one that fails the range check (see `Links.range_check`). Each receiver gets a copy of the body, unless it is
+        immutable; later changes by the sender have no effect, see `desim.kernel.message_body.as_sent`.
 
         Raises:
-            ValueError: if the receiver is the sender, the size is negative or not an integer, or messages at the port
-                have another transport.
+            ValueError: if the receiver is the sender, the size is not an integer of at least 0, the body has no size or
+                cannot be copied, or messages at the port have another transport.
         """
-        if type(src) is not int or not 0 <= src < self._size:
-            src = self._node(src)
-        if dst is not None and (type(dst) is not int or not 0 <= dst < self._size):
+        src = self._node(src)
+        if dst is not None:
             dst = self._node(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        message = _new(Message, (src, self._env.now, as_sent(body)))
+        sent = as_sent(body)
+        self._inboxes.has_mutable |= sent is not body
+        message = _new(Message, (src, self._env.now, sent))
         if self._is_plain if transport is None else transport.is_plain:
             self._transmit(src, dst, message, size, port)
             return
@@ -167,10 +168,9 @@ class Network(ReceivingNodes):
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
-        if type(src) is not int or not 0 <= src < self._size:
-            src = self._node(src)
+        src = self._node(src)
         self._seq[src] = seq = self._seq[src] + 1
-        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, as_sent(body)))
+        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, self._own(body)))
 
     def overhear(self, listener: Listener) -> None:
         """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""

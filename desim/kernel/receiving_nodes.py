@@ -5,7 +5,7 @@ from typing import Any
 from desim.config.python_numbers import whole
 from desim.kernel.arrivals import Arrivals
 from desim.kernel.inbox import Inbox
-from desim.kernel.message_size import as_sent
+from desim.kernel.message_body import as_sent, own_copy
 from desim.kernel.network_state import NetworkState
 from desim.kernel.records import Record, Table
 
@@ -24,15 +24,18 @@ class ReceivingNodes:
         self._env, self._size = state.env, state.topology.size
         self._records, self._inboxes = state.records, state.inboxes
         self._arrivals, self._first_kept = arrivals, arrivals.kept.first
+        self._has_mutable = False
+        """Whether a record may have a mutable body, of which each reader gets its own copy."""
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
         """Give each node without a record of `src` an initial record, without a message.
 
-        `stamp` is as in `Network.publish`.
+        `body` and `stamp` are as in `Network.publish`.
         """
         if not 0 <= src < self._size:
             raise self._unknown(src)
-        self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
+        stamp = self._env.now if stamp is None else stamp
+        self._records.set_initial_belief(Record(src, 0, stamp, self._own(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record received by other means than `Network.publish` into the table of a node.
@@ -42,7 +45,7 @@ class ReceivingNodes:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
-            self._records.relay(node, record)
+            self._records.relay(node, record._replace(body=self._own(record.body)))
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
@@ -50,7 +53,8 @@ class ReceivingNodes:
             raise self._unknown(node)
         if self._first_kept[node] <= self._env.now:
             self._arrivals.settle_for_reader(node)
-        return self._records.latest_records(node)
+        records = self._records.latest_records(node)
+        return _with_own_bodies(records) if self._has_mutable else records
 
     def matching(self, node: int) -> Table:
         """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
@@ -58,7 +62,8 @@ class ReceivingNodes:
             raise self._unknown(node)
         if self._first_kept[node] <= self._env.now:
             self._arrivals.settle_for_reader(node)
-        return self._records.matching(node)
+        records = self._records.matching(node)
+        return _with_own_bodies(records) if self._has_mutable else records
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
@@ -66,14 +71,24 @@ class ReceivingNodes:
             raise self._unknown(node)
         return self._inboxes.at(port)[node]
 
+    def _own(self, body: Any) -> Any:
+        """Return the body of a record as it is kept: nothing outside changes it later."""
+        kept = as_sent(body)
+        self._has_mutable |= kept is not body
+        return kept
+
     def _forget(self, node: int) -> None:
         """Delete the received records and the unread messages of a node."""
         self._records.forget(node)
         self._inboxes.drain(node)
 
-    def _node(self, node: int) -> int:
-        """Return the id of a node, an integer of any kind, as an `int`; raise ValueError if there is no such node."""
-        number = whole(node, "a node")
+    def _node(self, node: Any) -> int:
+        """Return the id of a node, an integer of any kind, as an `int`.
+
+        Raises:
+            ValueError: if it is not an integer, or there is no such node.
+        """
+        number = node if type(node) is int else whole(node, "a node")
         if not 0 <= number < self._size:
             raise self._unknown(number)
         return number
@@ -81,3 +96,8 @@ class ReceivingNodes:
     def _unknown(self, node: int) -> ValueError:
         """Return the error about a node that does not exist."""
         return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
+
+
+def _with_own_bodies(records: Table) -> Table:
+    """Return records whose reader may change their bodies."""
+    return {src: (arrival, record._replace(body=own_copy(record.body))) for src, (arrival, record) in records.items()}

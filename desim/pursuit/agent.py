@@ -15,6 +15,7 @@ import simpy
 
 from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.inbox import Message
+from desim.kernel.message_body import as_sent
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
@@ -136,7 +137,7 @@ class Agent(Knowledge, Timing):
 
     def broadcast(self) -> None:
         """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
-        self._announced = self._news() if self._announcements.trigger in {"change", "both"} else None
+        self._announced = as_sent(self._news()) if self._announcements.trigger in {"change", "both"} else None
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def _news(self) -> Any:
@@ -146,8 +147,9 @@ class Agent(Knowledge, Timing):
     def set_payload(self, body: Any) -> None:
         """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.
 
-        The attribute `active` of the body should be the action. With the trigger "change" or "both", the body should
-        also have an attribute `news`: `announce` sends the body if `news` differs from that of the last announcement.
+        Each announcement has the content that the body has when it is sent, see `send`. The attribute `active` of the
+        body should be the action. With the trigger "change" or "both", the body should also have an attribute `news`:
+        `announce` sends the body if `news` differs from that of the last announcement.
         """
         self._payload = body
 
@@ -166,13 +168,16 @@ class Agent(Knowledge, Timing):
         """Create its next record, with this body, for a dissemination model that does not use `publish`."""
         return self._voice.next_record(self.id, body, self._clock.stamp)
 
-    def publish(self, body: Any) -> None:
+    def publish(self, body: Any, *, size: int | None = None) -> None:
         """Publish a record to all neighbours; a receiver reads the newest one at its next decision.
 
         Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
-        All receivers share one body, as with `send`.
+        `body` and `size` are as in `send`.
+
+        Raises:
+            ValueError: as `send`, because of the size or the body.
         """
-        self._voice.publish(self.id, body, stamp=self._clock.stamp)
+        self._voice.publish(self.id, body, size, self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
         """Merge records received inside a message into this pursuer's table, which keeps the newest of each source."""
@@ -191,8 +196,9 @@ class Agent(Knowledge, Timing):
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
         Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
-        (`mail`). A body that contains a list, a dict or an array is copied at sending, so later changes have no effect
-        on the message. All receivers get the same object and must not change it.
+        (`mail`). A body may be any object that can be copied. It is copied at sending, and for each receiver, unless it
+        is known to be immutable (`desim.kernel.message_body`): what the sender or a receiver changes later changes no
+        other message, and not the trace.
 
         Args:
             dst: the receiver; None: all neighbours.
@@ -203,8 +209,8 @@ class Agent(Knowledge, Timing):
             size: the size of the message, bytes; None: computed from the body, see `desim.kernel.message_size`.
 
         Raises:
-            ValueError: if the receiver is the sender, there is no such teammate, the size is negative, or messages at
-                the port have another transport.
+            ValueError: if the receiver is the sender, there is no such teammate, the size is not an integer of at least
+                0, the body has no size or cannot be copied, or messages at the port have another transport.
         """
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 

@@ -15,6 +15,7 @@ from desim.config.model import MAX_TIME
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.faults import FaultEnded, FaultStarted, Misbehaviour
+from desim.kernel.message_body import as_sent
 from desim.kernel.message_size import size_of
 from desim.kernel.network import Network
 from desim.kernel.records import Record
@@ -187,7 +188,7 @@ class LyingTeam:
 
     def _remember(self, src: int, body: Any) -> None:
         if src in self._history:
-            self._history[src].append((self._env.now, body))
+            self._history[src].append((self._env.now, as_sent(body)))
 
     def _is_silent(self, pursuer: int) -> bool:
         return any(isinstance(model, Silent) for _, model in self._active[pursuer])

@@ -13,7 +13,7 @@ from desim.kernel.access import Csma
 from desim.kernel.clock import Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inbox, deliver
+from desim.kernel.inbox import Inboxes, Message
 from desim.kernel.latency import Constant
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
@@ -488,15 +488,16 @@ def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_w
 def test_messages_are_read_in_order_of_arrival_however_late_they_are_read(steps):
     """In each step so many ns pass, the box is emptied, and messages leave that arrive so many ns later."""
     clock = Clock()
-    boxes, number, waiting = [Inbox(clock, 0)], 0, []
+    boxes, number, waiting = Inboxes(clock, 1), 0, []
+    (box,) = boxes.at("")
     for pause, delays in [*steps, (20, [])]:
         clock.run(until=clock.now + pause + 1)
         arrived = sorted(letter for letter in waiting if letter[0] <= clock.now)
-        assert boxes[0].drain() == [body for _, body in arrived]
+        assert [message.body for message in box.drain()] == [body for _, body in arrived]
         waiting = [letter for letter in waiting if letter not in arrived]
-        assert boxes[0].in_flight() == len(waiting)
+        assert box.in_flight() == len(waiting)
         for delay in delays:
-            deliver(number, boxes, [0], clock.now + delay, number)
+            boxes.deliver(Message(0, clock.now, number), "", [0], clock.now + delay, number)
             waiting.append((clock.now + delay, number))
             number += 1
     assert not waiting

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.events import Broadcast
+from desim.kernel.events import Broadcast, Sent
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Edges, Ring
 from desim.kernel.latency import Constant, Lognormal
@@ -16,7 +16,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import repeat
-from desim.pursuit.announcements import Announcements, Assignment
+from desim.pursuit.announcements import Announcements, Assignment, records_in
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
 from desim.scenario.players import Evader, Team
@@ -389,3 +389,63 @@ def test_an_evader_that_does_not_exist_is_refused(evader):
     asked = []
     run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
     assert len(asked) == 8
+
+
+class Path:
+    """An announcement that its sender changes in place."""
+
+    def __init__(self):
+        self.active, self.news, self.stops = 0, [0], [1]
+
+
+@pytest.mark.parametrize("dissemination", [OneHop(), Flooding()])
+def test_an_announcement_is_what_it_was_when_it_was_sent(dissemination):
+    """Over a path 0 - 1 - 2: 0 changes it on the way, and 1, which relays it, changes what it has received."""
+    seen = {1: [], 2: []}
+
+    def protocol(me):
+        if me.id == 0:
+            payload = Path()
+            me.set_payload(payload)
+            me.broadcast()
+            yield me.sleep(0.1)
+            payload.stops.append(99)
+        while me.id:
+            yield me.sleep(0.2)
+            for record in me.latest_records().values():
+                if isinstance(record.body, Path):
+                    seen[me.id].append(list(record.body.stops))
+                    record.body.stops.append(me.id)
+        yield me.sleep(99.0)
+
+    result = play(
+        protocol,
+        latency=0.5,
+        announce=Announcements(trigger="change", dissemination=dissemination),
+        network=Links(latency=0.5, graph=Edges.of(nx.path_graph(3))),
+        record=Recording(messages=True),
+        horizon=5.0,
+    )
+    assert seen[1]
+    assert all(stops == [1] for stops in seen[1] + seen[2])
+    assert bool(seen[2]) == (not isinstance(dissemination, OneHop))
+    records = [record for event in result.trace if isinstance(event, Broadcast | Sent) for record in records_in(event)]
+    stops = [record.body.stops for record in records if isinstance(record.body, Path)]
+    assert stops == [[1]] * len(stops)
+    assert len(stops) >= 1 + len(seen[2][:1])
+
+
+def test_news_that_change_in_place_are_announced():
+    def protocol(me):
+        if me.id == 0:
+            payload = Path()
+            me.set_payload(payload)
+            for k in range(3):
+                yield me.sleep(0.1)
+                me.announce()
+                me.announce()
+                payload.news.append(k)
+        yield me.sleep(99.0)
+
+    result = play(protocol, announce=Announcements(trigger="change"), record=Recording(messages=True), horizon=1.0)
+    assert [event.body.news for event in result.trace if isinstance(event, Broadcast)] == [[0], [0, 0], [0, 0, 1]]

@@ -173,6 +173,27 @@ def test_a_replayed_announcement_is_an_old_one():
     assert late != honest[-len(late) :]
 
 
+class Turn:
+    """An announcement that its sender changes in place."""
+
+    def __init__(self):
+        self.active, self.news, self.turns = 0, None, [0]
+
+
+def test_a_replayed_announcement_that_has_changed_since_is_the_old_one():
+    def counting(me):
+        payload = Turn()
+        me.set_payload(payload)
+        for k in range(1, 10):
+            me.broadcast()
+            yield me.sleep(0.1)
+            payload.turns[0] = k
+
+    announce = Announcements(trigger="never")
+    result = go(team(ReplayAttack(node=0, start=0.5, delay=0.3), protocol=counting, announce=announce), 1)
+    assert [body.turns[0] for _, body in said(result, 0, -1)] == [0, 1, 2, 3, 4, 2, 3, 4, 5]
+
+
 def test_a_spoofed_announcement_is_believed_to_be_of_the_victim():
     """Pursuer 5 says in the name of 1 that it chases, and nothing in its own; 1 stays."""
     result = go(team(Spoof(node=5, victim=1, start=0.0, action="chase", phi=0.0)), 1)
