@@ -119,7 +119,7 @@ class LinkLayer:
         See `Network.send`.
 
         Raises:
-            ValueError: if the size is negative.
+            ValueError: if the size is not an integer of at least 0, or the body has none.
         """
         if self._fault_state is not None and self._fault_state.down(src):
             return
@@ -128,10 +128,7 @@ class LinkLayer:
             receivers = self._receivers(src, number)
         else:
             receivers, reachable = [dst], self._departure.reachable(src, dst, number)
-        if size is None:
-            size = size_of(content.body)
-        elif type(size) is not int or size < 0:
-            size = checked_size(size)
+        size = size_of(content.body) if size is None else checked_size(size)
         transmission = _new(
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )

@@ -19,7 +19,7 @@ from desim.config.model import MAX_TIME
 from desim.kernel.clock import Phase
 from desim.kernel.estimates import Estimates
 from desim.kernel.events import Trace, TransportCounts
-from desim.kernel.inbox import Inbox, Message, deliver
+from desim.kernel.inbox import Inbox, Message
 from desim.kernel.message_size import checked_size, size_of
 from desim.kernel.network_state import NetworkState
 from desim.kernel.retransmission import first_timeout
@@ -100,12 +100,10 @@ class TransportLayer:
             transport: how it is carried.
 
         Raises:
-            ValueError: if the size is negative, or messages at this port have another transport.
+            ValueError: if the size is not an integer of at least 0, the body has none, or messages at this port have
+                another transport.
         """
-        if size is None:
-            size = size_of(message.body)
-        elif type(size) is not int or size < 0:
-            size = checked_size(size)
+        size = size_of(message.body) if size is None else checked_size(size)
         if not self._nodes:
             self._start()
         known = self._transports.setdefault(port, transport)
@@ -205,7 +203,7 @@ class TransportLayer:
                 self._log.expire(flow, node, seq)
                 return
         self._log.deliver(flow, node, seq, message, attempt)
-        deliver(message, self._inboxes.at(flow.port), [node], now, next(self._numbers))
+        self._inboxes.deliver(message, flow.port, [node], now, next(self._numbers))
         if transport.deadline < inf:
             self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
 

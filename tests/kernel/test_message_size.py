@@ -1,18 +1,11 @@
 """Bytes of messages."""
 
 from collections import namedtuple
-from copy import deepcopy
 
-import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.clock import Clock
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.message_size import as_sent, size_of
-from desim.kernel.network import Network
-from desim.kernel.units import SECOND
+from desim.kernel.message_size import MAX_SIZE, checked_size, size_of
 
 
 def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():
@@ -57,21 +50,18 @@ def test_the_names_of_a_named_tuple_are_not_sent():
     assert size_of(namedtuple("Word", "active position")(True, (0.0, 1.0))) == 16 + 24
 
 
-@pytest.mark.parametrize("body", [None, 7, "order", (1, (2.0, None)), namedtuple("Word", "active")(True)])
-def test_immutable_bodies_are_sent_without_a_copy(body):
-    assert as_sent(body) is body
+def test_the_size_that_a_sender_tells_is_an_integer():
+    assert [checked_size(each) for each in (0, np.int64(40), np.uint8(7), MAX_SIZE)] == [0, 40, 7, MAX_SIZE]
+    assert type(checked_size(np.int64(40))) is int
 
 
-@pytest.mark.parametrize("way", ["send", "publish", "set_initial_belief"])
-@pytest.mark.parametrize("body", [[1, [2]], {"who": [3]}, (4, [5])])
-def test_a_body_that_is_changed_later_arrives_as_it_was_sent(way, body):
-    """Also if it is changed deep inside, and after it was read: the received body does not change either."""
-    clock, before = Clock(), deepcopy(body)
-    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)))
-    getattr(network, way)(0, *([None] if way == "send" else []), body)
-    inner = next(each for each in (body.values() if isinstance(body, dict) else body) if isinstance(each, list))
-    inner.append("changed on the way")
-    clock.run(until=2 * SECOND)
-    heard = network.inbox(1).drain()[0] if way == "send" else network.latest_records(1)[0][1]
-    inner.append("changed after it came")
-    assert heard.body == before
+@pytest.mark.parametrize("size", [40.0, 40.5, np.float64(40), "40", True, np.True_, None, [40], np.array([4, 0])])
+def test_a_size_that_is_no_integer_is_refused(size):
+    with pytest.raises(ValueError, match="the size of a message should be an integer, the number of its bytes"):
+        checked_size(size)
+
+
+@pytest.mark.parametrize("size", [-1, np.int8(-1), MAX_SIZE + 1])
+def test_a_size_that_no_message_can_have_is_refused(size):
+    with pytest.raises(ValueError, match=r"should be at (least 0|most 281474976710656) bytes"):
+        checked_size(size)
