@@ -19,6 +19,7 @@ from pydantic_core import to_json
 
 from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.events import LOST, Arrival, Body, Broadcast, Count, Event, Nanoseconds, NodeId
+from desim.kernel.message_body import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.units import SECOND, nanoseconds
 
 Limits = Mapping[str, Any]
@@ -119,7 +120,7 @@ def events_of(
         yield event
 
 
-_json = json.JSONEncoder(default=repr).encode
+_json = json.JSONEncoder(default=in_json_types).encode
 _number = float.__repr__
 Conversion = tuple[int, Callable[[Any], str]]
 """The index of a field, and the function that converts its value to JSON."""
@@ -133,7 +134,7 @@ def _line_layout(kind: Any) -> tuple[str, tuple[Conversion, ...]]:
     """
     hints = get_type_hints(kind, include_extras=True)
     parts = [f'"event": {_json(kind.__name__)}', *(f"{_json(name)}: %s" for name in kind._fields)]
-    conversions = [(k, _CONVERSIONS.get(hints[name], _as_json)) for k, name in enumerate(kind._fields)]
+    conversions = [(k, _CONVERSIONS.get(hints[name], value_json)) for k, name in enumerate(kind._fields)]
     return f"{{{', '.join(parts)}}}\n", tuple((k, convert) for k, convert in conversions if convert is not str)
 
 
@@ -155,35 +156,46 @@ def _times_json(times: tuple[int, ...]) -> str:
 
 @lru_cache(maxsize=256)  # a sender often has the same receivers
 def _nodes_json(nodes: tuple[int, ...]) -> str:
-    return to_json(nodes, fallback=repr).decode().replace(",", ", ")  # twice as fast as `json`
+    return to_json(nodes).decode().replace(",", ", ")  # twice as fast as `json`
 
 
-def _as_json(value: Any) -> str:
-    """Return a value as JSON; an object without a JSON form is written as its `repr`, infinity as Infinity."""
+def value_json(value: Any) -> str:
+    """Return a value as JSON; an object without a JSON form is written by its content, infinity as Infinity."""
     if type(value) is int:
         return repr(value)
     return _json(value.plain() if has_plain(value.__class__) else value)
 
 
 def body_json(value: Any) -> str:
-    """Return a body, or another value with named tuples inside, as JSON; an unknown object is written as its `repr`."""
-    return _as_json(value) if has_plain(value.__class__) else _nested(value)
+    """Return a body as JSON; see `desim.kernel.message_body.content`."""
+    return _nested(value.plain() if converts_itself(value.__class__) else value)
 
 
 def _nested(value: Any) -> str:
-    """Return a value as JSON, with named tuples as objects."""
-    if type(value) is int:
-        return repr(value)
-    if isinstance(value, dict):
-        return f"{{{', '.join([f'{_key_json(key)}: {_nested(each)}' for key, each in value.items()])}}}"
-    if isinstance(value, (tuple, list)):
-        keys = _keys_json(value.__class__)
-        if keys is None:
-            return f"[{', '.join(map(_nested, value))}]"
-        return f"{{{', '.join([key + _nested(each) for key, each in zip(keys, value, strict=True)])}}}"
-    if value is True or value is False:
-        return "true" if value else "false"
-    return _number(value) if type(value) is float and isfinite(value) else _json(value)
+    """Return a value as JSON, by its content; announcements take a third of the time of `in_json_types`."""
+    kind: Any = type(value)
+    if kind is int:
+        return _integer(value)
+    if kind is tuple or kind is list:
+        return f"[{', '.join(map(_nested, value))}]"
+    if kind is float:
+        return _number(value) if isfinite(value) else _json(value)
+    if kind in JSON_ATOMS:
+        return _json(value)
+    if kind is Fields:
+        return f"{{{', '.join([f'{_json(name)}: {_nested(each)}' for name, each in value.items()])}}}"
+    keys = _keys_json(kind)
+    if keys is None:
+        return _nested(content(value))
+    return f"{{{', '.join([key + _nested(each) for key, each in zip(keys, value, strict=True)])}}}"
+
+
+def _integer(number: int) -> str:
+    """Return an integer as JSON; one with thousands of digits, which Python refuses to write, as a hexadecimal text."""
+    try:
+        return repr(number)
+    except ValueError:
+        return _json(hex(number))
 
 
 @cache
@@ -191,13 +203,6 @@ def _keys_json(kind: type) -> tuple[str, ...] | None:
     """Return the keys of the JSON objects of a type of named tuples, each with its colon; None for any other type."""
     names = field_names(kind)
     return names and tuple(f"{_json(name)}: " for name in names)
-
-
-def _key_json(key: Any) -> str:
-    """Return the key of a dict as JSON, a string: a key without a JSON form is written as its `repr`."""
-    if isinstance(key, str):
-        return _json(key)
-    return _json(_json(key) if isinstance(key, int | float | None) else repr(key))
 
 
 _CONVERSIONS: Mapping[Any, Callable[[Any], str]] = {
@@ -209,7 +214,7 @@ _CONVERSIONS: Mapping[Any, Callable[[Any], str]] = {
     tuple[NodeId, ...]: _nodes_json,
     Body: body_json,
 }
-"""The function that converts the value of a field to JSON, by the type of the field; for other types, `_as_json`."""
+"""The function that converts the value of a field to JSON, by the type of the field; for other types, `value_json`."""
 
 
 def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:

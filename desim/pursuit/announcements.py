@@ -123,7 +123,7 @@ class Forwarded(NamedTuple):
     """Number of hops that it may still travel, the present one included."""
 
 
-INTEGERS = (int, np.integer)
+INTEGERS = (int, np.integer, np.bool_)
 """The types of an action."""
 
 
@@ -137,12 +137,17 @@ def announced_action(body: Any) -> int | None:
 
 
 def relayed_records(body: Any) -> tuple[Record, ...] | None:
-    """Return `body.records`, the records that a message relays; None if the message is not a relay."""
+    """Return `body.records`, the records that a message relays; None if the message is not a relay.
+
+    The records of a trace that was read from a file have another type, with the same fields.
+    """
     try:
-        records: object = body.records
+        records: Any = body.records
     except AttributeError:
         return None
-    return records if isinstance(records, tuple) else None
+    if not isinstance(records, tuple) or any(getattr(each, "_fields", None) != Record._fields for each in records):
+        return None
+    return records
 
 
 def records_in(event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:

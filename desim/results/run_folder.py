@@ -269,19 +269,21 @@ def _limits(start: Any) -> Limits:
 
 
 def _checked_body(body: Any, size: int, evaders: int) -> Any:
-    """Return the body of a message, a JSON value, after a check of its actions and records.
+    """Return the body of a message, a JSON value, after a check of its action and of its records.
+
+    A body may have an `active` that is no integer, and `records` of another form: a protocol of a user gives them
+    another meaning, and no analysis takes them for an announcement.
 
     Raises:
-        ValueError: if `active` is not an action, or `records` are not records.
+        ValueError: if `active` is an integer but no action, or a record is invalid.
     """
     if not isinstance(body, dict):
         return body
-    if (active := body.get("active")) is not None and not _is_number(active, evaders + 1):
+    if isinstance(active := body.get("active"), int) and not _is_number(active, evaders + 1):
         raise ValueError(f"active should be 0 to {evaders}")
-    if (records := body.get("records")) is not None:
-        for each in records if isinstance(records, list) else [None]:
-            if not isinstance(each, dict) or tuple(each) != Record._fields:
-                raise ValueError(f"records should be tables of {', '.join(Record._fields)}")
+    records = body.get("records")
+    if isinstance(records, list) and all(isinstance(each, dict) and tuple(each) == Record._fields for each in records):
+        for each in records:
             if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "stamp"))):
                 raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and stamp of at least 0")
             _checked_body(each["body"], size, evaders)

@@ -23,6 +23,8 @@ SECTION_HEADER, INTERFACE, PACKET = 0x0A0D0D0A, 1, 6
 """Types of blocks."""
 END, COMMENT, RESOLUTION, APPLICATION = 0, 1, 9, 4
 """Codes of options; the last two are those of the interface and of the section header."""
+MAX_OPTION = 0xFFFF
+"""Size of the longest option, bytes; a longer content has several comments."""
 LINKTYPE_RAW = 101
 """The link type of packets that begin with an IP header."""
 NETWORK = 10 << 24
@@ -66,13 +68,15 @@ def _header() -> bytes:
 
 def _packets(event: Broadcast | Sent) -> Iterator[bytes]:
     """Yield a packet block for each receiver of a transmission."""
-    comment = _option(COMMENT, body_json(event.body).encode()[:0xFFFF]) + _option(END, b"")
+    body = body_json(event.body).encode()
+    parts = [body[start : start + MAX_OPTION] for start in range(0, len(body), MAX_OPTION)]
+    comments = b"".join(_option(COMMENT, part) for part in parts) + _option(END, b"")
     payload = bytes(min(event.size, MAX_PAYLOAD))
     for dst, _ in event.fates():
         data = _headers(event, dst) + payload
         lengths = len(data), HEADERS + event.size
         fields = struct.pack("<IIIII", 0, event.t >> 32, event.t & 0xFFFF_FFFF, *lengths)
-        yield _block(PACKET, fields + _padded(data) + comment)
+        yield _block(PACKET, fields + _padded(data) + comments)
 
 
 def _headers(event: Broadcast | Sent, dst: int) -> bytes:

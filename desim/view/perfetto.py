@@ -19,11 +19,12 @@ from typing import Any
 
 from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
 from desim.analysis.trace_index import ended, messages_recorded, started
-from desim.config.json_numbers import field_names, has_plain, to_json
+from desim.config.json_numbers import to_json
 from desim.config.trust import write_whole
 from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.faults import Crash, Misbehaviour
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.trace_file import body_json
 from desim.kernel.units import SECOND
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
@@ -62,7 +63,7 @@ def trace_events(result: Result) -> list[Entry]:
 
 def perfetto(result: Result) -> str:
     """Return the timeline of a run as JSON text, one event per line; see `trace_events`."""
-    entries = ",\n".join(json.dumps(_as_json(entry), allow_nan=False) for entry in trace_events(result))
+    entries = ",\n".join(json.dumps(to_json(entry), allow_nan=False) for entry in trace_events(result))
     about = {"scenario": result.scenario.name, "seed": result.seed}
     return f'{{"displayTimeUnit": "ms", "otherData": {json.dumps(about)}, "traceEvents": [\n{entries}\n]}}\n'
 
@@ -100,7 +101,7 @@ def _slices(result: Result) -> Iterator[Entry]:
         ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
         name = f"{fault.scope} of {fault.node} down" if isinstance(fault, Crash) else fault.kind
         name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else name
-        yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault})
+        yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault.plain()})
         yield _entry("e", name, TEAM, end, **ends)
 
 
@@ -165,7 +166,7 @@ def _messages(result: Result) -> Iterator[Entry]:
     for each in deliveries(result):
         link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.transmission}.{each.dst}"}
         name, tid = f"{each.src} to {each.dst}", FIRST + size + each.dst
-        says = {"bytes": each.size, "says": each.body}
+        says = {"bytes": each.size, "says": json.loads(body_json(each.body))}
         if each.created < each.left:
             says["waited (s)"] = (each.left - each.created) / SECOND
         fate = f"lost: {each.cause}" if each.cause else "in flight" if each.until > over else "arrived"
@@ -186,18 +187,3 @@ def _microseconds(t: int) -> float | int:
         return t // 1000
     found = t / 1000
     return found if int(found * 1000.0) == t else nextafter(found, inf)
-
-
-def _as_json(value: Any) -> Any:
-    """Return a value in JSON types; a value of unknown type, such as a user's message body, becomes its `repr`."""
-    if isinstance(value, float):
-        return to_json(value)
-    if value is None or isinstance(value, str | int):
-        return value
-    if (names := field_names(value.__class__)) is not None:
-        value = dict(zip(names, value, strict=True))
-    elif has_plain(value.__class__):
-        value = value.plain()
-    if isinstance(value, dict):
-        return {str(key): _as_json(each) for key, each in value.items()}
-    return [_as_json(each) for each in value] if isinstance(value, list | tuple) else repr(value)

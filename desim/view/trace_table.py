@@ -27,7 +27,7 @@ from desim.kernel.events import (
     Retransmitted,
     Sent,
 )
-from desim.kernel.trace_file import body_json
+from desim.kernel.trace_file import body_json, value_json
 from desim.kernel.units import seconds
 from desim.pursuit.events import Sampled, Started
 from desim.results.run_folder import EVENTS
@@ -209,4 +209,6 @@ def _value(name: str, value: Any) -> Any:
         return seconds(value)
     if name in {"to_all", "distrusted"}:
         return int(value)
-    return body_json(value) if name in {"body", "lost_by", "given_up", "fault"} else value
+    if name == "body":
+        return body_json(value)
+    return value_json(value) if name in {"lost_by", "given_up", "fault"} else value

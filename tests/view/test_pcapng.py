@@ -103,8 +103,8 @@ def test_a_message_of_any_size_is_a_packet_of_its_length(tmp_path, size):
     (packet,), seen = packets_of([Sent(5, 0, 0, 1, 9, 5, size, [0.5] * 20_000)], tmp_path)
     assert seen[0][-1] == size
     assert packet[IP].len == (size + HEADERS if size <= MAX_PAYLOAD else 0)
-    assert body_json([0.5] * 20_000).startswith(packet.comment.decode())
-    assert len(packet.comment) == 0xFFFF
+    assert b"".join(packet.comments).decode() == body_json([0.5] * 20_000)
+    assert [len(comment) for comment in packet.comments] == [0xFFFF, 100_000 - 0xFFFF]
 
 
 @pytest.mark.own_trace

@@ -1,0 +1,311 @@
+"""Bodies of all kinds arrive as they were sent, in every way, and are recorded by their content."""
+
+import json
+import subprocess
+import sys
+import threading
+import weakref
+from functools import partial
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.kernel.clock import Clock
+from desim.kernel.events import Broadcast, Delivered, Sent, Trace
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.message_body import MAX_DEPTH, as_sent, content, in_json_types, is_immutable
+from desim.kernel.message_size import HEADER, size, size_of
+from desim.kernel.network import Network
+from desim.kernel.records import Record
+from desim.kernel.trace_file import body_json, events_of, line_of
+from desim.kernel.transport import Coded, Reliable
+from desim.kernel.units import SECOND
+from desim.pursuit.announcements import Forwarded
+from tests.message_bodies import BODIES, IMMUTABLE, MUTABLE, Bid, ByIdentity, Named, Plan, Slotted
+
+each_body = pytest.mark.parametrize("name", BODIES)
+
+
+@each_body
+def test_a_body_is_recorded_by_its_content(name):
+    body, expected, _ = BODIES[name]
+    assert in_json_types(body) == expected
+    assert repr(in_json_types(body)) == repr(expected)
+    assert json.loads(body_json(body)) == expected
+    assert json.loads(body_json([{"x": body}])) == [{"x": expected}]
+
+
+@each_body
+def test_the_size_of_a_body_is_that_of_its_content(name):
+    body, _, expected = BODIES[name]
+    if expected is not None:
+        assert size_of(body) == HEADER + expected
+        assert size_of((body, [body])) == HEADER + 2 * expected
+        return
+    with pytest.raises(ValueError, match=r"an object of type .+ has no size: send it with size="):
+        size_of([body])
+
+
+def test_all_registered_types_are_among_the_bodies():
+    """A kind of content, or of size, that is added later is in the table, and so in all tests of this file."""
+
+    def in_all(value):
+        yield value
+        parts = content(value)
+        for part in parts.values() if isinstance(parts, dict) else parts if isinstance(parts, list) else ():
+            yield from in_all(part)
+
+    bodies = [part for body, *_ in BODIES.values() for part in in_all(body)]
+    for verb in (content, size):
+        used = {verb.dispatch(type(body)) for body in bodies}
+        missing = {kind for kind, way in verb.registry.items() if way not in used}
+        assert missing <= {weakref.ref}, verb
+
+
+@pytest.mark.parametrize("name", IMMUTABLE)
+def test_immutable_bodies_are_sent_without_a_copy(name):
+    body = IMMUTABLE[name][0]
+    assert as_sent(body) is body
+    assert as_sent(nested := (body, frozenset({(body,)}))) is nested
+
+
+@pytest.mark.parametrize("name", MUTABLE)
+def test_other_bodies_are_copied(name):
+    body, expected, _ = MUTABLE[name]
+    for sent in (as_sent(body), as_sent((1, body))[1], as_sent(Named(0, body)).path):
+        assert in_json_types(sent) == expected
+        assert type(sent) is type(body)
+        assert sent is not body
+
+
+def appending(path):
+    path.append(99)
+
+
+def setting(array):
+    array[...] = 99
+
+
+CHANGES = {
+    "list": (lambda: [1], appending),
+    "tuple": (lambda: (4, [1]), lambda body: body[1].append(99)),
+    "named tuple": (lambda: Named(0, [1]), lambda body: body.path.append(99)),
+    "dict": (lambda: {"who": [1]}, lambda body: body["who"].append(99)),
+    "set": (lambda: {1}, lambda body: body.add(99)),
+    "bytearray": (lambda: bytearray(b"a"), appending),
+    "memoryview": (lambda: memoryview(bytearray(2)), lambda body: body.readonly or body.__setitem__(0, 99)),
+    "array": (lambda: np.zeros(2), setting),
+    "view": (
+        lambda: np.broadcast_to(np.zeros(1), (2,)),
+        lambda body: setting(body if body.base is None else body.base),
+    ),
+    "structured scalar": (lambda: np.zeros(1, "i4,f8")[0], lambda body: body.__setitem__("f0", 99)),
+    "series": (lambda: pd.Series([1.0]), lambda body: body.__setitem__(0, 99.0)),
+    "plain object": (lambda: Plan(1), lambda body: body.path.append(99)),
+    "object in slots": (Slotted, lambda body: body.path.append(99)),
+    "dataclass": (lambda: Bid(1, 2.0, [1]), lambda body: setattr(body, "price", 99.0)),
+    "dataclass by identity": (lambda: ByIdentity([1]), lambda body: body.path.append(99)),
+    "tuple of an object": (lambda: (1, Plan(1)), lambda body: body[1].path.append(99)),
+    "frozen set of an object": (lambda: frozenset({Plan(1)}), lambda body: next(iter(body)).path.append(99)),
+    "relayed record": (
+        lambda: Forwarded((Record(0, 1, 0, Plan(1)),)),
+        lambda body: body.records[0].body.path.append(99),
+    ),
+    "partial": (lambda: partial(appending, [1]), lambda body: body()),
+}
+"""By name: a function that creates a body, and one that changes it."""
+WAYS = {
+    "send": lambda network, body: network.send(0, 1, body, size=24),
+    "to all": lambda network, body: network.send(0, None, body, size=24),
+    "publish": lambda network, body: network.publish(0, body, 24),
+    "initial belief": lambda network, body: network.set_initial_belief(0, body),
+    "reliable": lambda network, body: network.send(0, None, body, size=24, transport=Reliable()),
+    "retransmitted": lambda network, body: network.send(0, None, body, size=24, transport=Reliable(timeout=0.6)),
+    "coded": lambda network, body: network.send(0, None, body, size=24, transport=Coded(pieces=4, needed=2)),
+    "relayed": lambda network, body: network.insert(1, Record(0, 7, 0, body)),
+}
+IS_RECORD = {"publish", "initial belief", "relayed"}
+
+
+def received(network, node, way):
+    if way in IS_RECORD:
+        return network.latest_records(node)[0][1].body
+    (message,) = network.inbox(node).drain()
+    return message.body
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_body_arrives_as_it_was_sent(way, name):
+    """Whatever its sender changes on the way and after that, and whatever another receiver changes."""
+    create, change = CHANGES[name]
+    body, before, after = create(), in_json_types(create()), create()
+    change(after)
+    trace, clock = Trace(), Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), trace=trace)
+    WAYS[way](network, body)
+    change(body)
+    if name != "partial":
+        assert in_json_types(after) != before
+    clock.run(until=4 * SECOND)
+    change(body)
+    first = received(network, 1, way)
+    assert in_json_types(first) == before
+    change(first)
+    if way in IS_RECORD:
+        assert in_json_types(received(network, 1, way)) == before
+    if way not in {"send", "relayed"}:
+        assert in_json_types(received(network, 2, way)) == before
+    bodies = [
+        getattr(event.body, "body", event.body) for event in trace if isinstance(event, Broadcast | Sent | Delivered)
+    ]
+    told = [in_json_types(each) for each in bodies if not hasattr(each, "expected")]
+    assert told == [before] * len(told)
+    assert len(told) >= (0 if way in {"initial belief", "relayed"} else 1)
+
+
+class Cell:
+    """Refers to itself."""
+
+    def __init__(self):
+        self.me = self
+
+
+def nested(value, levels):
+    for _ in range(levels):
+        value = (value,)
+    return value
+
+
+def cyclic():
+    body = [1]
+    body.append(body)
+    return body
+
+
+def closure():
+    seen = []
+    return lambda: seen.append(1)
+
+
+def generator():
+    yield
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        (generator(), "a body of type generator cannot be sent: cannot pickle 'generator' object"),
+        ({"a": [generator()]}, "a body of type dict cannot be sent: cannot pickle 'generator' object"),
+        ((1, threading.Lock()), "a body of type tuple cannot be sent: cannot pickle '_thread.lock' object"),
+        ({}.keys(), "a body of type dict_keys cannot be sent: cannot pickle 'dict_keys' object"),
+        (cyclic(), "a body of type list cannot be sent: it is nested more than 100 levels deep, or contains itself"),
+        (Cell(), "a body of type Cell cannot be sent: it is nested more than 100 levels deep, or contains itself"),
+        (nested(1, MAX_DEPTH + 2), "a body of type tuple cannot be sent: it is nested more than 100 levels deep"),
+        (nested([], 5000), "a body of type tuple cannot be sent: it is nested"),
+        (closure(), "a body of type function cannot be sent: the function closure.<locals>.<lambda> refers to objects"),
+        ([].append, "a body of type builtin_function_or_method cannot be sent: the function list.append refers to"),
+        ([weakref.ref(generator)], "a body of type list cannot be sent: a weak reference refers to an object that may"),
+        (pd.Series([[1], [2]]), "a body of type Series cannot be sent: its copies would share a list"),
+    ],
+)
+@pytest.mark.parametrize("way", WAYS)
+def test_what_cannot_be_copied_or_recorded_is_refused_at_sending(way, body, told):
+    network = Network(Clock(), nx.complete_graph(3), trace=Trace())
+    with pytest.raises(ValueError) as refusal:
+        WAYS[way](network, body)
+    assert str(refusal.value).startswith(told)
+
+
+def test_a_body_without_size_needs_one():
+    network = Network(Clock(), nx.complete_graph(3), trace=Trace())
+    for send in (partial(network.send, 0, 1), partial(network.publish, 0)):
+        with pytest.raises(ValueError, match="an object of type function has no size: send it with size="):
+            send(generator)
+        send(generator, size=np.int64(40))
+    network.send(0, 1, generator, size=np.int16(40), transport=Reliable())
+
+
+@pytest.mark.parametrize("body", [cyclic(), nested(1, 5000)])
+def test_a_body_that_contains_itself_has_no_size(body):
+    with pytest.raises(ValueError, match="has no size: it is nested too deeply, or contains itself"):
+        size_of(body)
+
+
+def test_the_nodes_and_the_size_of_a_message_may_be_numbers_of_numpy():
+    trace = Trace()
+    network = Network(Clock(), nx.complete_graph(3), trace=trace)
+    network.send(np.int64(0), np.int64(1), "x", size=np.int64(40))
+    network.publish(np.int8(0), "x", np.uint8(24))
+    for event, expected in zip(trace, (40, 24), strict=True):
+        assert (type(event.src), type(event.size), event.size) == (int, int, expected)
+        json.loads(line_of(event))
+    assert type(trace.events[0].dst) is int
+    for node in (1.0, True, "1", np.float64(1)):
+        with pytest.raises(ValueError, match="a node should be an integer"):
+            network.send(0, node, "x")
+
+
+def test_an_integer_with_thousands_of_digits_is_recorded_in_hexadecimal_digits():
+    assert json.loads(body_json([16**5000])) == ["0x1" + "0" * 5000]
+
+
+def test_a_function_is_sent_as_it_is():
+    def counting():
+        return counting
+
+    assert is_immutable(counting)
+    assert as_sent(counting) is counting
+
+
+SETS = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 5) | st.floats() | st.text(max_size=2) | st.binary(max_size=1),
+    lambda inner: st.frozensets(inner, max_size=3) | st.tuples(inner, inner),
+    max_leaves=6,
+)
+
+
+@given(st.lists(SETS, max_size=6), st.randoms())
+def test_a_set_is_recorded_in_one_order(items, random):
+    """Whatever the order in which it was filled; equal numbers of several types are one item."""
+    items = list({repr(each): each for each in set(items)}.values())
+    shuffled = list(items)
+    random.shuffle(shuffled)
+    assert body_json(set(items)) == body_json(set(shuffled)) == body_json(frozenset(shuffled))
+
+
+@each_body
+def test_a_recorded_body_is_read_again(name):
+    """The text stays the same: a list and a tuple are one, and fields are again fields."""
+    event = Sent(0, 0, 0, 1, 5, 0, 24, BODIES[name][0])
+    (again,) = events_of([line_of(event)], (Sent,))
+    assert line_of(again) == line_of(event)
+
+
+WRITTEN = """
+import numpy as np
+from desim.kernel.trace_file import body_json
+from tests.message_bodies import BODIES
+np.set_printoptions(precision={precision}, threshold={precision})
+for name, (body, *_) in BODIES.items():
+    print(name, body_json(body), body_json({{frozenset({{"a", "b", 1, (2, "c")}}): {{"uav1", "uav2", "uav3"}}}}))
+"""
+
+
+@pytest.mark.slow
+def test_bodies_are_recorded_alike_under_every_hash_seed_and_print_option():
+    def written(seed, precision):
+        program = [sys.executable, "-c", WRITTEN.format(precision=precision)]
+        environment = {"PYTHONHASHSEED": seed, "PYTHONPATH": "."}
+        return subprocess.run(program, env=environment, cwd=Path(__file__).parents[2], check=True, capture_output=True)
+
+    one, other = written("1", 3), written("2", 8)
+    assert one.stdout == other.stdout
+    assert b" at 0x" not in one.stdout
+    assert one.stdout.count(b"\n") == len(BODIES)
