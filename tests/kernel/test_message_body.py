@@ -271,6 +271,7 @@ SETS = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(SETS, max_size=6), st.randoms())
 def test_a_set_is_recorded_in_one_order(items, random):
     """Whatever the order in which it was filled; equal numbers of several types are one item."""
