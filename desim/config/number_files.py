@@ -26,7 +26,7 @@ def number_of(text: str) -> float:
         ValueError: if the text is not a number; the message ends with the reason, if it is known.
     """
     try:
-        if text.isascii() and "_" not in text:
+        if is_plain(text):
             return float(text)
     except ValueError:
         pass
@@ -40,11 +40,16 @@ def integer_of(text: str) -> int:
         ValueError: if the text is not an integer in decimal digits.
     """
     try:
-        if text.isascii() and "_" not in text:
+        if is_plain(text):
             return int(text)
     except ValueError:
         pass
     raise not_a_number(text, "an integer")
+
+
+def is_plain(text: str) -> bool:
+    """Return whether a text lacks what Python takes for parts of numbers, and people do not write."""
+    return text.isascii() and "_" not in text
 
 
 def not_a_number(text: str, what: str = "a number") -> ValueError:
@@ -57,7 +62,7 @@ def hint_of(text: str) -> str:
     cell = text.strip()
     if COMMAS.fullmatch(cell):
         return "; the decimal sign is a point, and thousands have no separator"
-    if OTHER_DIGITS.fullmatch(cell):
+    if OTHER_DIGITS.fullmatch(cell) and not (is_plain(cell) and len(cell.split()) < 2):
         return "; a number has the digits 0 to 9, and nothing between them"
     if WITH_UNIT.fullmatch(cell):
         return "; a number has no unit here"

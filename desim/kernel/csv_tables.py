@@ -10,6 +10,7 @@ its line of the file, so that an error message can name the line.
 import csv
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from io import StringIO
 from itertools import repeat
@@ -17,7 +18,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from desim.config.number_files import number_of, text_of_file
+from desim.config.number_files import is_plain, number_of, text_of_file
 from desim.kernel.ping import ping_table
 
 MAX_CELLS = 20_000_000
@@ -40,11 +41,26 @@ class Cells(NamedTuple):
     columns: dict[str, Sequence[str]]
     """The cells of each column, without the header."""
 
-    def numbers(self, column: str, convert: Callable[[str], Any] = number_of) -> list[Any]:
-        """Return the converted cells of a column; raise ValueError, with the line, at a cell that is not valid."""
+    def numbers(
+        self, column: str, convert: Callable[[str], Any] = number_of, quick: Callable[[str], Any] | None = None
+    ) -> list[Any]:
+        """Return the converted cells of a column.
+
+        Args:
+            column: the name of the column.
+            convert: converts a cell; raises ValueError if it is not valid.
+            quick: does the same in less time for cells of ASCII characters but _, or raises ValueError.
+
+        Raises:
+            ValueError: if a cell is not valid, with its line.
+        """
+        cells = self.columns[column]
+        if quick is not None and is_plain("".join(cells)):  # once for all cells, which takes a third of the time
+            with suppress(ValueError):
+                return list(map(quick, cells))
         converted: list[Any] = []
         try:
-            converted.extend(map(convert, self.columns[column]))
+            converted.extend(map(convert, cells))
         except ValueError as error:
             raise self.error(len(converted), f"{column}: {error}") from error
         return converted

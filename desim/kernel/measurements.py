@@ -19,7 +19,7 @@ import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
-from desim.config.number_files import hint_of, integer_of, not_a_number, number_of
+from desim.config.number_files import hint_of, integer_of, is_plain, not_a_number, number_of
 from desim.kernel.csv_tables import KEPT, Cells, cells_of, select, text_of
 from desim.kernel.units import SECOND
 
@@ -42,8 +42,6 @@ DATE = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 DATE_FORM = "2024-05-17T12:30:00.25Z"
-MAX_DIGITS = 30
-"""A number with more digits before or after its decimal point is no time."""
 YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)
 
 
@@ -128,12 +126,13 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
     """
     try:
         number = Decimal(text)
+        seconds = number if unit == "s" else number / PER_SECOND[unit]
+        is_late = not -LAST_CLOCK <= seconds <= LAST_CLOCK  # with nan, this is an invalid operation
     except InvalidOperation:
         return _seconds_of_date(text.strip())
-    if not number.is_finite() or "_" in text or not text.isascii():
+    if not is_plain(text):
         raise not_a_number(text)
-    seconds = number / PER_SECOND[unit] if abs(number.adjusted()) < MAX_DIGITS else number
-    if abs(seconds) > LAST_CLOCK:
+    if is_late:
         raise ValueError(f"{text!r} is too great for a time in {unit}; numbers since 1970 may be in ms, us or ns")
     return seconds
 
@@ -235,13 +234,17 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
 
 def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:
     """Return the (R,) values, nan where a cell is empty or nan."""
-    values = np.array(cells.numbers(column, number_or_nan))
+    values = np.array(cells.numbers(column, number_or_nan, _float_or_nan))
     is_wrong = (values < meaning.low) | (values > meaning.high)
     if is_wrong.any():
         row = int(is_wrong.argmax())
         bound = f"at least {meaning.low:g}" if values[row] < meaning.low else f"at most {meaning.high:g}"
         raise cells.error(row, f"{meaning.noun} should be {bound} (got {cells.columns[column][row]})")
     return values
+
+
+def _float_or_nan(cell: str) -> float:
+    return float(cell or "nan")
 
 
 def number_or_nan(cell: str) -> float:
@@ -286,7 +289,7 @@ def _nodes(cells: Cells, column: str, names: tuple[str, ...] | None) -> Integers
             return node
 
         return np.array(cells.numbers(column, node_of), dtype=np.int64)
-    nodes = cells.numbers(column, _node_of)
+    nodes = cells.numbers(column, _node_of, int)
     if min(nodes) < 0 or max(nodes) > MAX_NODE:
         row = next(row for row, node in enumerate(nodes) if not 0 <= node <= MAX_NODE)
         raise cells.error(row, f"{column} should be {NODE} (got {cells.columns[column][row]!r})")

@@ -194,7 +194,7 @@ def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
         ('t,value\n0,"1\n', {}, r"rtt\.csv, line 3: unexpected end of data"),
         ("# c\nt,value\n0,1\n\n1,x\n", {}, r"rtt\.csv, line 5: value: 'x' is not a number"),
         ("t,value\n,1\n", {}, r"line 2: t: '' is neither a number nor a date such as 2024-05-17T12:30:00\.25Z"),
-        ("t,value\nnan,1\n", {}, r"line 2: t: 'nan' is not a number"),
+        ("t,value\nnan,1\n", {}, r"line 2: t: 'nan' is neither a number nor a date"),
         ("t,value\n1e99,1\n", {}, r"line 2: t: '1e99' is too great for a time in s"),
         ("t,value\n0,1\n2e9,1\n", {}, r"line 3: t should be at most 1e\+09 s after the earliest time"),
         ("t,value\n0,-3\n", {}, r"line 2: a latency should be at least 0 \(got -3\)"),
