@@ -162,7 +162,8 @@ class CodedOneHop(Coded):
 
 def send_record(me: Agent, announcement: Any, transport: Transport) -> None:
     """Send an announcement to all neighbours as a record; its bytes are those of the announcement and the transport."""
-    me.send(None, Forwarded((me.record(announcement),)), PORT, transport=transport, size=size_of(announcement))
+    record = me.record(announcement)  # of a liar, not with this announcement
+    me.send(None, Forwarded((record,)), PORT, transport=transport, size=size_of(record.body))
 
 
 def merge_all(me: Agent) -> Process:

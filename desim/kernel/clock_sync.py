@@ -13,7 +13,7 @@ carry an old stamp. The radio reads t1 and t3 as a transmission begins (hardware
 waiting for a busy channel or a slot is no error; request and answer have the same size, and so the same airtime.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 from typing import Annotated, Literal, NamedTuple
@@ -95,6 +95,7 @@ class Synchroniser:
         model: the parameters.
         seed: the seed of the random phases of the requests.
         trace: receives the corrections; None if they are not needed.
+        send: sends the messages; None: the network.
     """
 
     def __init__(
@@ -105,7 +106,9 @@ class Synchroniser:
         model: TwoWay,
         seed: int,
         trace: Trace | None = None,
+        send: Callable[..., None] | None = None,
     ):
+        self._send_message = send or network.send
         self._env, self._network, self._clocks, self._model, self._trace = env, network, clocks, model, trace
         self._offsets: list[list[int]] = [[] for _ in clocks]
         """The offsets of the reference, ns, that each node has measured since its last correction."""
@@ -129,7 +132,7 @@ class Synchroniser:
         self._timers[node].set(self._env.now + self._clocks[node].span(self._model.interval))
 
     def _send(self, src: int, dst: int, body: TimeRequest | TimeAnswer) -> None:
-        self._network.send(src, dst, body, port=PORT, size=SIZE, transport=BEST_EFFORT)
+        self._send_message(src, dst, body, port=PORT, size=SIZE, transport=BEST_EFFORT)
 
     def _stamp(self, content: Record | Message, _: int) -> None:
         """Read the clock of the sender of a request or an answer, whose transmission begins."""
@@ -171,8 +174,14 @@ class Synchroniser:
 
 
 def synchronise(
-    env: Clock, network: Network, clocks: Sequence[NodeClock], model: ClockSync, seed: int, trace: Trace | None = None
+    env: Clock,
+    network: Network,
+    clocks: Sequence[NodeClock],
+    model: ClockSync,
+    seed: int,
+    trace: Trace | None = None,
+    send: Callable[..., None] | None = None,
 ) -> None:
     """Start the synchronisation of the clocks of a network; see `Synchroniser`."""
     if isinstance(model, TwoWay):
-        Synchroniser(env, network, clocks, model, seed, trace)
+        Synchroniser(env, network, clocks, model, seed, trace, send)

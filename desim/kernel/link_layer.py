@@ -113,7 +113,15 @@ class LinkLayer:
 
     # The steps of a transmission.
 
-    def transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
+    def transmit(
+        self,
+        src: int,
+        dst: int | None,
+        content: Record | Message,
+        size: int | None,
+        port: str = "",
+        only: Collection[int] | None = None,
+    ) -> None:
         """Start a new transmission, or queue it if the transmitter is busy; do nothing if the sender's radio is down.
 
         See `Network.send`.
@@ -126,6 +134,8 @@ class LinkLayer:
         number, reachable = next(self._numbers), True
         if dst is None:
             receivers = self._receivers(src, number)
+            if only is not None:
+                receivers = [node for node in receivers if node in only]
         else:
             receivers, reachable = [dst], self._departure.reachable(src, dst, number)
         size = size_of(content.body) if size is None else checked_size(size)

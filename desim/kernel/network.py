@@ -9,7 +9,7 @@ busy transmitter, to decide losses on arrival, and to wake processes. A read in 
 (`desim.kernel.clock.Phase`), or in a later phase, takes into account every arrival up to and including that instant.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.clock import Clock, NodeClock
@@ -137,12 +137,15 @@ class Network(ReceivingNodes):
         port: str = "",
         size: int | None = None,
         transport: Transport | None = None,
+        only: Collection[int] | None = None,
     ) -> None:
         """Send a message to one node, or to all neighbours (None); its arrival wakes the processes that wait for it.
 
         The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
         transport, which may retransmit it (`desim.kernel.transport`); None: that of the links (`Links.transport`). All
-        messages at a port should have the same transport.
+        messages at a port should have the same transport. `only` restricts a message to all neighbours to some of them:
+        it is transmitted as any broadcast, and all others ignore it; a transport that needs acknowledgements sends it
+        to each of them.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
@@ -162,9 +165,13 @@ class Network(ReceivingNodes):
         self._inboxes.has_mutable |= sent is not body
         message = _new(Message, (src, self._env.now, sent))
         if self._is_plain if transport is None else transport.is_plain:
-            self._transmit(src, dst, message, size, port)
+            self._transmit(src, dst, message, size, port, only)
             return
-        self._transport_layer.send(src, dst, message, port, size, transport or self._transport)
+        receivers: Sequence[int | None] = [dst]
+        if only is not None:
+            receivers = [node for node in self.topology.neighbours(src).tolist() if node in only]
+        for receiver in receivers:
+            self._transport_layer.send(src, receiver, message, port, size, transport or self._transport)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""

@@ -6,7 +6,7 @@ beliefs and motion are not changed, except that with `acts = "stay"` it does not
 these models in a run.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
@@ -54,7 +54,6 @@ class Speaker:
     Attributes:
         id: the pursuer.
         view: its view of the world.
-        payload: the class of its standard announcements.
         seed: the seed of the run.
         rng: the random stream of its lies.
         now: the time, ns.
@@ -63,7 +62,6 @@ class Speaker:
 
     id: int
     view: View
-    payload: type[Announcement]
     seed: int
     rng: np.random.Generator
     now: int
@@ -134,8 +132,8 @@ class ByzantineFault(Window):
         """Return what a pursuer announces in place of `body`: the pursuer in whose name, and the body."""
         return me.id, body
 
-    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> dict[int, Any] | None:
-        """Return the body for each neighbour; None if all get the same."""
+    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]] | None:
+        """Return each body that a pursuer announces, with the neighbours that it tells so; None if all get the same."""
         return None
 
     def drops(self, me: Speaker) -> bool:
@@ -143,7 +141,7 @@ class ByzantineFault(Window):
         return False
 
     def accuses(self) -> Accusation | None:
-        """Return the accusation that a pursuer sends with each announcement; None: none."""
+        """Return the accusation that a pursuer sends in place of its own, once per `Trust.period`; None: its own."""
         return None
 
 
@@ -217,24 +215,26 @@ class Spoof(FalseAnnouncements):
         if victim is None:
             victim = (me.id + int(me.rng.integers(1, size))) % size if size > 1 else me.id
         other = replace(me, id=victim)
-        if not isinstance(body, Falsifiable):
-            body = me.payload.announced_by(victim, me.view)
+        if isinstance(body, Announcement):
+            body = type(body).announced_by(victim, me.view)
         return victim, self.falsified(other, body, other.action(self.action))
 
 
 class Equivocate(FalseAnnouncements):
     """A pursuer tells some neighbours that it chases, and the others that it stays.
 
-    Each neighbour gets a message of its own. Which of the two it is told is drawn once per seed.
+    It broadcasts two messages, and each neighbour heeds one of them. Which of the two is drawn once per seed.
     """
 
     kind: Literal["equivocate"] = "equivocate"
 
-    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> dict[int, Any] | None:
-        """Return the body for each neighbour."""
-        chase, stay = (self.falsified(me, body, me.action(each)) for each in CHASE_OR_STAY)
+    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]]:
+        """Return the two bodies, each with the neighbours that it tells so."""
+        chase, stay = (self.falsified(me, body, me.action(says)) for says in CHASE_OR_STAY)
         drawn = pair_uniform(me.seed, "equivocation", me.id, np.array(neighbours, int), symmetric=False).tolist()
-        return {j: chase if each < 0.5 else stay for j, each in zip(neighbours, drawn, strict=True)}
+        told_so = {j for j, draw in zip(neighbours, drawn, strict=True) if draw < 0.5}
+        versions = (told_so, chase), (set(neighbours) - told_so, stay)
+        return [(told, version) for told, version in versions if told]
 
 
 class ReplayAttack(ByzantineFault):
@@ -264,7 +264,7 @@ class Selective(ByzantineFault):
 
 
 class Slander(ByzantineFault):
-    """A pursuer accuses honest teammates with each of its announcements (`announce.trust` "accusations")."""
+    """A pursuer accuses honest teammates whenever it could accuse others (`announce.trust` "accusations")."""
 
     kind: Literal["slander"] = "slander"
     accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]

@@ -5,9 +5,9 @@ An agent sends through a `Voice`, which in an honest team is the network (`desim
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import simpy
 
@@ -20,19 +20,31 @@ from desim.kernel.message_size import size_of
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
-from desim.kernel.transport import Transport
+from desim.kernel.transport import BestEffort, Transport
 from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import PAYLOADS, Announcements, Forwarded, relayed_records
+from desim.pursuit.announcements import Forwarded, relayed_records
 from desim.pursuit.lies import ByzantineFault, ReplayAttack, Silent, Speaker
 from desim.pursuit.trust import PORT as ACCUSATIONS
+from desim.pursuit.trust import Accusation
 from desim.pursuit.views import View
 
 PORT = "forged announcements"
 """The port at which announcements arrive that are not broadcast in the name of their sender."""
+AS_PUBLISHED = BestEffort()
+"""The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
 Lie = tuple[Misbehaviour, ByzantineFault]
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
+
+
+class _Version(NamedTuple):
+    """A body, and the receiver or receivers of the message that contains it."""
+
+    dst: int | None
+    """None: all neighbours, or `only` those."""
+    only: Collection[int] | None
+    body: Any
 
 
 class LyingTeam:
@@ -42,7 +54,6 @@ class LyingTeam:
         env: the clock of the simulation.
         network: the network that carries all messages.
         views: (N,) the view of each pursuer.
-        announcements: the content of announcements.
         seed: the seed of the run.
         set_action: sets the action of a pursuer in the world.
         lies: the Byzantine faults; see `desim.pursuit.lies.draw_lies`.
@@ -54,14 +65,13 @@ class LyingTeam:
         env: Clock,
         network: Network,
         views: Sequence[View],
-        announcements: Announcements,
         seed: int,
         set_action: SetAction,
         lies: Sequence[Lie],
         trace: Trace,
     ):
         self._env, self._network, self._views, self._trace = env, network, views, trace
-        self._payload, self._seed, self._set_action = PAYLOADS[announcements.payload], seed, set_action
+        self._seed, self._set_action = seed, set_action
         self._active: defaultdict[int, list[Lie]] = defaultdict(list)
         self._rng = {one.node: stream(seed, "words", one.node) for one, _ in lies}
         replaying = {one.node for one, model in lies if isinstance(model, ReplayAttack)}
@@ -80,24 +90,21 @@ class LyingTeam:
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of a pursuer, or what it says instead."""
         self._remember(src, body)
-        self._accuse(src)
         if not self._active[src]:
             self._network.publish(src, body, size, stamp)
         elif not self._is_silent(src):
             name, said = self._says(src, body)
             told = self._says_to(src, said)
-            if told is not None:
-                for dst, each in told.items():
-                    self._forge(src, dst, name, each, stamp)
-            elif name == src:
+            if told is None and name == src:
                 self._network.publish(src, said, size, stamp)
             else:
-                self._forge(src, None, name, said, stamp)
+                record = self._network.next_record(name, said, stamp)
+                for only, version in [(None, said)] if told is None else told:
+                    self._forge(src, only, record._replace(body=version), size)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a pursuer, or of the teammate in whose name it speaks."""
         self._remember(src, body)
-        self._accuse(src)
         name, said = self._says(src, body) if self._active[src] else (src, body)
         return self._network.next_record(name, said, stamp)
 
@@ -112,12 +119,25 @@ class LyingTeam:
         transport: Transport | None = None,
     ) -> None:
         """Send a message of a pursuer, or what it sends instead."""
-        for to, said in self._messages(src, dst, body) if self._active[src] else [(dst, body)]:
-            self._network.send(src, to, said, port=port, size=size, transport=transport)
+        for to, only, said in self._messages(src, dst, body) if self._active[src] else [_Version(dst, None, body)]:
+            self._network.send(src, to, said, port=port, size=size, transport=transport, only=only)
 
     def unless_silent(self, pursuer: int, act: Callable[[], object]) -> Callable[[], object]:
         """Return a function that calls another one unless the pursuer is silent."""
         return lambda: None if self._is_silent(pursuer) else act()
+
+    def accusing(self, pursuer: int, report: Callable[[], object]) -> Callable[[], object]:
+        """Return a function that sends the false accusations of a pursuer or, without any, calls `report`."""
+
+        def act() -> None:
+            accusations = [model.accuses() for _, model in self._active[pursuer]]
+            accused = {suspect for each in accusations if each is not None for suspect in each.accused}
+            if accused:
+                self.send(pursuer, None, Accusation(tuple(sorted(accused))), port=ACCUSATIONS)
+            else:
+                report()
+
+        return act
 
     def receive(self, agent: Agent) -> Process:
         """Merge the records in forged announcements that an agent receives."""
@@ -135,14 +155,14 @@ class LyingTeam:
             name, body = model.says(self._speaker(src), body)
         return name, body
 
-    def _says_to(self, src: int, body: Any) -> dict[int, Any] | None:
-        """Return the body that a pursuer announces to each neighbour; None if all get the same."""
-        neighbours = self._network.topology.neighbours(src).tolist()
-        told = (model.says_to(self._speaker(src), body, neighbours) for _, model in self._active[src])
-        return next((each for each in told if each is not None), None)
+    def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
+        """Return each body that a pursuer announces, with the nodes that it tells so; None if all get the same."""
+        linked = self._network.topology.linked(src)
+        told = (model.says_to(self._speaker(src), body, linked) for _, model in self._active[src])
+        return next((versions for versions in told if versions is not None), None)
 
-    def _messages(self, src: int, dst: int | None, body: Any) -> Iterator[tuple[int | None, Any]]:
-        """Yield the receiver and the body of each message that a pursuer sends in place of one."""
+    def _messages(self, src: int, dst: int | None, body: Any) -> Iterator[_Version]:
+        """Yield each message that a pursuer sends in place of one."""
         if self._is_silent(src):
             return
         records = relayed_records(body)
@@ -152,12 +172,12 @@ class LyingTeam:
         own = next((record for record in relayed_records(body) or () if record.src == src), None)
         told = None if own is None else self._says_to(src, own.body)
         if own is None or told is None:
-            yield dst, body
+            yield _Version(dst, None, body)
             return
-        for to, said in told.items():
-            if dst in {None, to}:
-                mine = own._replace(body=said)
-                yield to, body._replace(records=tuple(mine if each is own else each for each in body.records))
+        for only, said in told:
+            if dst is None or dst in only:
+                records = tuple(own._replace(body=said) if each is own else each for each in body.records)
+                yield _Version(dst, only if dst is None else None, body._replace(records=records))
 
     def _forwarded(self, src: int, body: Any, records: tuple[Record, ...]) -> Any:
         """Return a message without the records of others that a pursuer withholds; None if nothing is left.
@@ -170,21 +190,14 @@ class LyingTeam:
         kept = tuple(record for record in records if record.src == src or not self._drops(src))
         return body._replace(records=kept) if kept else None
 
-    def _forge(self, src: int, dst: int | None, name: int, body: Any, stamp: int | None) -> None:
-        """Send an announcement as a message, with a record in the name of any pursuer."""
-        record = self._network.next_record(name, body, stamp)
-        self._network.send(src, dst, Forwarded((record,)), port=PORT, size=size_of(body))
-
-    def _accuse(self, src: int) -> None:
-        """Send the false accusations of a pursuer."""
-        for _, model in self._active[src]:
-            accusation = model.accuses()
-            if accusation is not None:
-                self._network.send(src, None, accusation, port=ACCUSATIONS)
+    def _forge(self, src: int, only: Collection[int] | None, record: Record, size: int | None) -> None:
+        """Broadcast a record in the name of any pursuer, as the network broadcasts those that are published."""
+        size = size_of(record.body) if size is None else size
+        self._network.send(src, None, Forwarded((record,)), port=PORT, size=size, transport=AS_PUBLISHED, only=only)
 
     def _speaker(self, src: int) -> Speaker:
         history = self._history.get(src, ())
-        return Speaker(src, self._views[src], self._payload, self._seed, self._rng[src], self._env.now, history)
+        return Speaker(src, self._views[src], self._seed, self._rng[src], self._env.now, history)
 
     def _remember(self, src: int, body: Any) -> None:
         if src in self._history:

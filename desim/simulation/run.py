@@ -181,8 +181,6 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         predicate=announced_action,
         clocks=clocks,
     )
-    if scenario.protocol_traits.embodied:
-        synchronise(env, network, clocks, scenario.clocks.sync, seed, trace)
     sensor = _sensor(scenario, state, network, clocks, env, seed)
     views: Sequence[View] = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)
@@ -191,9 +189,11 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     lies = draw_lies(scenario.fault, state.size, scenario.horizon, seed)
     liars = None
     if lies:
-        liars = LyingTeam(env, network, views, scenario.announce, seed, world.set_action, lies, trace)
+        liars = LyingTeam(env, network, views, seed, world.set_action, lies, trace)
     global_state = GlobalState(state, scenario.prune, world.set_action if liars is None else liars.set_action)
     step, voice = nanoseconds(scenario.motion.step), liars or network
+    if scenario.protocol_traits.embodied:
+        synchronise(env, network, clocks, scenario.clocks.sync, seed, trace, voice.send)
     agents, judges = [], []
     for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True)):
         judges.append(scenario.announce.trust.judge(Witness(pursuer, view, clock, network, voice, step, trace)))
@@ -300,7 +300,8 @@ class _Team:
                 env.process(self._liars.receive(agent))
             judge, interval = self._judges[pursuer], announce.trust.period
             if judge is not None and interval is not None:
-                env.process(repeat(agent, judge.report, interval, "accusations"))
+                accuse = judge.report if self._liars is None else self._liars.accusing(pursuer, judge.report)
+                env.process(repeat(agent, accuse, interval, "accusations"))
 
     def crashed(self, crash: Crash) -> None:
         """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""

@@ -7,12 +7,17 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.invariants import watched
-from desim.kernel.events import Broadcast, Sent
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted
+from desim.kernel.access import CsmaCa
+from desim.kernel.clock_sync import TimeRequest, TwoWay
+from desim.kernel.events import Broadcast, MessageCounts, Sent, TransportCounts
+from desim.kernel.faults import ClockSkew, Crash, FaultEnded, FaultStarted
+from desim.kernel.latency import Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
+from desim.kernel.transport import Coded, Reliable
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, Announcements, records_in
+from desim.pursuit.announcements import DISSEMINATIONS, Announcements, LocatedAssignment, records_in
 from desim.pursuit.capture import capture_time, least_capture_time
 from desim.pursuit.events import Decided
 from desim.pursuit.falsehoods import (
@@ -36,14 +41,16 @@ from desim.pursuit.lies import (
     Spoof,
     draw_lies,
 )
+from desim.pursuit.trust import Accusation, Accusations, Plausible
 from desim.scenario.players import Team
-from desim.scenario.scenario import PROTOCOLS, Recording
+from desim.scenario.scenario import PROTOCOLS, Clocks, Recording
 from protocols.cbaa import CBAA, Claim
 from protocols.cbba import CBBA
 from protocols.dissemination import Flooding, Gossip
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
+from protocols.server import Server
 from protocols.token import TokenRing
 
 POISSON = Poisson(rate=5.0)
@@ -71,6 +78,10 @@ def said(result, src, begin=0, end=inf):
     """Return the records that a pursuer sends itself, in a window of time (ns): (source, body)."""
     sent = [event for event in result.trace if isinstance(event, Broadcast | Sent) and event.src == src]
     return [(each.src, each.body) for event in sent if begin < event.t <= end for each in records_in(event)]
+
+
+def _sent(result):
+    return [event for event in result.trace if isinstance(event, Broadcast | Sent)]
 
 
 def positions(result):
@@ -284,6 +295,91 @@ def test_a_false_claim_withdraws_other_bids_of_the_liar():
     assert claim.falsified(3, 2, 0.5) == Claim(2, (-1, 3), (-inf, -0.5))
     assert claim.falsified(3, 0, inf) == Claim(0, (-1, 7), (-inf, -1.0))
     assert (claim.phi(3), claim.phi(7)) == (2.0, inf)
+
+
+# The way it is said.
+
+
+WAYS = {
+    "unlimited": Links(loss=Bernoulli(p=0.5)),
+    "reliable": Links(loss=Bernoulli(p=0.5), transport=Reliable()),
+    "coded": Links(loss=Bernoulli(p=0.5), transport=Coded(pieces=3)),
+    "csma_ca": Links(medium=Bitrate(bitrate=1e6, access=CsmaCa()), loss=Bernoulli(p=0.5)),
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("network", WAYS.values(), ids=WAYS)
+def test_every_lie_is_sent_in_the_way_of_the_honest(network):
+    """Of as many bytes, as often, and never repeated: only silence is less, and equivocation two broadcasts."""
+    announce = Announcements(payload="time", trigger="heartbeat", heartbeat=0.1, jitter=0.5)
+
+    def sent(*faults):
+        """Return the number of transmissions, and the sizes of the messages of pursuer 2."""
+        result = go(team(*faults, network=network, announce=announce), 1)
+        messages = [event for event in _sent(result) if event.src == 2]
+        assert not result.trace.of(TransportCounts)
+        (counts,) = result.trace.of(MessageCounts)
+        return counts.transmissions, counts.sent, {event.size for event in messages}, len({m[1] for m in messages})
+
+    transmissions, messages, sizes, own = sent()
+    assert 8 <= own <= 12
+    for model in LIES:
+        expected = transmissions, messages, sizes, own
+        if model is Silent:
+            expected = transmissions - own, messages - 5 * own, set(), 0
+        if model is Equivocate:
+            expected = transmissions + own, messages, sizes, 2 * own
+        assert sent(model(node=2, start=0.0, **_needed(model))) == expected, model
+
+
+def test_a_forged_announcement_is_heard_as_often_as_an_honest_one():
+    """The same draws of losses and latencies decide on it: it arrives where and when the honest one would."""
+    network = Links(loss=Bernoulli(p=0.5), latency=Lognormal(mean=0.01, cv=0.5), transport=Reliable())
+    announce = Announcements(payload="time", trigger="heartbeat")
+
+    def arrivals(*faults):
+        result = go(team(*faults, network=network, announce=announce), 1)
+        sent = [event for event in _sent(result) if event.src == 2]
+        return [(event.t, *fate) for event in sent for fate in event.fates()]
+
+    assert arrivals(Spoof(node=2, start=0.0)) == arrivals()
+
+
+def test_an_equivocating_pursuer_numbers_an_announcement_once():
+    """Both versions have the number of the announcement, as a broadcast has one, and reach all neighbours."""
+    result = go(team(Equivocate(node=0, start=0.0, phi=0.0)), 2)
+    told = {}
+    for event in result.trace.of(Sent):
+        for record in records_in(event):
+            if event.src == 0:
+                told.setdefault(record.seq, []).append(event.dst)
+    assert list(told) == list(range(1, len(told) + 1))
+    assert all(sorted(receivers) == [1, 2, 3, 4, 5] for receivers in told.values())
+
+
+def test_false_accusations_are_sent_as_often_as_true_ones():
+    """Once per interval of the trust, and not with each announcement; nothing where nobody reads accusations."""
+    slander = Slander(node=0, start=0.0, accused=(5,))
+    for trust, times in ((Accusations(interval=0.25), 4), (Plausible(), 0)):
+        result = go(team(slander, announce=Announcements(heartbeat=0.05, trust=trust)), 1)
+        sent = {event.t for event in result.trace.of(Sent) if isinstance(event.body, Accusation)}
+        assert len(sent) == times
+
+
+def test_a_silent_pursuer_does_not_ask_for_the_time():
+    sync = Clocks(sync=TwoWay(interval=0.05))
+    result = go(team(Silent(node=3, start=0.5), ClockSkew(offset=0.1), clocks=sync), 1)
+    asked = {event.src for event in result.trace.of(Sent) if event.t > HALF and isinstance(event.body, TimeRequest)}
+    assert asked == {1, 2, 4, 5}
+
+
+def test_a_spoofed_report_to_a_server_is_a_report():
+    """It has the position of the victim, also if the payload of announcements has none."""
+    result = go(team(Spoof(node=5, victim=1, start=0.0), payload="action", protocol=Server()), 1)
+    reports = [(src, body) for src, body in said(result, 5)]
+    assert {src for src, _ in reports} == {1}
+    assert {type(body) for _, body in reports} == {LocatedAssignment}
 
 
 # Who lies, and when.
