@@ -32,6 +32,7 @@ Robust to loss: yes. Reports and orders are repeated every period, and an order 
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from math import inf
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
@@ -145,15 +146,17 @@ class Server(Value):
         # In a static world the time left is constant, so an order takes effect without a loss of time.
         static = me.time_left(delay) == me.time_left()
         effect = now if static else nanoseconds(me.now + delay)
-        phi = []
+        phi: list[dict[int, float]] = []
         for evader in range(1, me.evader_count + 1):
             known = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
             for j in orders.keys() & known.keys():
                 times[j] = known[j].capture_time + seconds(idle(known[j].active, orders[j], evader, now, effect))
-            ids = sorted(times)
-            phi.append([times[j] for j in ids])
-        chasers = {evader: ids[row] for row, evader in matching(phi, me.time_left()).items()}
+            phi.append(times)
+        # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
+        ids = sorted(set().union(*phi))
+        rows = [[times.get(j, inf) for j in ids] for times in phi]
+        chasers = {evader: ids[row] for row, evader in matching(rows, me.time_left()).items()}
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
 
 

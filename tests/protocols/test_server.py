@@ -1,7 +1,12 @@
 """The central server: its round trip, orders that are lost or overtaken, and what happens without it."""
 
+from itertools import product
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.kernel.access import Tdma
@@ -15,6 +20,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.seeds import stream
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
+from desim.pursuit.beliefs import Belief
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Started
 from desim.pursuit.game import relay_profile
@@ -433,3 +439,49 @@ def test_the_host_waits_for_the_reports_of_the_first_round_of_a_tdma():
     result = run(static(Server(), count=3, network=Links(medium=medium)), 0)
     numbers = [each.body.number for each in result.trace.of(Sent) if isinstance(each.body, Order)]
     assert min(numbers) >= SECOND
+
+
+# Trust.
+
+
+@st.composite
+def judged(draw):
+    """Draw the capture times, s, that a server believes, by evader and pursuer; the server itself is pursuer 0."""
+    count, evaders = draw(st.integers(1, 4)), draw(st.integers(1, 3))
+    times = st.floats(0.1, 20.0)
+    return [{j: draw(times) for j in range(count) if j == 0 or draw(st.integers(0, 2))} for _ in range(evaders)]
+
+
+@given(judged())
+@settings(max_examples=60)
+def test_orders_go_to_the_best_of_the_pursuers_that_are_trusted_for_each_evader(believed):
+    """By enumeration of all matchings. The trust in a pursuer may differ by evader, so the lists of ids do, too."""
+
+    def beliefs(period, evader, orders):
+        return {j: Belief(0, time) for j, time in believed[evader - 1].items() if j}
+
+    host = SimpleNamespace(
+        id=0,
+        now=0.0,
+        evader_count=len(believed),
+        beliefs=beliefs,
+        capture_time=lambda evader: believed[evader - 1][0],
+        time_left=lambda ahead=0.0: 10.0,
+    )
+    chasers = Server()._chasers(host, {j: [] for j in range(1, 4)}, 0.0)
+    assert all(j is None or j in believed[k] for k, j in enumerate(chasers))
+    assert len({j for j in chasers if j is not None}) == sum(j is not None for j in chasers)
+
+    def worth(choice):
+        return sum(10.0 - believed[k][j] for k, j in enumerate(choice) if j is not None)
+
+    options = [[None, *(j for j, time in each.items() if time < 10.0)] for each in believed]
+    valid = (each for each in product(*options) if len(set(each) - {None}) == len(each) - each.count(None))
+    assert worth(chasers) == pytest.approx(max(map(worth, valid)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 8, 12])
+def test_a_server_with_trust_and_several_evaders_decides_to_the_end(seed):
+    given = {"team": Team(count=8), "evader": Evader(count=2), "announce": {"trust": "trimmed"}}
+    assert orders(run(Scenario(protocol=Server(), horizon=4.0, record=Recording(messages=True), **given), seed))
