@@ -21,6 +21,10 @@ PORT = "accusations"
 """The port at which accusations arrive."""
 
 
+INITIAL_REPUTATION = 0.5
+"""The reputation of a teammate without evidence."""
+
+
 class Accusation(NamedTuple):
     """The teammates that a pursuer has evidence against."""
 
@@ -191,7 +195,7 @@ class Reputation(_Observing):
     """
 
     kind: Literal["reputation"] = "reputation"
-    threshold: Probability = 0.5
+    threshold: Probability = INITIAL_REPUTATION
     """Least reputation that is believed, in [0, 1]; without evidence it is 1/2."""
     decay_time: Duration = 10.0
     """Time in which the weight of an announcement decays to 1/e, s."""

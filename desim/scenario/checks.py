@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from desim.config.choice import choices_of
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.config.traits import inherits
 from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
@@ -23,10 +24,11 @@ from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
 from desim.kernel.units import nanoseconds
-from desim.pursuit.lies import ByzantineFault, FalseAnnouncements, Liar, Selective, Silent, Slander
+from desim.pursuit.announcements import DISSEMINATIONS
+from desim.pursuit.lies import ByzantineFault, FalseAnnouncements, Liar, RandomLies, Selective, Silent, Slander
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import DisseminationTraits
-from desim.pursuit.trust import Accusations, Credulous, Trimmed, tolerated_liars
+from desim.pursuit.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
 
@@ -200,8 +202,8 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
 
 def _senses_instead(scenario: Scenario) -> bool:
     """Return whether pursuers need no announcements, because they sense what they would announce."""
-    needs_none = scenario.protocol_traits.announces == "unseen" and not scenario.announces
-    return needs_none and scenario.schedule_traits.spreads_to is None
+    needs_none = scenario.protocol_traits.announces == "unseen" and _tells_nothing(scenario)
+    return needs_none and scenario.clocks.sync == Unsynchronised() and scenario.announce.trust.period is None
 
 
 def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
@@ -287,7 +289,7 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
-    if announce.trigger == "never" and _sends_announcements(scenario):
+    if announce.trigger == "never" and _sends_announcements(scenario) and _is_built_in(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     yield from _transport_warnings(scenario)
     if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
@@ -317,24 +319,29 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def _lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about Byzantine faults without an effect."""
     payload = None if scenario.protocol_traits.claim_size else scenario.announce.payload
+    reports = scenario.protocol_traits.reckons and not scenario.announces
     forwards = DisseminationTraits.of(scenario.announce.dissemination).relays
     token = scenario.schedule_traits.spreads_to is not None
+    accuses = scenario.announce.trust.period is not None
     for k, fault in enumerate(scenario.fault):
         if not isinstance(fault, ByzantineFault):
             continue
-        if not scenario.announces and fault.acts == "protocol" and not isinstance(fault, Silent | FalseAnnouncements):
+        acts = fault.acts == "stay"
+        if isinstance(fault, Slander) and not (accuses or acts):
+            yield f"fault.{k}", "it has no effect, because `announce.trust` reads no accusations"
+        elif not (isinstance(fault, Slander | Silent) or acts) and _tells_nothing(scenario):
             yield f"fault.{k}", f"it has no effect, because pursuers announce nothing under {scenario.protocol_name!r}"
-        if isinstance(fault, FalseAnnouncements):
-            located = payload in {"state", "course"} or not scenario.announces
-            contained = {"phi": payload in {"time", None}, "position": located}
+        elif isinstance(fault, Selective) and not (forwards or token or acts) and _is_built_in(scenario):
+            yield f"fault.{k}", "it has no effect, because pursuers forward nothing"
+        elif isinstance(fault, FalseAnnouncements) and _is_built_in(scenario):
+            contained = {
+                "phi": payload in {"time", None} and not reports,
+                "position": payload in {"state", "course"} or reports,
+            }
             unused = [key for key, is_said in contained.items() if dict(fault)[key] is not None and not is_said]
             yield from ((f"fault.{k}.{key}", "it has no effect: announcements do not contain it") for key in unused)
         if isinstance(fault, Liar) and (fault.action, fault.phi, fault.position) == ("truth", None, None):
             yield f"fault.{k}.action", "the announcements are true"
-        if isinstance(fault, Selective) and not (forwards or token):
-            yield f"fault.{k}", "it has no effect, because pursuers forward nothing"
-        if isinstance(fault, Slander) and not isinstance(scenario.announce.trust, Accusations):
-            yield f"fault.{k}", "it has no effect, because `announce.trust` reads no accusations"
 
 
 def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -342,7 +349,9 @@ def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     trust, count = scenario.announce.trust, scenario.team.count
     if isinstance(trust, Credulous):
         return
-    if not scenario.announces:
+    slander = any(isinstance(fault, Slander | RandomLies) for fault in scenario.fault)
+    is_accused = slander and trust.period is not None
+    if _tells_nothing(scenario) and TRUSTS.holds(trust) and not is_accused:
         yield "announce.trust", "it has no effect, because pursuers announce nothing"
     if isinstance(trust, Trimmed):
         if scenario.protocol_traits.claim_size:
@@ -352,8 +361,29 @@ def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 "announce.trust.liars",
                 f"a complete graph of {count} pursuers is robust against {tolerated_liars(count)} liars",
             )
-    elif scenario.motion.static:
+        return
+    is_slow_to_trust = isinstance(trust, Reputation) and trust.threshold > INITIAL_REPUTATION
+    if scenario.motion.static and TRUSTS.holds(trust) and not (is_accused or is_slow_to_trust):
         yield "announce.trust", "it has no effect: no pursuer moves, so no motion refutes an announcement"
+
+
+def _is_built_in(scenario: Scenario) -> bool:
+    """Return whether protocol, schedule and dissemination are built in, so that it is known what they send."""
+    protocol: Any = scenario.protocol
+    if not (PROTOCOLS.holds(protocol) and DISSEMINATIONS.holds(scenario.announce.dissemination)):
+        return False
+    fields = type(protocol).model_fields
+    return (
+        all(kinds.holds(protocol.schedule) for kinds in choices_of(fields["schedule"]))
+        if "schedule" in fields
+        else True
+    )
+
+
+def _tells_nothing(scenario: Scenario) -> bool:
+    """Return whether no message has the action or the state of a pursuer: no announcement, report or token."""
+    tells = scenario.announces or scenario.protocol_traits.reckons or scenario.schedule_traits.spreads_to is not None
+    return _is_built_in(scenario) and not tells
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -387,7 +417,8 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
             )
     sends = scenario.schedule_traits.spreads_to is not None or not scenario.sensing.is_perfect
-    if transport != BestEffort() and scenario.announces and not sends and PROTOCOLS.holds(scenario.protocol):
+    sends = sends or announce.trust.period is not None  # accusations
+    if transport != BestEffort() and scenario.announces and not sends and _is_built_in(scenario):
         if isinstance(announce.dissemination, Reliable | Coded):
             yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"
         elif not _sends_announcements(scenario):

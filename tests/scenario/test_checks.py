@@ -21,7 +21,7 @@ from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.tracking import AlphaBeta, Kalman
-from desim.pursuit.trust import Trimmed
+from desim.pursuit.trust import Accusations, Reputation, Trimmed
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Clocks, Motion, Recording
@@ -192,9 +192,14 @@ def test_the_default_is_not_warned_of():
         ),
         ({"fault": [Silent(start=30.0, node=0)]}, "fault.0.start", "starts after the horizon"),
         ({"fault": [Selective(start=0.0, node=0)]}, "fault.0", "pursuers forward nothing"),
-        ({"fault": [ReplayAttack(start=0.0, node=0)], "protocol": Server()}, "fault.0", "pursuers announce nothing"),
+        ({"fault": [ReplayAttack(start=0.0, node=0)], "protocol": Argmin()}, "fault.0", "pursuers announce nothing"),
+        (
+            {"fault": [Liar(start=0.0, node=0, action="chase", phi=0.0)], "protocol": Server()},
+            "fault.0.phi",
+            "announcements do not contain it",
+        ),
         ({"fault": [Slander(start=0.0, node=0, accused=(1,))]}, "fault.0", "`announce.trust` reads no accusations"),
-        ({"announce": {"trust": "plausible"}, "protocol": Server()}, "announce.trust", "pursuers announce nothing"),
+        ({"announce": {"trust": "plausible"}, "protocol": Argmin()}, "announce.trust", "pursuers announce nothing"),
         ({"announce": {"trust": "trimmed"}, "protocol": CBAA()}, "announce.trust", "cbaa compares bids"),
         ({"announce": {"trust": Trimmed(liars=5)}}, "announce.trust.liars", "20 pursuers is robust against 4 liars"),
         (
@@ -294,6 +299,16 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"fault": [Selective(start=0.0, node=0)], "protocol": SpatialAdaptivePlay(schedule=TokenRing())},
         {"fault": [Slander(start=0.0, node=0, accused=(1,))], "announce": {"trust": "accusations"}},
         {"announce": {"trust": Trimmed(liars=4)}},
+        {"announce": {"trust": "trimmed"}, "protocol": Server()},
+        {"announce": {"trust": "plausible"}, "protocol": Server()},
+        {"fault": [ReplayAttack(start=0.0, node=0)], "protocol": Server()},
+        {
+            "fault": [Slander(start=0.0, node=0, accused=(1,))],
+            "announce": {"trust": Accusations(quorum=1)},
+            "motion": Motion(static=True),
+        },
+        {"announce": {"trust": Reputation(threshold=0.9)}, "motion": Motion(static=True)},
+        {"network": RELIABLE, "announce": {"trust": "accusations"}},
         {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="course")},
         {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="action")},
         {"team": Team(dynamics=TurnRate()), "announce": Announcements(payload="state"), "protocol": Centralised()},
