@@ -16,11 +16,12 @@ from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.units import SECOND
 from desim.pursuit.noise import LEAST, Covariance
-from desim.pursuit.small_matrices import Matrix, inverse, plus, product, scaled, times, trace, transpose
 
 Acceleration = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
+Matrix = list[list[float]]
+"""The rows of a matrix."""
 Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
 
 
@@ -39,18 +40,71 @@ class Measurement(NamedTuple):
 
 def merged(one: Measurement, other: Measurement) -> Measurement:
     """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
-    (a, b, c), (xx, xy, yy) = one.covariance, other.covariance
-    xx, xy, yy = a + xx, b + xy, c + yy
-    dx, dy, determinant = other.x - one.x, other.y - one.y, xx * yy - xy * xy
-    k, m = (a * yy - b * xy) / determinant, (b * xx - a * xy) / determinant  # the weight of the other, row by row
-    n, w = (b * yy - c * xy) / determinant, (c * xx - b * xy) / determinant
-    covariance = Covariance(a - k * a - m * b, b - k * b - m * c, c - n * b - w * c)
-    return Measurement(one.stamp, one.observer, one.x + k * dx + m * dy, one.y + n * dx + w * dy, covariance)
+    first, second = _matrix(one.covariance), _matrix(other.covariance)
+    (x, y), ((xx, xy), (_, yy)) = corrected([one.x, one.y], first, [other.x, other.y], second)
+    return Measurement(one.stamp, one.observer, x, y, Covariance(xx, xy, yy))
 
 
 def _matrix(covariance: Covariance) -> Matrix:
     xx, xy, yy = covariance
     return [[xx, xy], [xy, yy]]
+
+
+def corrected(state: list[float], covariance: Matrix, seen: list[float], errors: Matrix) -> tuple[list[float], Matrix]:
+    """Return a state and its covariance after a measurement of its first k entries.
+
+    The errors of the measurement are decorrelated, the greatest variance first, and its entries are processed one by
+    one (Bar-Shalom, Li & Kirubarajan 2001, section 7.6.1). No matrix is inverted, so a variance may be 0.
+
+    Args:
+        state: (n,) the state.
+        covariance: (n, n) its covariance.
+        seen: (k,) the measured entries.
+        errors: (k, k) the covariance of their errors.
+    """
+    rows = [[float(i == j) for j in range(len(state))] for i in range(len(seen))]
+    seen, errors, rest = list(seen), [list(row) for row in errors], list(range(len(seen)))
+    while rest:
+        k = max(rest, key=lambda i: errors[i][i])
+        rest.remove(k)
+        variance = max(errors[k][k], 0.0)
+        for i in rest if variance else ():
+            share = errors[i][k] / variance
+            rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
+            seen[i] -= share * seen[k]
+            for j in rest:
+                errors[i][j] -= share * errors[k][j]
+        state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance)
+    return state, covariance
+
+
+def _with_entry(
+    state: list[float], covariance: Matrix, row: list[float], seen: float, variance: float
+) -> tuple[list[float], Matrix]:
+    """Return a state and its covariance P after one number, the product of a row h and the state with an error.
+
+    The covariance is (1 - K h) P (1 - K h)' + r K K' with the gain K and the variance r of the error (Joseph's form).
+    It is a sum of positive matrices, whereas the shorter P - K h P loses its small eigenvalues in rounding errors.
+    """
+    spread = [_dot(line, row) for line in covariance]
+    total = _dot(spread, row) + variance
+    if total <= 0.0:  # the state is as exact as the number
+        return state, covariance
+    gain = [each / total for each in spread]
+    off, n = seen - _dot(row, state), range(len(state))
+    left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
+    kept = [_dot(line, row) for line in left]
+    upper = {(i, j): left[i][j] - kept[i] * gain[j] + variance * gain[i] * gain[j] for i in n for j in n[i:]}
+    moved = [x + k * off for x, k in zip(state, gain, strict=True)]
+    return moved, [[upper[min(i, j), max(i, j)] for j in n] for i in n]
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    """Return the product of two vectors, summed from the first entry on."""
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        total += x * y
+    return total
 
 
 class Track(NamedTuple):
@@ -131,24 +185,21 @@ class Kalman(Value):
     def predict(self, track: Track, stamp: int) -> Track:
         """Return the track at another time, ns."""
         assert track.covariance is not None
+        (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance  # (u, v): the velocity
         t = (stamp - track.stamp) / SECOND
-        f = [[1.0, 0.0, t, 0.0], [0.0, 1.0, 0.0, t], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
         a, b, c = (self.acceleration**2 * each for each in (t**4 / 4.0, t**3 / 2.0, t**2))
-        noise = [[a, 0.0, b, 0.0], [0.0, a, 0.0, b], [b, 0.0, c, 0.0], [0.0, b, 0.0, c]]
-        moved = product(product(f, track.covariance), transpose(f))
-        return Track(stamp, _moved(track.state, t), plus(moved, noise))
+        xx, yy = xx + t * (2.0 * xu + t * uu) + a, yy + t * (2.0 * yv + t * vv) + a
+        xy = xy + t * (xv + yu + t * uv)
+        xu, xv, yu, yv = xu + t * uu + b, xv + t * uv, yu + t * uv, yv + t * vv + b
+        uu, vv = uu + c, vv + c
+        covariance = [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
+        return Track(stamp, _moved(track.state, t), covariance)
 
     def update(self, track: Track, seen: Measurement) -> Track:
         """Return the track after a later sighting."""
         _, state, covariance = self.predict(track, seen.stamp)
         assert covariance is not None
-        of_innovation = plus([row[:2] for row in covariance[:2]], _matrix(seen.covariance))
-        gain = product([row[:2] for row in covariance], inverse(of_innovation))
-        off = seen.x - state[0], seen.y - state[1]
-        corrected = [x + row[0] * off[0] + row[1] * off[1] for x, row in zip(state, gain, strict=True)]
-        taken = product(gain, covariance[:2])
-        shrunk = plus(covariance, taken, -1.0)
-        return Track(seen.stamp, corrected, scaled(plus(shrunk, transpose(shrunk)), 0.5))  # exactly symmetric
+        return Track(seen.stamp, *corrected(state, covariance, [seen.x, seen.y], _matrix(seen.covariance)))
 
 
 Estimator = AlphaBeta | Kalman
@@ -239,10 +290,13 @@ def fused(one: Track, other: Track, how: Fusion) -> Track:
     """
     assert one.covariance is not None
     assert other.covariance is not None
-    first, second = inverse(one.covariance), inverse(other.covariance)
+    first, second = one.covariance, other.covariance
     if how == "covariance_intersection":
-        weight = trace(other.covariance) / (trace(one.covariance) + trace(other.covariance))
-        first, second = scaled(first, weight), scaled(second, 1.0 - weight)
-    covariance = inverse(plus(first, second))
-    mean = [x + y for x, y in zip(times(first, one.state), times(second, other.state), strict=True)]
-    return Track(one.stamp, times(covariance, mean), covariance)
+        one_trace, other_trace = (each[0][0] + each[1][1] + each[2][2] + each[3][3] for each in (first, second))
+        both = one_trace + other_trace
+        first, second = _scaled(first, both / other_trace), _scaled(second, both / one_trace)
+    return Track(one.stamp, *corrected(one.state, first, other.state, second))
+
+
+def _scaled(matrix: Matrix, factor: float) -> Matrix:
+    return [[factor * x for x in row] for row in matrix]

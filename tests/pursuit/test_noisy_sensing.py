@@ -107,6 +107,28 @@ def test_noise_may_be_zero(noise, estimator, fusion):
     assert max(errors) < (1e-4 if is_exact else 0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", [AlphaBeta(), Kalman()])
+def test_a_range_may_be_exact_in_every_run(estimator):
+    sensing = Sensing(noise=RangeBearingNoise(range=0.0, bearing=0.3), estimator=estimator)
+    for seed in range(20):
+        assert run(Scenario(team=Team(count=6), sensing=sensing, horizon=2.0), seed).trace
+
+
+def test_a_reported_track_is_that_of_its_observer():
+    """Pursuer 1 sees nothing: what it estimates is what pursuer 0 does, unless a sighting is newer than the report."""
+    sensing = Sensing(radius=9.0, noise=NOISE, estimator=Kalman(), fusion="naive", interval=0.2, period=0.02)
+    team = Team(positions=[(0.0, 0.0), (40.0, 40.0)], speeds=1.5, active_at_start=0.0)
+    case = scenario(sensing, team=team, record=Recording(trajectory=0.05, estimates=True), horizon=1.5)
+    by_time = {}
+    for event in run(case, 1).trace.of(Estimated):
+        by_time.setdefault(event.t, {})[event.pursuer] = event[3:]
+    pairs = [each for each in by_time.values() if len(each) == 2]
+    alike = sum(one == other for one, other in (each.values() for each in pairs))
+    assert len(pairs) > 20
+    assert alike >= 0.6 * len(pairs)
+
+
 def test_decisions_count_the_mean_distance():
     """Beside the evader the mean distance is that of the errors, greater than that to the estimate."""
     sensing = Sensing(noise=NOISE, estimator=Kalman(), period=9.0)

@@ -4,13 +4,12 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.units import SECOND
-from desim.pursuit.noise import Covariance
-from desim.pursuit.small_matrices import inverse, plus, product, scaled, times, trace, transpose
-from desim.pursuit.tracking import AlphaBeta, Filter, Kalman, Measurement, Track, fused, gains
+from desim.pursuit.noise import Covariance, PositionNoise, RangeBearingNoise
+from desim.pursuit.tracking import AlphaBeta, Filter, Kalman, Measurement, Track, corrected, fused, gains, merged
 
 STEP = SECOND // 10
 ISOTROPIC = Covariance(0.25, 0.0, 0.25)
@@ -23,22 +22,86 @@ def test_the_gains_follow_from_the_tracking_index(index, alpha, beta):
     assert gains(index) == pytest.approx((alpha, beta), abs=1e-12)
 
 
+def spread(rng, size):
+    """Return a random covariance whose standard deviations differ by up to a factor of 10."""
+    root = rng.normal(size=(size, size)) * 10.0 ** rng.uniform(-1, 0, size)
+    return root @ root.T + 1e-3 * np.eye(size)
+
+
+@given(st.integers(0, 2**32), st.sampled_from([(2, 2), (4, 2), (4, 4)]))
+def test_a_measurement_corrects_a_state_by_the_textbook(seed, sizes):
+    """x + K (z - H x) and P - K H P with K = P H' (H P H' + R)^-1, by numpy (Bar-Shalom et al. 2001, 5.2.3)."""
+    rng, (n, k) = np.random.default_rng(seed), sizes
+    state, seen, p, r = rng.normal(size=n), rng.normal(size=k), spread(rng, n), spread(rng, k)
+    gain = p[:, :k] @ np.linalg.inv(p[:k, :k] + r)
+    moved, covariance = corrected(state.tolist(), p.tolist(), seen.tolist(), r.tolist())
+    assert np.allclose(moved, state + gain @ (seen - state[:k]), atol=1e-9)
+    assert np.allclose(covariance, p - gain @ p[:k], atol=1e-9)
+
+
+@given(st.integers(0, 2**32), st.floats(-5.0, 5.0))
+def test_a_covariance_is_predicted_by_the_textbook(seed, t):
+    """F P F' + Q of the discrete white noise acceleration (Bar-Shalom et al. 2001, 6.3.2)."""
+    p, eye = spread(np.random.default_rng(seed), 4), np.eye(2)
+    f = np.block([[eye, t * eye], [0 * eye, eye]])
+    push = np.vstack([t * t / 2 * eye, t * eye]) * 2.0
+    stamp = round(t * SECOND)
+    found = Kalman(acceleration=2.0).predict(Track(0, [0.0] * 4, p.tolist()), stamp).covariance
+    assert np.allclose(found, f @ p @ f.T + push @ push.T, rtol=1e-6, atol=1e-6)
+
+
+NEARLY_EXACT = [
+    RangeBearingNoise(range=0.0, bearing=0.05),
+    RangeBearingNoise(range=0.0, bearing=0.7),
+    RangeBearingNoise(range=1e-6, bearing=0.3),
+    RangeBearingNoise(range=0.3, bearing=0.0),
+    RangeBearingNoise(range=0.0, bearing=0.0),
+    *(PositionNoise(deviation=deviation) for deviation in (0.0, 1e-12, 1e-9, 1e-6, 1.0)),
+]
+
+
+def is_positive(covariance):
+    """Return whether a matrix is symmetric, and none of its eigenvalues is negative beyond rounding."""
+    found = np.array(covariance)
+    values = np.linalg.eigvalsh(found)
+    return (found == found.T).all() and found.diagonal().min() > 0.0 and values[0] >= -1e-15 * values[-1]
+
+
+@settings(max_examples=20)
 @given(st.integers(0, 2**32))
-def test_small_matrices_agree_with_numpy(seed):
+def test_every_covariance_is_positive_however_exact_the_sightings_are(seed):
+    updates(seed, 10)
+
+
+@pytest.mark.slow
+def test_ten_thousand_covariances_are_positive():
+    for seed in range(125):
+        updates(seed, 80)
+
+
+def updates(seed, count):
+    """Check merged sightings, tracks and fusions at random places, times and noises."""
     rng = np.random.default_rng(seed)
-    a, b = (rng.normal(size=(4, 4)) for _ in range(2))
-    assert np.allclose(product(a.tolist(), b.tolist()), np.einsum("ij,jk", a, b))
-    assert np.allclose(times(a.tolist(), b[0].tolist()), np.einsum("ij,j", a, b[0]))
-    assert np.allclose(transpose(a.tolist()), a.T)
-    assert np.allclose(plus(a.tolist(), b.tolist(), -2.0), a - 2 * b)
-    assert np.allclose(scaled(a.tolist(), 3.0), 3 * a)
-    assert trace(a.tolist()) == pytest.approx(a.trace())
-    assert np.allclose(product(a.tolist(), inverse(a.tolist())), np.eye(4), atol=1e-6)
+    model = Kalman(acceleration=float(10.0 ** rng.uniform(-6, 2)))
+    place, stamp, track, other = rng.normal(size=2) * 10.0 ** rng.uniform(-1, 4), 0, None, None
 
+    def seen():
+        noise = NEARLY_EXACT[rng.integers(len(NEARLY_EXACT))]
+        offset = complex(*rng.normal(size=2)) * float(10.0 ** rng.uniform(-1, 2))
+        return Measurement(stamp, 0, *place.tolist(), noise.covariance(offset))
 
-def test_a_singular_matrix_has_no_inverse():
-    with pytest.raises(ZeroDivisionError):
-        inverse([[1.0, 2.0], [2.0, 4.0]])
+    for _ in range(count):
+        sighting = seen()
+        for _ in range(rng.integers(3)):
+            sighting = merged(sighting, seen())
+            xx, xy, yy = sighting.covariance
+            assert is_positive([[xx, xy], [xy, yy]])
+        track = model.start(sighting) if track is None else model.update(track, sighting)
+        assert is_positive(track.covariance)
+        other = track if other is None or rng.random() < 0.1 else model.predict(other, stamp)
+        for how in ("naive", "covariance_intersection"):
+            assert is_positive(fused(track, other, how).covariance)
+        stamp += int(10.0 ** rng.uniform(6, 11))
 
 
 def sightings(seed, count, *, noise=ISOTROPIC, acceleration=1.0, observer=0):
