@@ -11,6 +11,7 @@ from itertools import chain, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.analysis.deception import first_lies
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
 from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
@@ -183,7 +184,10 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
 
 
 class _Clocks:
-    """The errors of the nodes' clocks. The time stamp of a forwarded record is a reading of its source's clock."""
+    """The errors of the nodes' clocks, and the times at which records were published.
+
+    The time stamp of a record is a reading of its source's clock, if it was not forged by another pursuer.
+    """
 
     def __init__(self, result: Result, size: int):
         self._errors = clock_errors(result.scenario.network_faults, size, result.seed)
@@ -191,6 +195,9 @@ class _Clocks:
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
         for each in result.trace.of(ClockCorrected):
             self._corrections.setdefault(each.node, [(0, 0.0)]).insert(0, (each.t, each.correction))
+        self._lies = first_lies(result)
+        self._published: dict[tuple[int, int], int] = {}
+        """By source and sequence number, the time of publication, ns."""
         self._right = not self._corrections and not any(offset or drift for offset, drift in self._errors)
 
     def true_records(self, event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
@@ -198,9 +205,19 @@ class _Clocks:
         relays = relayed_records(event.body) is not None
         if not relays or self._right:
             return records_in(event)
-        return tuple(
-            record._replace(stamp=self._true(record.src, record.stamp, event.t)) for record in records_in(event)
-        )
+        return tuple(record._replace(stamp=self._time(record, event)) for record in records_in(event))
+
+    def _time(self, record: Record, event: Broadcast | Sent | Delivered) -> int:
+        """Return the true time, ns, at which a record in a transmission or delivery was published.
+
+        A record that a pursuer with a Byzantine fault transmits first may be forged: it was published then.
+        """
+        name = record.src, record.seq
+        if name not in self._published:
+            is_suspect = self._lies.get(event.src, event.created + 1) <= event.created
+            shown = event.created if is_suspect else self._true(record.src, record.stamp, event.created)
+            self._published[name] = min(shown, event.created)
+        return self._published[name]
 
     def _true(self, node: int, stamp: int, latest: int) -> int:
         """Return the true time, ns, at which the clock of a node showed a stamp, ns; the last one up to `latest`.

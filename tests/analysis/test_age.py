@@ -23,7 +23,7 @@ from desim.analysis.age import (
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
 from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, ClockCorrected, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
 from desim.kernel.graphs import Ring
 from desim.kernel.latency import Constant, Uniform
@@ -34,6 +34,7 @@ from desim.kernel.records import Record
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, Assignment, Forwarded
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.lies import LIES, Slander
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run
@@ -192,6 +193,33 @@ def test_the_time_of_a_forwarded_record_is_corrected_for_the_synchronisation_of_
     relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(stamp), ACTIVE))
     synced = [ClockCorrected(ns(t), 0, value) for t, value in corrections]
     assert pair(by_hand((True,) * 3, 5.0, relay, *synced, fault=(skew,)), reader=2)[0] == pytest.approx(4.0 - created)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("model", LIES)
+@pytest.mark.parametrize("dissemination", ["one_hop", "flooding", "gossip", "reliable"])
+def test_ages_count_from_the_publication_of_a_record_whoever_forged_it(dissemination, model):
+    """Whatever the clock of the forger shows, the record was published when its first message was sent."""
+    accused = {"accused": [2]} if model is Slander else {}
+    result = run(
+        Scenario(
+            team=Team(count=4, speeds=1.5),
+            protocol={"kind": "local_min"},
+            announce={"heartbeat": 0.1, "dissemination": dissemination},
+            network={"latency": 0.02},
+            fault=[model(node=1, start=0.2, **accused), ClockSkew(offset=1.0, drift=0.5)],
+            record=Recording(messages=True),
+            horizon=2.0,
+        ),
+        1,
+    )
+    pieces = knowledge(result)
+    heard = pieces[~pieces["presumed"]]
+    sent = np.unique([event.created for event in result.trace if isinstance(event, Broadcast | Sent | Delivered)])
+    nearest = np.abs(heard["created"][:, None] - sent).min(axis=1)
+    assert len(heard) > 20
+    assert nearest.max() <= 1  # ns, the rounding of a time stamp
+    assert (heard["begin"] >= heard["created"]).all()
 
 
 def test_a_decision_depends_only_on_earlier_events_of_its_instant():
