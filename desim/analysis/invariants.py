@@ -10,20 +10,20 @@ events of a finished trace. A new watcher is needed for each run. The invariants
 
 from cmath import phase
 from math import fsum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
 from desim.analysis.relative_places import RelativePlaces
-from desim.config.traits import inherits
+from desim.config.traits import inherits, overrides, positions
 from desim.kernel.events import Event, Watcher
 from desim.kernel.invariants import Conservation, DeliveredOnce
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
-from desim.pursuit.dynamics import Acceleration, TurnRate
+from desim.pursuit.dynamics import Limited, coasts
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.flow import is_uniform
 from desim.pursuit.guidance import ConstantBearing, apollonius_disc
@@ -130,10 +130,10 @@ class MotionWatcher:
 
     The invariant is that positions are continuous and no player exceeds its speed. Between two samples a pursuer moves
     at most v_i times the time for which it was active, a relay at most the top speed of its record times the elapsed
-    time, and an evader at most v_e times the time for which it was at large. A player that brakes with a limited
-    acceleration also moves when it is inactive or captured. In a static game no player moves. In a flow that is the
-    same everywhere, this holds for the motion relative to the flow; in any other flow, its top speed is added to all
-    speeds.
+    time, and an evader at most v_e times the time for which it was at large. A player that coasts, for instance brakes
+    with a limited acceleration, also moves when it is inactive or captured. In a static game no player moves. In a flow
+    that is the same everywhere, this holds for the motion relative to the flow; in any other flow, its top speed is
+    added to all speeds.
 
     Args:
         scenario: the scenario of the run.
@@ -148,7 +148,7 @@ class MotionWatcher:
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
         self._places, self._environment = RelativePlaces(scenario), scenario.environment
         dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
-        self._brakes = [player for player, each in enumerate(dynamics) if isinstance(each, Acceleration)]
+        self._brakes = [player for player, each in enumerate(dynamics) if coasts(each)]
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
@@ -190,7 +190,8 @@ class InertiaWatcher:
     With a limited acceleration a, positions p at three samples, h apart, satisfy |p'' - 2 p' + p| <= a h^2. With a
     limited turn rate omega, the directions of two successive displacements differ by at most omega times the time
     between their middles, up to a share of the square of this angle, if the player moves at full speed; otherwise by at
-    most omega times the whole time. Positions are relative to the flow.
+    most omega times the whole time. Positions are relative to the flow. Dynamics of your own are compared if they say
+    what they limit (`desim.pursuit.dynamics.Limited`).
 
     Args:
         scenario: the scenario of the run.
@@ -205,9 +206,7 @@ class InertiaWatcher:
         self._limited = {
             player: each
             for player, each in enumerate(dynamics)
-            if (inherits(each, Acceleration) or inherits(each, TurnRate))
-            and player not in scenario.team.relays
-            and self._places.are_known[player]
+            if _has_known_limit(each) and player not in scenario.team.relays and self._places.are_known[player]
         }
         self._evader_speeds = [evader.speed for evader in scenario.evaders]
         self._samples: list[tuple[int, Points]] = []
@@ -230,22 +229,23 @@ class InertiaWatcher:
     def _check(
         self,
         player: int,
-        dynamics: Acceleration | TurnRate,
+        dynamics: Limited,
         first: complex,
         second: complex,
         steps: tuple[float, float],
     ) -> None:
         """Compare two successive displacements (m) of a player, and the times (s) that they take."""
         slack, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
-        if isinstance(dynamics, Acceleration):
+        what = dynamics.limits
+        if what == "acceleration":
             if abs(steps[0] - steps[1]) > ROUNDING:
                 return
-            what, found, slack = "acceleration", abs(second - first) / duration**2, slack / duration**2
+            found, slack = abs(second - first) / duration**2, slack / duration**2
         else:
             shortest = min(abs(first), abs(second))
             if shortest <= slack or dynamics.limit * duration >= 1.0:
                 return
-            what, found, share = "turn rate", abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
+            found, share = abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
             at_full_speed = min(abs(first) / steps[0], abs(second) / steps[1]) >= self._speeds[player] * (1.0 - share)
             found *= 1.0 if at_full_speed else 0.5
             slack = slack / shortest / duration + dynamics.limit * share
@@ -254,6 +254,14 @@ class InertiaWatcher:
             raise AssertionError(
                 f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {dynamics.limit}"
             )
+
+
+def _has_known_limit(dynamics: object) -> TypeGuard[Limited]:
+    """Return whether dynamics say what they limit; an inherited limit does not hold for an overridden `__call__`."""
+    if not (isinstance(dynamics, Limited) and dynamics.limits in {"acceleration", "turn rate"}):
+        return False
+    defined = positions(type(dynamics), "limits")
+    return not (defined and overrides(type(dynamics), "__call__", defined[0]))
 
 
 class ApolloniusWatcher:

@@ -7,7 +7,7 @@ then a straight line. It is a `Piece`.
 
 from cmath import phase, rect
 from math import pi, sin
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field
@@ -121,6 +121,26 @@ class Dynamics(Protocol):
         """
 
 
+def coasts(dynamics: Dynamics) -> bool:
+    """Return whether a moving player that is commanded to stand still goes on moving, for instance brakes."""
+    return dynamics(0j, Course(1.0 + 0j), 0j).at(1.0) != 0j
+
+
+@runtime_checkable
+class Limited(Protocol):
+    """Dynamics with a limit that a watcher can compare with positions (`desim.analysis.invariants`)."""
+
+    @property
+    def limits(self) -> Literal["acceleration", "turn rate"]:
+        """What is limited: the acceleration, or the turn rate."""
+        ...
+
+    @property
+    def limit(self) -> float:
+        """The limit, m/s^2 or rad/s."""
+        ...
+
+
 class Courses(NamedTuple):
     """The courses of several players."""
 
@@ -170,6 +190,7 @@ class Acceleration(_WithoutHeading):
     """
 
     is_simple: ClassVar[bool] = False
+    limits: ClassVar[Literal["acceleration"]] = "acceleration"
     kind: Literal["acceleration"] = "acceleration"
     limit: Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False, strict=True)] = 1.0
     """Greatest acceleration, m/s^2."""
@@ -202,6 +223,7 @@ class TurnRate(Value):
     """
 
     is_simple: ClassVar[bool] = False
+    limits: ClassVar[Literal["turn rate"]] = "turn rate"
     kind: Literal["turn_rate"] = "turn_rate"
     limit: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)] = 1.0
     """Greatest turn rate, rad/s."""

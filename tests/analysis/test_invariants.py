@@ -21,7 +21,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Acceleration, TurnRate
+from desim.pursuit.dynamics import DYNAMICS, Acceleration, TurnRate, coasts
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
 from desim.pursuit.guidance import apollonius_disc
@@ -327,6 +327,49 @@ def test_a_robot_that_brakes_moves_while_it_is_inactive():
     for scenario, place in ((GAME, 0.15), (with_inertia(TurnRate()), 0.15), (braking, 0.21)):
         with pytest.raises(AssertionError, match=r"no player exceeds its speed.*player 0"):
             show(MotionWatcher(scenario), *events, sampled(0.2, (place, 0.0), (4.0, 0.0)))
+
+
+class Delegating:
+    """Dynamics of a user that move as others do, times a factor, and say nothing about themselves."""
+
+    is_simple = False
+
+    def __init__(self, inner, factor=1.0):
+        self.inner, self.factor = inner, factor
+        self.headings, self.steered, self.capture_times = inner.headings, inner.steered, inner.capture_times
+
+    def __call__(self, position, course, command):
+        return self.inner(position, course, command * self.factor)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", DYNAMICS.choices())
+def test_dynamics_of_a_user_are_watched_as_those_that_they_delegate_to(kind):
+    """They raise no false alarm when they coast, and are caught when they are too fast."""
+    dynamics = DYNAMICS.choice(kind)()
+    given = {"horizon": 3.0, "record": Recording(trajectory=0.05), "protocol": BestResponse(schedule=Poisson(rate=5.0))}
+    right, wrong = (
+        Scenario(
+            team=Team(count=6, dynamics=Delegating(dynamics, factor)),
+            evader=Evader(dynamics=Delegating(dynamics, factor)),
+            **given,
+        )
+        for factor in (1.0, 1.3)
+    )
+    assert coasts(right.team.dynamics) == coasts(dynamics) == (kind == "acceleration")
+    watched(right, 1)
+    with pytest.raises(AssertionError, match="no player exceeds its speed"):
+        watched(wrong, 1)
+
+
+def test_dynamics_of_a_user_that_say_what_they_limit_are_compared_with_it():
+    class Declared(Delegating):
+        limits, limit = "acceleration", 0.7
+
+    scenario = with_inertia(Declared(Acceleration()))
+    show(InertiaWatcher(scenario), *parabola(0.7, 0.1, 0.2, 0.3))
+    with pytest.raises(AssertionError, match="no player exceeds its acceleration"):
+        show(InertiaWatcher(scenario), *parabola(0.71, 0.1, 0.2, 0.3))
 
 
 # Potential.
