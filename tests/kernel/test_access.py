@@ -1,7 +1,7 @@
 """Channel access against its theory, and by hand on two or three nodes."""
 
 from itertools import pairwise
-from math import exp, inf, sqrt
+from math import exp, inf, nextafter, sqrt
 from types import SimpleNamespace
 
 import networkx as nx
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.optimize import brentq
 
+from desim.config.model import MAX_TIME
 from desim.kernel.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
 from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.events import Broadcast, Lost, Sent, Trace
@@ -978,6 +979,15 @@ def test_no_node_exceeds_its_duty_cycle_whatever_the_access(load, access, duty_c
 
 
 # Bad values.
+
+
+def test_the_longest_back_off_may_be_as_long_as_the_longest_run_and_no_longer():
+    """16 x 2^4 slots of 10^9 / 256 s; short slots allow any window."""
+    slot = MAX_TIME / 256
+    assert CsmaCa(window=16, doublings=4, slot=slot).slot == slot
+    with pytest.raises(ValidationError, match="longest back-off"):
+        CsmaCa(window=16, doublings=4, slot=nextafter(slot, inf))
+    assert CsmaCa(window=1024, doublings=16, slot=5e-6).doublings == 16
 
 
 @pytest.mark.parametrize(

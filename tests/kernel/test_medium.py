@@ -1,5 +1,6 @@
 """Airtimes against the data sheet, and the presets."""
 
+import json
 from fractions import Fraction
 from math import inf
 
@@ -17,6 +18,7 @@ from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponentia
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate, LoRa, Unlimited
 from desim.kernel.presets import PRESETS
+from tests.golden import golden
 
 DATA_SHEET = {7: 61.7, 8: 113.2, 9: 205.8, 10: 370.7, 11: 823.3, 12: 1482.8}
 """Airtime of 24 bytes by spreading factor, ms, at 125 kHz, 4/5, with header and checksum."""
@@ -232,3 +234,8 @@ def test_a_table_of_another_kind_than_the_preset_s_is_not_mixed_with_it():
     assert Links(preset="lora_sf12", medium=mine).medium == mine
     links = Links(preset="acoustic", latency={"kind": "propagation", "speed": 1400.0})
     assert (links.latency, links.medium) == (Propagation(speed=1400.0), Links(preset="acoustic").medium)
+
+
+def test_the_values_of_all_presets_are_golden():
+    """Each is stated with its source; a changed value changes the results of all who name the preset."""
+    golden("presets.txt", {name: json.dumps(values, indent=1) for name, values in PRESETS.items()})

@@ -87,6 +87,13 @@ def test_a_value_beyond_the_ends_of_its_slider_has_none():
     assert far["announce.heartbeat"].slider is not None
 
 
+@pytest.mark.parametrize("value", [1, 60])
+def test_a_value_at_an_end_of_its_slider_is_on_it(value):
+    assert by_key(Scenario(team=Team(count=value)))["team.count"].slider == Slider(1.0, 60.0)
+    beyond = by_key(Scenario(team=Team(count=61)))["team.count"]
+    assert beyond.slider is None
+
+
 def test_tables_that_are_not_valid_have_the_controls_of_their_kinds():
     """A bitrate has no default, so the table is not valid before the key is set."""
     tables = {"network": {"medium": {"kind": "bitrate"}, "latency": 0.1, "loss": "gilbert_elliott"}, "protocol": "cbba"}

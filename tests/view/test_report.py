@@ -235,6 +235,9 @@ def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full)
     boxes = [float(each) for each in re.findall(r'viewBox="0 0 ([\d.]+) ', full.text)]
     assert len(widths) == len(boxes) == 8
     assert widths == [pytest.approx(each * 96 / 72, abs=1) for each in boxes]
+    heads = re.findall(r"<svg [^>]*>", full.text)
+    assert len(heads) == 8
+    assert not any(re.search(r"\s(height|version)=", head) for head in heads)  # the height follows from the width
 
 
 def test_some_of_many_failures_are_shown_and_a_missing_run_json_is_reported(tmp_path):
