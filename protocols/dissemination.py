@@ -24,11 +24,12 @@ from pydantic import Field
 from desim.config.model import Time, Value
 from desim.kernel.clock import Phase
 from desim.kernel.message_size import size_of
+from desim.kernel.ports import ReservedPort
 from desim.kernel.transport import Coded, Depth, Reliable, Transport, Window
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
-PORT = "announcements"
+PORT = ReservedPort("announcements", __name__)
 """The port at which announcements arrive that are sent as messages: all but those of `OneHop`."""
 
 

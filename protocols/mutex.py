@@ -25,12 +25,13 @@ from pydantic import Field
 from desim.config.model import Duration, Rate, Value
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.ports import ReservedPort
 from desim.kernel.records import Record
 from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
 
-PORT = "mutex"
+PORT = ReservedPort("mutex", __name__)
 """The port at which the messages of the mutual exclusion arrive."""
 
 Stamp = tuple[int, int]

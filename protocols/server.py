@@ -39,6 +39,7 @@ from pydantic import Field
 
 from desim.config.model import Period, Value
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.ports import ReservedPort
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
@@ -46,7 +47,7 @@ from desim.pursuit.beliefs import Orders
 from protocols.centralised import matching
 from protocols.schedules import ticks
 
-PORT = "server"
+PORT = ReservedPort("server", __name__)
 """The port at which reports and orders arrive."""
 
 

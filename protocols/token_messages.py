@@ -2,7 +2,9 @@
 
 from typing import Any, NamedTuple
 
-PORT = "token"
+from desim.kernel.ports import ReservedPort
+
+PORT = ReservedPort("token", __name__)
 """The port at which tokens, receipts and notices arrive."""
 Epoch = tuple[int, int, float]
 """Serial number, pursuer that started the epoch, and its local time then, s: unique even after a loss of memory."""

@@ -220,7 +220,7 @@ def settling_window(result: Result) -> float:
 
 def _latency(result: Result) -> float:
     links, places = result.scenario.network, np.array(started(result).pursuers)
-    sampler = LinkSampler(links, links.graph(len(places)), result.seed, lambda: places)
+    sampler = LinkSampler(links, links.make_graph(len(places)), result.seed, lambda: places)
     return sampler.typical_latency() + links.medium(TYPICAL_SIZE)
 
 

@@ -28,11 +28,12 @@ from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.network import Network
 from desim.kernel.portable_math import portable_sum
+from desim.kernel.ports import ReservedPort
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.transport import BestEffort
 
-PORT = "clock synchronisation"
+PORT = ReservedPort("clock synchronisation", __name__)
 """The port at which requests and answers arrive."""
 BEST_EFFORT = BestEffort()
 """The transport of all messages."""

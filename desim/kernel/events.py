@@ -308,6 +308,10 @@ class Trace:
         if self._watchers:
             self._show(event)
 
+    def close(self) -> None:
+        """Let go of the watchers and of the function that ends the run, which hold the whole simulation in memory."""
+        self._watchers, self._stop = (), None
+
     def _show(self, event: Event) -> None:
         for watch in self._watchers:
             answer = watch(event)

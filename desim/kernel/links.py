@@ -2,18 +2,22 @@
 
 from collections.abc import Set
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import field_validator, model_validator
 
+from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
-from desim.kernel.graphs import GRAPHS, Complete, Edges, GraphModel, Link, Order, is_networkx
+from desim.kernel.graphs import GRAPHS, Complete, Edges, GraphModel, Link, Order, graph_of, is_networkx
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 from desim.kernel.transport import TRANSPORTS, BestEffort, Transport
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 class Processing(Value):
@@ -91,6 +95,15 @@ class Links(Value):
     messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
+
+    def make_graph(self, size: int) -> "nx.Graph[int]":
+        """Return the communication graph of a number of nodes, from a graph model that is as it was at the start.
+
+        Raises:
+            ValueError: if the model does not return a simple graph of this size, or an edge attribute is invalid.
+        """
+        with fresh_copy(self.graph) as graph:
+            return graph_of(graph, size)
 
     @field_validator("graph", mode="before")
     @classmethod

@@ -22,6 +22,7 @@ from desim.kernel.events import Trace, TransportCounts
 from desim.kernel.inbox import Inbox, Message
 from desim.kernel.message_size import checked_size, size_of
 from desim.kernel.network_state import NetworkState
+from desim.kernel.ports import ReservedPort
 from desim.kernel.retransmission import first_timeout
 from desim.kernel.transport import Reliable, Transport
 from desim.kernel.transport_frames import Acknowledgement, Frame, Piece, Segment, Skip, acknowledgement_size
@@ -29,7 +30,7 @@ from desim.kernel.transport_log import Flow, TransportLog
 from desim.kernel.transport_receiver import CodedReceiver, Expectation, ReliableReceiver
 from desim.kernel.transport_sender import CodedSender, Endpoint, ReliableSender, Sender
 
-PORT = "transport frames"
+PORT = ReservedPort("transport frames", __name__)
 """The port at which frames arrive."""
 FIRST_DELIVERY = 1 << 48
 """The number of the first delivery: at one instant, deliveries come after messages without a transport."""

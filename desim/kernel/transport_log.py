@@ -53,35 +53,37 @@ class TransportLog:
         self._delivered += 1
         self._delay += now - message.stamp
         is_to_all = flow.dst is None
-        self._append(Delivered(now, flow.src, node, flow.port, is_to_all, seq, message.stamp, attempt, message.body))
+        self._append(
+            Delivered(now, flow.src, node, str(flow.port), is_to_all, seq, message.stamp, attempt, message.body)
+        )
 
     def retransmit(self, flow: Flow, node: int, seq: int, attempt: int) -> None:
         """Record a repeated transmission of a message to a node."""
         self.attempts += 1
         self._retransmissions += 1
-        self._append(Retransmitted(self._env.now, flow.src, node, flow.port, flow.dst is None, seq, attempt))
+        self._append(Retransmitted(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, attempt))
 
     def give_up(self, flow: Flow, node: int, seq: int, cause: GiveUp) -> None:
         """Record that a sender gave up a message to a node."""
         self._given_up[cause] += 1
-        self._append(GivenUp(self._env.now, flow.src, node, flow.port, flow.dst is None, seq, cause))
+        self._append(GivenUp(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, cause))
 
     def expire(self, flow: Flow, node: int, seq: int) -> None:
         """Record that a receiver dropped a message because of its age."""
         self._expired += 1
-        self._append(Expired(self._env.now, flow.src, node, flow.port, flow.dst is None, seq))
+        self._append(Expired(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq))
 
     def miss_deadline(self, src: int, node: int, port: str) -> None:
         """Record that a node has waited too long for a message of another."""
         self._missed += 1
         if self._trace is not None:
-            self._trace.append(DeadlineMissed(self._env.now, src, node, port))
+            self._trace.append(DeadlineMissed(self._env.now, src, node, str(port)))
 
     def lose_liveliness(self, src: int, node: int, port: str) -> None:
         """Record that a node has received nothing from another for the time of its lease."""
         self._lost += 1
         if self._trace is not None:
-            self._trace.append(LivelinessLost(self._env.now, src, node, port))
+            self._trace.append(LivelinessLost(self._env.now, src, node, str(port)))
 
     def counts(self) -> TransportCounts:
         """Return all counts up to now."""

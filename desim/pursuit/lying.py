@@ -18,6 +18,7 @@ from desim.kernel.faults import FaultEnded, FaultStarted, Misbehaviour
 from desim.kernel.message_body import as_sent
 from desim.kernel.message_size import size_of
 from desim.kernel.network import Network
+from desim.kernel.ports import ReservedPort
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.transport import BestEffort, Transport
@@ -29,7 +30,7 @@ from desim.pursuit.trust import PORT as ACCUSATIONS
 from desim.pursuit.trust import Accusation
 from desim.pursuit.views import View
 
-PORT = "forged announcements"
+PORT = ReservedPort("forged announcements", __name__)
 """The port at which announcements arrive that are not broadcast in the name of their sender."""
 AS_PUBLISHED = BestEffort()
 """The transport of forged announcements: like honest ones, which are published, they are transmitted once."""

@@ -17,6 +17,7 @@ from pydantic import model_validator
 from desim.config.model import MAX_COORDINATE, Flag, Limit, Period, Timeout, Value
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
+from desim.kernel.ports import ReservedPort
 from desim.pursuit.noise import NOISES, Noise, Noiseless
 from desim.pursuit.tracking import ESTIMATORS, Estimator, Fusion, Kalman, Unfiltered
 from desim.pursuit.views import NOWHERE, EvaderEstimate, Prune, View
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from desim.config.arrays import Points
     from desim.pursuit.world_state import Actions, WorldState
 
-PORT = "sightings"
+PORT = ReservedPort("sightings", __name__)
 """The port of sighting reports."""
 NEVER = -1
 """Stands for the time of the last sighting, ns, of an evader that was never seen."""

@@ -14,10 +14,11 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Limit, Period, Probability, Value
 from desim.kernel.inbox import Message
+from desim.kernel.ports import ReservedPort
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
 
-PORT = "accusations"
+PORT = ReservedPort("accusations", __name__)
 """The port at which accusations arrive."""
 
 

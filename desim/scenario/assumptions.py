@@ -16,7 +16,6 @@ import networkx as nx
 
 from desim.kernel.access import Tdma
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
-from desim.kernel.graphs import graph_of
 from desim.kernel.implicit_complete import is_complete
 from desim.kernel.medium import Medium, Radio
 from desim.kernel.propagation import LinkSampler
@@ -86,7 +85,7 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     medium = network.medium
     drops = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
-    sampler = LinkSampler(network, graph_of(network.graph, scenario.team.count), scenario.seed, None)
+    sampler = LinkSampler(network, network.make_graph(scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
     return None
@@ -255,7 +254,7 @@ def _initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
     """Return the directed graph of the links at the start of the run with the seed of the scenario."""
     network, start = scenario.network, scenario.team.start(scenario.seed)
     topology = Topology(
-        graph_of(network.graph, scenario.team.count),
+        network.make_graph(scenario.team.count),
         network.range,
         lambda: start,
         network.reception,

@@ -29,7 +29,7 @@ from desim.config.traits import kind_of
 from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
 from desim.kernel.faults import Partition, nodes_of
-from desim.kernel.graphs import Edges, graph_of
+from desim.kernel.graphs import Edges
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, airtime_of
@@ -265,7 +265,7 @@ class Scenario(Value):
         no_pursuer = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
         graph = None
         try:
-            made = graph_of(self.network.graph, count)
+            made = self.network.make_graph(count)
             Topology(made)
             graph = made
         except (ValueError, TypeError, AttributeError) as error:

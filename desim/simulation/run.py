@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from desim.config.arrays import Floats, Integers
+from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase
@@ -13,7 +14,6 @@ from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
-from desim.kernel.graphs import graph_of
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.kernel.seeds import seed_of
@@ -165,6 +165,16 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
+    try:
+        with fresh_copy(scenario) as fresh:
+            _simulate(fresh, seed, env, end, trace)
+    finally:
+        trace.close()
+    return Result(scenario, seed, trace)
+
+
+def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Trace) -> None:
+    """Connect the parts of a simulation and let it run to its end; see `run`."""
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = _PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
@@ -172,7 +182,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
     network = Network(
         env,
-        graph_of(scenario.network.graph, state.size),
+        scenario.network.make_graph(state.size),
         scenario.network,
         seed=seed,
         positions=positions,
@@ -221,7 +231,6 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     trace.append(network.message_counts())
     assert end.event is not None
     trace.append(end.event)
-    return Result(scenario, seed, trace)
 
 
 class _PursuerPositions(PositionSource):

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 from typing import Any, Literal
@@ -15,6 +15,7 @@ import cloudpickle
 
 from desim.analysis.metrics import summary
 from desim.config.data_files import identified_run
+from desim.config.fresh import fresh_copy
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.simulation.watchdog import within
@@ -167,9 +168,14 @@ def perform(tasks: Sequence[Task], measure: Measurement, simulate: Simulate) -> 
 
 
 def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
+    scenario, seed = task
     try:
-        with identified_run():
-            return Outcome("ok", measure(simulate(*task)))
+        # Whatever the worker, each run starts from what the driver's objects hold, as if it were the only one.
+        with identified_run(), fresh_copy((scenario, measure), alone=True) as (copied, fresh_measure):
+            result = simulate(copied, seed)
+            if copied is not scenario and isinstance(result, Result):
+                result = replace(result, scenario=scenario)
+            return Outcome("ok", fresh_measure(result))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too

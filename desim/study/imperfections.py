@@ -206,7 +206,8 @@ def _links_without(network: Links, key: str) -> tuple[Any, ...]:
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph of a scenario, without one property (`key`) of its edges."""
-    made = scenario.network.graph(scenario.team.count).copy()  # a graph model may return the same object at each call
+    # A graph model may return the same object at each call.
+    made = scenario.network.make_graph(scenario.team.count).copy()
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]

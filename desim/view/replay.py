@@ -319,7 +319,7 @@ def _document(result: Result, ghost: Result | None = None) -> ReplayData:
 def _arcs(result: Result) -> str | None:
     """Return the edges (sender, receiver) of the communication graph as a column; None if the graph is complete."""
     size = len(started(result).active)
-    graph = result.scenario.network.graph(size)
+    graph = result.scenario.network.make_graph(size)
     return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 

@@ -512,19 +512,18 @@ def test_without_loss_the_ages_of_theory_are_exact():
 # Against what pursuers really received.
 
 
-class BeliefLog:
-    """A protocol that acts at random and logs its records at each decision, in the order of decisions."""
+def log_beliefs(pages):
+    """Return a protocol that acts at random and logs its records at each decision, in the order of decisions."""
 
-    def __init__(self):
-        self.pages = []
-
-    def __call__(self, me):
+    def act(me):
         while True:
             yield me.sleep(me.rng.exponential(0.05))
             me.assign(me.rng.random() < 0.5)
             heard = me.latest_records().items()
-            self.pages.append({j: (record.stamp, record.body.active) for j, record in heard})
+            pages.append({j: (record.stamp, record.body.active) for j, record in heard})
             me.announce()
+
+    return act
 
 
 CRASHES = RandomCrashes(rate=1.0, mean_downtime=0.1)
@@ -546,7 +545,7 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
 )
 def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemination, faults, warm):
     """In each run some hundred decisions. Records are late, lost, overtaken, forwarded, and forgotten."""
-    belief_log = BeliefLog()
+    logged = []
     scenario = Scenario(
         horizon=2.0,
         team=Team(count=6, active_at_start=0.5),
@@ -554,11 +553,11 @@ def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemin
         network=Links(graph=Ring(), latency=Uniform(low=0.0, high=0.1), loss=Bernoulli(p=0.2)),
         announce=Announcements(trigger="revision", dissemination=dissemination, warm_start=warm),
         record=Recording(messages=True),
-        protocol=belief_log,
+        protocol=log_beliefs(logged),
         fault=faults,
     )
     result = run(scenario, 3)
-    known, pages = knowledge(result), iter(belief_log.pages)
+    known, pages = knowledge(result), iter(logged)
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):
             mine = known[known["reader"] == event.pursuer]
@@ -572,7 +571,7 @@ def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemin
             assert {j: page[j][0] for j in heard} == heard
             assert warm or set(page) == set(heard)
     assert next(pages, None) is None
-    assert len(belief_log.pages) > 100
+    assert len(logged) > 100
 
 
 # Records that a protocol forwards.

@@ -556,22 +556,23 @@ def test_a_delayed_action_does_not_block_its_caller():
 
 
 class Asked(Rule):
-    """Chases whenever it is asked, and counts."""
+    """Chases whenever it is asked, and tells it."""
 
-    asked: Any
+    tell: Any
 
     def actions(self, me):
         while True:
-            self.asked.append((me.id, me.now))
+            self.tell((me.id, me.now))
             yield 1
 
 
 def test_a_rule_is_called_at_each_turn_of_its_schedule_unless_there_is_no_choice():
     """Rounds of 0.25 s; pursuer 0 cannot capture, and is ordered to stay, unasked."""
-    rule = Asked(schedule=Rounds(period=0.25), asked=[])
+    asked = []
+    rule = Asked(schedule=Rounds(period=0.25), tell=lambda turn: asked.append(turn))
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=[0.0, 1.0], active_at_start=1.0)
     result = act(rule, team=team, horizon=0.6)
-    assert rule.asked == [(1, 0.25), (1, 0.5)]
+    assert asked == [(1, 0.25), (1, 0.5)]
     found = [(d.t / 1e9, d.pursuer, d.active) for d in result.trace.of(Decided)]
     assert found == [(0.25, 0, False), (0.25, 1, True), (0.5, 0, False), (0.5, 1, True)]
 

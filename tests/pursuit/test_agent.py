@@ -161,19 +161,16 @@ def test_a_heartbeat_counts_as_the_last_announcement(between, said):
             assert [t for t in told if t in {0.1, 2.0}] == said
 
 
-class Dicing:
-    """A dissemination that draws from the generator of a pursuer's decisions, every 0.1 s."""
+def dicing(drawn):
+    """Return a dissemination that draws from the generator of a pursuer's decisions, every 0.1 s."""
 
-    def __init__(self, drawn):
-        self._drawn = drawn
-
-    def broadcast(self, me, announcement):
-        """Say nothing."""
-
-    def __call__(self, me):
+    def draw(me):
         while True:
-            self._drawn.setdefault(me.id, []).append(me.rng.random())
+            drawn.setdefault(me.id, []).append(me.rng.random())
             yield me.sleep(0.1)
+
+    draw.broadcast = lambda me, announcement: None
+    return draw
 
 
 def test_dissemination_and_protocol_share_one_generator():
@@ -182,9 +179,9 @@ def test_dissemination_and_protocol_share_one_generator():
 
     def protocol(me):
         yield me.sleep(0.05)
-        yield from Dicing(drawn)(me)
+        yield from dicing(drawn)(me)
 
-    play(protocol, announce=Announcements(dissemination=Dicing(drawn), trigger="never"), horizon=0.98)
+    play(protocol, announce=Announcements(dissemination=dicing(drawn), trigger="never"), horizon=0.98)
     assert drawn == {pursuer: stream(0, "decisions", pursuer).random(20).tolist() for pursuer in range(3)}
 
 

@@ -221,7 +221,7 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
         assert seen >= newest.get(src, -1.0)
         newest[src] = seen
     assert len(newest) >= 4
-    assert PORT == "sightings"
+    assert str(PORT) == "sightings"
 
 
 @pytest.mark.slow_but_one

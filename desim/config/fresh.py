@@ -1,0 +1,285 @@
+"""Fresh copies of models with state, so that each run starts from the state that the objects of its caller have.
+
+A built-in model and a plain function never change, and a run uses them as they are. Any other object may remember
+something between calls. A run therefore calls a copy, with copies of all that the object holds: its attributes, the
+variables of enclosing functions, mutable defaults, random generators. What a module or a class holds is not copied.
+"""
+
+import pickle
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import _lru_cache_wrapper, lru_cache
+from io import BytesIO
+from types import (
+    BuiltinFunctionType,
+    CellType,
+    CodeType,
+    FunctionType,
+    MappingProxyType,
+    MethodType,
+    ModuleType,
+    NoneType,
+)
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from desim.config.shared_state import COLLECTIONS, changes, defaults_of, warn_of_collections
+from desim.config.traits import name_of
+
+Model = TypeVar("Model")
+ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
+"""The types of values that hold nothing else and never change."""
+NEVER_CHANGED = ("desim.", "protocols.", "networkx.", "pathlib")
+"""The beginnings of the names of modules whose objects do not change while a model holds them."""
+FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
+"""The attributes of a function that a copy takes over, besides those that its users set."""
+
+
+class StateError(ValueError):
+    """Raised when an object cannot be copied, so that a second run would not start from the same state."""
+
+
+@contextmanager
+def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
+    """Yield a copy of a model in which the objects that may have state are copies; the model itself if it has none.
+
+    An object to which the model refers twice is copied once. A collection in a variable of an enclosing function, such
+    as a list to which the function appends what it sees, is shared with the caller, who reads it after the run.
+
+    A `StateWarning` names what is not copied and changes: collections that a function reads and that differ from those
+    that its first run found, and attributes of classes and global variables that differ at the end of the block.
+
+    Args:
+        model: the model.
+        alone: whether nobody reads collections after the run, so that they are copied, too.
+
+    Raises:
+        StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
+    """
+    if is_built_in(model):  # as a rule
+        yield model
+        return
+    users = dict(_of_users(model))
+    copied, kept, functions = model, [], []
+    if not all(_is_plain(value, alone=alone) for value in users.values()):
+        content = BytesIO()
+        copier = _Copier(content, alone=alone)
+        try:
+            copier.dump(model)
+        except Exception as error:  # code of an object may raise anything
+            raise _refusal(users, error) from error
+        copied, kept = _Reader(content, copier.kept).load(), copier.kept
+        functions = copier.functions
+    if not alone:
+        warn_of_collections([*functions, *users.values()])
+    with changes([*kept, *users.values()], _snapshot):
+        yield copied
+
+
+def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
+    """Return the error for a model that cannot be copied, with the key of the first object that cannot."""
+    for key, value in users.items():
+        try:
+            _Copier(BytesIO()).dump(value)
+        except Exception as reason:
+            return StateError(
+                f"{key}: {name_of(value)} may remember something, so each run calls a copy of it, but it cannot be"
+                f" copied ({reason}): create what changes in the first call during the run, or leave it out in the"
+                " __getstate__ of its class"
+            )
+    return StateError(f"cannot be copied: {error}")
+
+
+@lru_cache(maxsize=256)
+def _form(kind: type) -> Literal["constant", "model", "items", "values", "object"]:
+    """Return how the values of a type are looked through."""
+    if kind in {tuple, list}:
+        return "items"
+    if kind is dict:
+        return "values"
+    if not kind.__module__.startswith(NEVER_CHANGED):
+        return "constant" if kind in {*ATOMS, np.ndarray} else "object"
+    return "model" if issubclass(kind, BaseModel) else "constant"
+
+
+def _is_ours(value: Any) -> bool:
+    """Return whether a value is a function of desim at the top level, which has no state."""
+    return type(value) is FunctionType and value.__closure__ is None and value.__module__.startswith(NEVER_CHANGED)
+
+
+def is_built_in(model: Any) -> bool:
+    """Return whether a model and all that it holds are built-in models and constants, which have no state."""
+    values = [model]
+    for value in values:
+        form = _form(type(value))
+        if form == "object":
+            if not _is_ours(value):
+                return False
+        elif form != "constant":
+            values += value if form == "items" else (vars(value) if form == "model" else value).values()
+    return True
+
+
+def _of_users(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of each object in a model that is neither a built-in model nor a constant."""
+    form = _form(type(value))
+    if form == "object":
+        if not _is_ours(value):
+            yield key, value
+    elif form != "constant":
+        inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
+        for name, item in inner:
+            yield from _of_users(item, f"{key}.{name}" if key else str(name))
+
+
+def _is_plain(value: Any, *, alone: bool = False) -> bool:
+    """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
+    kind = type(value)
+    if kind is FunctionType:
+        held = *defaults_of(value), *(value.__closure__ or ())
+        return _is_ours(value) or all((not alone and _is_collection(item)) or _is_constant(item) for item in held)
+    if kind is BuiltinFunctionType:
+        return isinstance(value.__self__, ModuleType | NoneType)
+    return kind in ATOMS or isinstance(value, type | ModuleType | CodeType)
+
+
+def _is_constant(value: Any) -> bool:
+    """Return whether a default of a function cannot change."""
+    if type(value) in {tuple, frozenset}:
+        return all(map(_is_constant, value))
+    return is_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
+
+
+def _is_collection(held: Any) -> bool:
+    """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read."""
+    try:
+        return isinstance(held.cell_contents if type(held) is CellType else held, COLLECTIONS)
+    except ValueError:  # the variable has no value yet
+        return False
+
+
+def _snapshot(value: Any) -> Any:
+    """Return what differs if a value has changed; None if that cannot be found out."""
+    content = BytesIO()
+    copier = _Copier(content)
+    try:
+        copier.dump(value)
+    except Exception:  # code of an object may raise anything
+        return None
+    return content.getvalue(), [_Same(item) for item in copier.kept]
+
+
+class _Same:
+    """Is equal to what stands for the same object only."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.value is other.value
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class _Kept:
+    """Stands for an object to which a copy refers."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+
+class _Copier(pickle.Pickler):
+    """Pickles a model for this process, where the copy can refer to what is not copied.
+
+    Attributes:
+        kept: the objects to which the copy refers, by their number.
+        functions: the functions in the model.
+    """
+
+    def __init__(self, content: BytesIO, *, alone: bool = False):
+        super().__init__(content, 5)
+        self._alone = alone
+        self.kept: list[Any] = []
+        self.functions: list[FunctionType] = []
+
+    def persistent_id(self, value: Any) -> int | None:
+        """Return the number of an object to which the copy refers; None for an object that is copied."""
+        kind = type(value)
+        if kind in ATOMS:
+            return None
+        if kind is FunctionType:
+            self.functions.append(value)
+        if kind is _Kept:
+            value = value.value
+        elif kind is np.ndarray:
+            if value.flags.writeable:
+                return None
+        elif kind.__module__.startswith(NEVER_CHANGED):
+            if not all(_is_plain(item, alone=self._alone) for _, item in _of_users(value)):
+                return None
+        elif not _is_plain(value, alone=self._alone):
+            return None
+        self.kept.append(value)
+        return len(self.kept) - 1
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how to copy functions, methods, their variables and caches; NotImplemented for any other object."""
+        kind = type(value)
+        if kind is FunctionType:
+            cells = tuple(map(self._shared, value.__closure__ or ()))
+            parts = _Kept(value.__code__), _Kept(value.__globals__), value.__name__, None, cells
+            state = {name: getattr(value, name) for name in FUNCTION_STATE}
+            state["__defaults__"] = value.__defaults__ and tuple(map(self._shared, value.__defaults__))
+            if keywords := value.__kwdefaults__:
+                state["__kwdefaults__"] = {name: self._shared(item) for name, item in keywords.items()}
+            return FunctionType, parts, (state, vars(value)), None, None, _complete
+        if kind is CellType:
+            try:
+                return CellType, (), (value.cell_contents,), None, None, _fill
+            except ValueError:  # it is empty
+                return CellType, ()
+        if kind is MethodType:
+            return MethodType, (_Kept(value.__func__), value.__self__)
+        if kind is MappingProxyType:
+            return MappingProxyType, (dict(value),)
+        if kind is _lru_cache_wrapper:
+            return _cached, (value.__wrapped__, value.cache_parameters())
+        if kind.__module__ == "itertools":  # Python 3.14 cannot copy them, and 3.12 warns of it
+            raise TypeError(f"cannot pickle {kind.__qualname__!r} object of itertools")
+        return NotImplemented
+
+    def _shared(self, held: Any) -> Any:
+        """Return what stands for a default or variable of a function; it is copied unless its caller may read it."""
+        return _Kept(held) if _is_collection(held) and not self._alone else held
+
+
+class _Reader(pickle.Unpickler):
+    """Reads what a `_Copier` has written."""
+
+    def __init__(self, content: BytesIO, kept: list[Any]):
+        content.seek(0)
+        super().__init__(content)
+        self._kept = kept
+
+    def persistent_load(self, number: int) -> Any:
+        """Return the object of a number."""
+        return self._kept[number]
+
+
+def _complete(function: FunctionType, state: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    """Set the attributes of a copied function."""
+    for name, value in state[0].items():
+        setattr(function, name, value)
+    vars(function).update(state[1])
+
+
+def _fill(cell: CellType, contents: tuple[Any]) -> None:
+    """Set the value of a variable of an enclosing function."""
+    (cell.cell_contents,) = contents
+
+
+def _cached(function: Any, parameters: dict[str, Any]) -> Any:
+    """Return a function with an empty cache."""
+    return lru_cache(**parameters)(function)

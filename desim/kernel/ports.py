@@ -1,0 +1,30 @@
+"""Ports of the simulator itself, which no message of a protocol reaches."""
+
+
+class ReservedPort(str):
+    """A port whose inboxes only the module that defines it can read: it is equal to no other string.
+
+    Traces record its text, so a protocol may use a port of the same text as its own. It is the value of the global
+    variable `PORT` of its module, and pickled and copied as that.
+
+    Args:
+        text: the text in traces.
+        module: the name of the module.
+    """
+
+    __hash__ = object.__hash__
+
+    def __new__(cls, text: str, module: str) -> "ReservedPort":
+        """Create the port."""
+        port = super().__new__(cls, text)
+        port.__module__ = module
+        return port
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __ne__(self, other: object) -> bool:
+        return self is not other
+
+    def __reduce__(self) -> str:
+        return "PORT"

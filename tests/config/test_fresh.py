@@ -1,0 +1,349 @@
+"""Fresh copies: what a run may remember is copied at its start, in every field of every model that holds an object."""
+
+import functools
+import importlib
+import itertools
+import pkgutil
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+import desim
+import protocols
+from desim import Evader, Scenario, Team, run
+from desim.config.choice import choices_of
+from desim.config.fresh import StateError, fresh_copy
+from desim.config.shared_state import StateWarning
+from desim.kernel.events import Watcher
+from desim.kernel.graphs import Ring
+from desim.kernel.links import Links
+from desim.scenario.scenario import Motion
+from desim.study.batch import run_many
+
+
+class Remembering:
+    """An object that remembers how often it was called."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, *_):
+        self.calls += 1
+        return self.calls
+
+    def turn(self, *_):
+        return self()
+
+
+def models():
+    """Return all models of desim and protocols."""
+    for package in (desim, protocols):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            for item in vars(importlib.import_module(module.name)).values():
+                if isinstance(item, type) and issubclass(item, BaseModel) and item.__module__ == module.name:
+                    yield item
+
+
+FIELDS = [(model, name) for model in models() for name, field in model.model_fields.items() if choices_of(field)]
+
+
+@pytest.mark.parametrize(("model", "name"), FIELDS, ids=lambda item: getattr(item, "__name__", item))
+def test_an_object_with_state_in_any_field_is_copied_alone_and_in_a_list(model, name):
+    held = Remembering()
+    for value in (held, (held, held), functools.partial(held), held.turn):
+        whole = model.model_construct(**{name: value})
+        with fresh_copy({"table": whole}) as copied:
+            inner = getattr(copied["table"], name)
+            for item in inner if isinstance(inner, tuple) else [inner]:
+                item()
+            assert not isinstance(inner, tuple) or inner[0] is inner[1]
+        assert held.calls == 0
+        assert getattr(whole, name) is value
+
+
+def test_there_are_families_enough():
+    assert len(FIELDS) > 30
+
+
+def nonlocal_counter():
+    calls = 0
+
+    def count():
+        nonlocal calls
+        calls += 1
+        return calls
+
+    return count
+
+
+def recursive():
+    calls = 0
+
+    def count(*, again=True):
+        nonlocal calls
+        calls += 1
+        return count(again=False) if again else calls
+
+    return count
+
+
+def over(value, read):
+    return lambda: read(value)
+
+
+def with_attribute():
+    def count():
+        count.calls += 1
+        return count.calls
+
+    count.calls = 0
+    return count
+
+
+def sharing():
+    """Return two functions in one: the first counts, the second tells."""
+    calls = 0
+
+    def count():
+        nonlocal calls
+        calls += 1
+
+    def tell():
+        return calls
+
+    return lambda: (count(), tell())
+
+
+class Slots:
+    __slots__ = ("calls",)
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self):
+        self.calls += 1
+        return self.calls
+
+
+class Drawing:
+    def __init__(self):
+        self.rng = np.random.default_rng(1)
+
+    def __call__(self):
+        return self.rng.random()
+
+
+class Model(BaseModel):
+    _calls: int = 0
+
+    def __call__(self):
+        self._calls += 1
+        return self._calls
+
+
+STATEFUL = {
+    "instance": Remembering,
+    "method": lambda: Remembering().turn,
+    "partial": lambda: functools.partial(Remembering()),
+    "partial over a closure": lambda: functools.partial(nonlocal_counter()),
+    "nonlocal": nonlocal_counter,
+    "recursive": recursive,
+    "closure over an instance": lambda: over(Remembering(), lambda held: held()),
+    "closure over a generator of numbers": lambda: over(np.random.default_rng(1), lambda rng: rng.random()),
+    "method of a generator of numbers": lambda: np.random.default_rng(1).random,
+    "closure over an iterator": lambda: over(iter([1, 2, 3]), next),
+    "attribute of a local function": with_attribute,
+    "two closures": sharing,
+    "cache": lambda: functools.lru_cache(nonlocal_counter()),
+    "slots": Slots,
+    "numpy": Drawing,
+    "pydantic": Model,
+}
+
+
+@pytest.mark.parametrize("make", STATEFUL.values(), ids=STATEFUL)
+def test_every_copy_starts_from_the_state_of_the_caller(make):
+    held = Scenario.model_construct(protocol=make())
+    found = []
+    for _ in range(2):
+        with fresh_copy(held) as copied:
+            found.append([copied.protocol(), copied.protocol()])
+    assert found[0] == found[1]
+    assert found[0][0] == held.protocol()
+
+
+def generator():
+    yield 1
+
+
+@pytest.mark.parametrize("held", [generator(), itertools.count(), itertools.cycle([1]), open], ids=str)
+def test_an_object_that_cannot_be_copied_is_refused_with_its_key(held, tmp_path):
+    opened = held(tmp_path / "log", "w") if held is open else held
+    scenario = Scenario(evader=Evader(strategy=lambda state, rng: next(opened)))
+    with pytest.raises(StateError, match=r"^evader.strategy: <lambda> may remember something.*cannot pickle"):
+        run(scenario)
+    if held is open:
+        opened.close()
+
+
+def idle(me):
+    yield me.sleep(1.0)
+
+
+def test_built_in_models_and_plain_functions_are_not_copied():
+    scenario = Scenario(protocol=idle, network=Links(graph=Ring()))
+    with fresh_copy(scenario) as copied:
+        assert copied is scenario
+    constants = np.zeros(3)
+    constants.setflags(write=False)
+    scenario = Scenario.model_construct(protocol=functools.partial(max, constants), network=Links(graph=Ring()))
+    with fresh_copy(scenario) as copied:
+        assert copied is not scenario
+        assert copied.network is scenario.network
+        assert copied.protocol.args[0] is constants
+
+
+# Runs.
+
+
+def up_then_down(calls):
+    return 1j if calls < 100 else -1j
+
+
+class Strategy(Remembering):
+    def __call__(self, state, rng):
+        return up_then_down(super().__call__())
+
+    def direct(self, state, rng):
+        return self(state, rng)
+
+
+def counting():
+    calls = 0
+
+    def strategy(state, rng):
+        nonlocal calls
+        calls += 1
+        return up_then_down(calls)
+
+    return strategy
+
+
+def in_a_list():
+    calls = [0]
+
+    def strategy(state, rng):
+        calls[0] += 1
+        return up_then_down(calls[0])
+
+    return strategy
+
+
+STRATEGIES = {
+    "instance": Strategy,
+    "method": lambda: Strategy().direct,
+    "partial": lambda: functools.partial(Strategy()),
+    "nonlocal": counting,
+    "nested": lambda: {"kind": "listener", "during_handover": Strategy(), "normally": Strategy()},
+}
+
+
+def game(strategy):
+    return Scenario(team=Team(count=3, speeds=2.0), evader=Evader(strategy=strategy), horizon=3.0)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("make", STRATEGIES.values(), ids=STRATEGIES)
+def test_a_second_run_equals_the_first_and_the_object_of_the_caller_stays_as_it_was(make):
+    scenario = game(make())
+    first, second = run(scenario, 1), run(scenario, 1)
+    assert first.trace.events == second.trace.events
+    assert first.scenario is scenario
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [*STRATEGIES.values(), in_a_list])
+def test_runs_are_equal_whoever_performs_them(make):
+    tasks = [(game(make()), seed) for seed in (1, 1, 2)]
+    shared = [(tasks[0][0], seed) for _, seed in tasks]
+    measured = run_many(shared, jobs=1)
+    assert measured == run_many(shared, jobs=2) == run_many(tasks, jobs=1)
+    assert measured[0] == measured[1]
+
+
+def test_a_function_may_report_to_its_caller_and_is_warned_of_when_it_reads_what_an_earlier_run_left():
+    seen = []
+    scenario = game(lambda state, rng: seen.append(state) or 1j)
+    for _ in range(2):
+        run(scenario, 1)
+    assert len(seen) > 100
+    scenario = game(in_a_list())
+    run(scenario, 1)
+    with pytest.warns(StateWarning, match=r"^calls of in_a_list.<locals>.strategy: has changed since the first run"):
+        run(scenario, 1)
+
+
+class Counter:
+    calls = 0
+
+    def __call__(self, state, rng):
+        Counter.calls += 1
+        return 1j
+
+
+def global_counter(state, rng):
+    global CALLS  # noqa: PLW0603
+    CALLS += 1
+    return 1j
+
+
+CALLS = 0
+
+
+def attributed(state, rng):
+    attributed.calls += 1
+    return 1j
+
+
+attributed.calls = 0
+
+
+@pytest.mark.parametrize(
+    ("strategy", "name"),
+    [
+        (Counter(), "Counter.calls"),
+        (functools.partial(Counter()), "Counter.calls"),
+        (global_counter, f"{__name__}.CALLS"),
+        (attributed, "attributed.calls"),
+    ],
+)
+def test_state_in_a_class_or_a_module_is_warned_of(strategy, name):
+    with pytest.warns(StateWarning, match=f"^{name}: changed during the run, so a second run would start from"):
+        run(game(strategy), 1)
+
+
+class Graph(Remembering):
+    def __call__(self, size):
+        assert super().__call__() == 1
+        return Ring()(size)
+
+
+def test_a_graph_that_remembers_is_called_once_by_the_scenario_and_by_each_run():
+    graph = Graph()
+    scenario = Scenario(team=Team(count=3), motion=Motion(static=True), horizon=0.1, network=Links(graph=graph))
+    for _ in range(2):
+        run(scenario)
+    assert graph.calls == 0
+
+
+def test_watchers_belong_to_the_caller_and_are_not_copied():
+    class Count:
+        events = 0
+
+        def __call__(self, event):
+            self.events += 1
+
+    watcher: Watcher = Count()
+    result = run(Scenario(team=Team(count=3), horizon=0.1), 1, watcher)
+    assert watcher.events >= len(result.trace) > 0

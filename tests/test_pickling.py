@@ -1,0 +1,126 @@
+"""What a user may hold can be pickled and copied, and holds no simulation in memory."""
+
+import copy
+import gc
+import multiprocessing
+import pickle
+import weakref
+
+import numpy as np
+import pytest
+
+import desim
+from desim import Evader, Scenario, Team, load, run, summary, sweep
+from desim.config.fresh import StateError
+from desim.config.shared_state import StateWarning
+from desim.kernel.clock import Clock
+from desim.kernel.events import Trace
+from desim.kernel.trace_file import line_of
+from desim.scenario.overrides import ScenarioError
+from desim.simulation.watchdog import TimedOut, within
+from scenarios.study import SCENARIOS
+
+FILES = sorted(file.name for file in SCENARIOS.glob("*.toml"))
+
+
+def circling(state, rng):
+    return 1j
+
+
+def chase(me):
+    yield me.sleep(0.1)
+    me.assign(True)
+
+
+def small(**changes):
+    return Scenario(**({"team": Team(count=3), "horizon": 0.3} | changes))
+
+
+def lines(result):
+    return "".join(map(line_of, result.trace))
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))])
+def test_a_result_of_any_scenario_can_be_copied(file, copied):
+    result = run(load(SCENARIOS / file, ["horizon=0.05", "record.messages=true"]), 3)
+    again = copied(result)
+    assert lines(again) == lines(result)
+    assert again.scenario == result.scenario
+    assert summary(again) == summary(result)
+    assert str(again) == str(result)
+
+
+def copies_of(held):
+    """Return what pickle and deepcopy make of an object."""
+    return [pickle.loads(pickle.dumps(held)), copy.deepcopy(held)]
+
+
+def held_by_users():
+    """Yield each kind of object that a public function returns, or that it raises."""
+    result = run(small(protocol=chase, evader=Evader(strategy=circling)), 1)
+    swept = sweep(small(), {"team.count": [2, 3]}, reps=2)
+    yield from (result, result.trace, result.scenario, summary(result), result.replay(), swept)
+    yield from (swept.estimates("end_time"), desim.explain(small(network={"latency": 0.1}), runs=2), desim.examples())
+    for broken in (
+        lambda: Scenario(team=-1),
+        lambda: load("nowhere.toml"),
+        lambda: load(SCENARIOS / "relay.toml", ["x=1"]),
+    ):
+        with pytest.raises((ValueError, OSError)) as caught:
+            broken()
+        yield caught.value
+    with pytest.raises(TimedOut) as late, within(0.01):
+        run(small(horizon=1e6, evader=Evader(speed=9.0), team=Team(count=3, speeds=1.0)))
+    yield from (late.value, ScenarioError("text"), StateError("text"), StateWarning("text"))
+
+
+@pytest.mark.slow
+def test_all_that_a_user_may_hold_can_be_pickled_and_copied():
+    for held in held_by_users():
+        for again in copies_of(held):
+            assert type(again) is type(held)
+            assert str(again) == str(held) or not isinstance(held, BaseException)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_a_pool_of_multiprocessing_performs_runs(method):
+    scenario = small(protocol=chase)
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        results = pool.starmap(run, [(scenario, seed) for seed in range(3)])
+    assert [lines(result) for result in results] == [lines(run(scenario, seed)) for seed in range(3)]
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_result_holds_no_simulation(monkeypatch, raises):
+    """Neither do the traces that are left of a run that raised."""
+    clocks, begin = [], Clock.__init__
+    monkeypatch.setattr(Clock, "__init__", lambda self: clocks.append(weakref.ref(self)) or begin(self))
+    traces = []
+    start = Trace.__init__
+    monkeypatch.setattr(
+        Trace, "__init__", lambda self, *args, **kinds: traces.append(self) or start(self, *args, **kinds)
+    )
+
+    def stop(event):
+        if raises and event.t > 0:
+            raise LookupError
+
+    try:
+        run(small(), 1, stop)
+    except LookupError:
+        assert raises
+    gc.collect()
+    assert len(clocks) == len(traces) == 1
+    assert clocks[0]() is None
+    assert len(traces[0]) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "size"), [(200, 0.15e6), (1000, 0.6e6)])
+def test_a_result_takes_no_more_memory_than_its_events(count, size):
+    result = run(Scenario(team=Team(count=count), network={"range": 5.0}, horizon=1.0, record={"trajectory": 0.0}), 1)
+    assert len(pickle.dumps(result)) < size
+    assert np.isfinite(summary(result).end_time)
