@@ -10,6 +10,7 @@ import gc
 from enum import IntEnum
 from heapq import heappush
 from operator import attrgetter
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import simpy
@@ -26,6 +27,29 @@ GC_THRESHOLDS = 100_000, 50, 100
 """The thresholds of the garbage collector during a run; see `gc.set_threshold`."""
 NEVER = (1 << 63) - 1
 """A time that no run reaches, ns; the largest 64-bit integer."""
+
+
+class _RareCollection:
+    """Makes garbage collection less frequent in the whole process while at least one run lasts, in any thread."""
+
+    def __init__(self) -> None:
+        self._lock, self._runs, self._usual = Lock(), 0, gc.get_threshold()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._runs:
+                self._usual = gc.get_threshold()
+                gc.set_threshold(*GC_THRESHOLDS)
+            self._runs += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._runs -= 1
+            if not self._runs:
+                gc.set_threshold(*self._usual)
+
+
+_RARE_COLLECTION = _RareCollection()
 
 
 class Phase(IntEnum):
@@ -70,8 +94,11 @@ class Clock(simpy.Environment):
         Raises:
             BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
         """
-        usual = gc.get_threshold()
-        gc.set_threshold(*GC_THRESHOLDS)
+        with _RARE_COLLECTION:
+            return self._run(until)
+
+    def _run(self, until: "SimTime | simpy.Event | None") -> Any:
+        """Run as `simpy.Environment.run` does, and raise the exception of a process as it was raised."""
         try:
             return super().run(until)
         except BaseException as error:
@@ -79,8 +106,6 @@ class Clock(simpy.Environment):
             if type(first) is type(error) and first.args == error.args:
                 raise first from first.__cause__
             raise
-        finally:
-            gc.set_threshold(*usual)
 
     def scheduled(self) -> dict[int, int]:
         """Return the time (ns) of each scheduled event, by the `id` of the event."""

@@ -11,6 +11,7 @@ import sys
 from collections import ChainMap
 from functools import cache, partial
 from pathlib import Path
+from threading import RLock
 from types import CodeType
 from typing import Any, ClassVar
 
@@ -21,6 +22,8 @@ from desim.study.user_code import is_installed
 
 Call = partial[Any]
 """A function and its arguments."""
+_REGISTERING = RLock()
+"""Held while user modules are registered, so that no other thread finds them registered, or registers them, too."""
 
 
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -36,16 +39,17 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 def packed(call: Call) -> bytes:
     """Return a call as bytes, which include the functions and classes of user modules that the call refers to."""
-    own = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
     written = io.BytesIO()
-    try:
-        CallPickler(written).dump(call)
-        return written.getvalue()
-    finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
+    with _REGISTERING:  # cloudpickle registers modules for the whole process
+        modules = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
+        for module in modules:
+            cloudpickle.register_pickle_by_value(module)
+        try:
+            CallPickler(written).dump(call)
+        finally:
+            for module in modules:
+                cloudpickle.unregister_pickle_by_value(module)
+    return written.getvalue()
 
 
 def called(call: bytes) -> bytes:

@@ -15,7 +15,7 @@ from desim import Evader, Scenario, Team, run
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
-from desim.kernel.events import Watcher
+
 from desim.kernel.graphs import Ring
 from desim.kernel.links import Links
 from desim.scenario.scenario import Motion
@@ -293,7 +293,7 @@ class Counter:
 
 
 def global_counter(state, rng):
-    global CALLS  # noqa: PLW0603
+    global CALLS
     CALLS += 1
     return 1j
 
@@ -344,6 +344,6 @@ def test_watchers_belong_to_the_caller_and_are_not_copied():
         def __call__(self, event):
             self.events += 1
 
-    watcher: Watcher = Count()
+    watcher = Count()
     result = run(Scenario(team=Team(count=3), horizon=0.1), 1, watcher)
     assert watcher.events >= len(result.trace) > 0
