@@ -5,13 +5,13 @@ The page of `desim play` (`desim.view.play_server`) and the widget of notebooks 
 functions here return. Each answer to a request of a page is a JSON object.
 """
 
+import pickle
 import re
 import shlex
 import traceback
-from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,8 +57,6 @@ INNERMOST = 3
 """The number of innermost calls that are shown of the traceback of a run that failed."""
 KEPT = 3
 """The number of results that a process keeps: the pinned run is needed again with every change."""
-_recent: dict[bytes, Result] = {}
-"""The kept results by the pickled pair of playground and changes, from the least to the most recently used."""
 Answer = dict[str, Any]
 """A JSON object."""
 Changes = Sequence[str]
@@ -105,15 +103,7 @@ class Playground:
             ScenarioError: if it is not valid.
             TimedOut: if it takes longer than the time limit.
         """
-        key = cloudpickle.dumps((self, tuple(changes)))
-        found = _recent.pop(key, None)
-        if found is None:
-            with within(self.timeout):
-                found = run(self.scenario(changes))
-        _recent[key] = found
-        if len(_recent) > KEPT:
-            del _recent[next(iter(_recent))]
-        return found
+        return _result(cloudpickle.dumps((self, tuple(changes))))
 
     def answer(self, now: Changes, pinned: Changes | None) -> Answer:
         """Run the scenario and return all that is shown of it.
@@ -223,6 +213,14 @@ class Playground:
             return summary(run(self.scenario(changes), seed))
 
 
+@lru_cache(maxsize=KEPT)
+def _result(key: bytes) -> Result:
+    """Return the result of a pickled pair of playground and changes; see `Playground.result`."""
+    playground, changes = pickle.loads(key)
+    with within(playground.timeout):
+        return run(playground.scenario(changes))
+
+
 class Session:
     """A playground and the workers that perform its runs, for one user with one page or several.
 
@@ -236,7 +234,8 @@ class Session:
     def __init__(self, playground: Playground, workers: Workers):
         self.playground, self.workers = playground, workers
         self._last: dict[str, Future[Any]] = {}
-        self._comparisons = Counter[str]()
+        self._comparisons: dict[str, object] = {}
+        """By page, an object of its own for the comparison that is under way."""
 
     def warm_up(self) -> None:
         """Let the workers import what a run needs, and return without waiting for them."""
@@ -245,14 +244,17 @@ class Session:
 
     def run(self, now: Changes, pinned: Changes | None, page: str = "") -> Answer:
         """Let a worker compute `Playground.answer`; cancel the last request of the page if it has not begun."""
-        if page in self._last:
-            self._last[page].cancel()
+        if (last := self._last.get(page)) is not None:
+            last.cancel()
         future = self._last[page] = self._submit(partial(self.playground.answer, now, pinned))
         try:
             return dict(self._result(future))
         except Exception as error:  # the worker died, or the request was cancelled
             why = "a later change came first" if future.cancelled() else f"{type(error).__name__}: {error}"
             return {"controls": self.playground.controls(now), "errors": {"": why}}
+        finally:
+            if self._last.get(page) is future:
+                self._last.pop(page, None)
 
     def save(self, changes: Changes) -> Answer:
         """Save a run in a worker; see `Playground.save`."""
@@ -266,7 +268,7 @@ class Session:
 
     def cancel(self, page: str = "") -> None:
         """End the comparison of a page: runs that have not begun are left out."""
-        self._comparisons[page] += 1
+        self._comparisons.pop(page, None)
 
     def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
         """Run both scenarios with equal seeds, and yield after each pair of runs what is known of the differences.
@@ -279,14 +281,13 @@ class Session:
         """
         scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
-        self.cancel(page)
-        own = self._comparisons[page]
+        comparison = self._comparisons[page] = object()
         waiting = list(seeds_from(scenario.seed, count))[::-1]
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
         try:
-            while (waiting or pending) and own == self._comparisons[page]:
+            while (waiting or pending) and comparison is self._comparisons.get(page):
                 while waiting and len(pending) < self.workers.count:
                     pending.add(self._submit(partial(self.playground.pair, now, pinned, waiting.pop())))
                 for future in self.workers.done(pending):
@@ -300,6 +301,8 @@ class Session:
         finally:
             for future in pending:
                 future.cancel()
+            if comparison is self._comparisons.get(page):
+                self.cancel(page)
 
     def _submit(self, call: "partial[Any]") -> "Future[Any]":
         """Submit a call; workers that died since the last call are replaced."""
