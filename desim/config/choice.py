@@ -1,7 +1,6 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, cached_property, reduce
@@ -25,11 +24,14 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.model import markers_of
+from desim.config.own_modules import find_own_modules, module_beside, plain_name
 from desim.config.packages import check_visible
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import ALLOW_HINT, is_trusted
+
+find_own_modules()
 
 
 def kind_of(model: type[BaseModel]) -> str:
@@ -44,7 +46,7 @@ def definition_of(value: Any) -> Any:
 
 def import_name(definition: Any) -> str:
     """Return the `kind` "module:name" that selects a function or class without an entry point."""
-    return f"{definition.__module__}:{definition.__qualname__}"
+    return f"{plain_name(definition.__module__)}:{definition.__qualname__}"
 
 
 IMPORTED = "^[^:]+:[^:]+$"
@@ -337,9 +339,9 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 def load_named(kind: str, folder: Path | None) -> Any:
     """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    An object that `protocols.KINDS` or an entry point of a group `desim.*` lists is loaded as an entry point. Before
-    any other object is imported, `folder` is appended to `sys.path`, unless it is None or already there. A worker
-    process on this machine receives a copy of `sys.path` when it starts, so it, too, finds the module.
+    An object that `protocols.KINDS` or an entry point of a group `desim.*` lists is loaded as an entry point. A module
+    that lies in `folder` precedes any other of its name, except those of Python and of desim; modules of one name in
+    different folders are different modules, and each imports the modules beside it (`desim.config.own_modules`).
 
     An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first
     check that the file that names the object is trusted.
@@ -348,23 +350,28 @@ def load_named(kind: str, folder: Path | None) -> Any:
         ValueError: if the object cannot be imported.
     """
     module, _, name = kind.partition(":")
-    where = ""
+    where, found = "", module
     point = _named_by_entry_points().get(kind)
     if point is None and folder is not None:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
-        if str(folder.absolute()) not in sys.path:
-            sys.path.append(str(folder.absolute()))
+        found = module_beside(module, folder)
+    place = found.removeprefix(module.partition(".")[0]).partition(".")[0]
     try:
-        return reduce(getattr, name.split("."), import_module(module)) if point is None else point.load()
+        return reduce(getattr, name.split("."), import_module(found)) if point is None else point.load()
     except AttributeError as error:
         hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
-        raise ValueError(f"{kind!r} cannot be imported: {error}{hint}{where}") from error
+        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{hint}{where}") from error
     except (ImportError, ValueError) as error:
-        raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
+        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{where}") from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
     except SystemExit as error:
         raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
+
+
+def _without(place: str, error: Exception) -> str:
+    """Return the text of an error with plain names of modules."""
+    return str(error).replace(place, "") if "@" in place else str(error)
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:

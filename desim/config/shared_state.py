@@ -105,7 +105,7 @@ def _shared(objects: Iterable[Any]) -> Iterator[tuple[str, Read]]:
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
             if base.__module__.partition(".")[0] in _FOREIGN:
                 continue
-            for method in vars(base).values():
+            for method in tuple(vars(base).values()):  # pydantic may still complete the class
                 method = getattr(method, "__func__", method)
                 if isinstance(method, FunctionType):
                     functions.append(method)
@@ -120,7 +120,7 @@ def _shared(objects: Iterable[Any]) -> Iterator[tuple[str, Read]]:
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
     """Yield the attributes in the namespace of a class or function, without methods and other descriptors."""
-    for name, value in place.items():
+    for name, value in tuple(place.items()):
         if not (name.startswith("__") or name == "_abc_impl" or hasattr(type(value), "__get__")):
             yield f"{owner}.{name}", lambda name=name: place.get(name)
 

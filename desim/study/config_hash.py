@@ -34,6 +34,7 @@ from pydantic import BaseModel
 
 from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
+from desim.config.own_modules import plain_name
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
@@ -191,6 +192,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         kind = type(value)
         if kind is CodeType:
             parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
+            parts[CODE.index("names")] = tuple(map(plain_name, value.co_names))
         elif kind is FunctionType:
             has_source = self._add_code(value, value.__code__)
             names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())
@@ -225,7 +227,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
         except (AttributeError, KeyError):  # it was made by a function
             return ""
-        return f"{module}:{name}" if found is value and self.user.add(module) else ""
+        return f"{plain_name(module)}:{name}" if found is value and self.user.add(module) else ""
 
     def _add_code(self, home: Any, code: Any) -> bool:
         """Add the source of the module of a function or class, and return True.
@@ -237,7 +239,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             return True
         self.user.files |= opened_by(module)
         if "<" not in home.__qualname__:  # the names of lambdas and of local functions are not unique
-            self.user.code[f"{module}:{home.__qualname__}"] = StablePickler(UserCode()).digest(code)
+            self.user.code[f"{plain_name(module)}:{home.__qualname__}"] = StablePickler(UserCode()).digest(code)
         return False
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.config.data_files import content_hash, opened_by
+from desim.config.own_modules import folder_of, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
@@ -41,10 +42,11 @@ class UserCode:
     def __init__(self) -> None:
         self.code: dict[str, str] = {}
         self.files: dict[str, str] = {}
+        self._modules: set[str] = set()
 
     def add(self, name: str) -> bool:
         """Add a module; return whether it has a source, or belongs to a package in `KNOWN`."""
-        if name in self.code or package_of(name) in KNOWN:
+        if name in self._modules or name in self.code or package_of(name) in KNOWN:
             return True
         file = None if name == "__main__" else _file(name)
         if file is None:
@@ -54,10 +56,15 @@ class UserCode:
             self.code |= _package(package_of(name), file)
             return True
         text = file.read_bytes()
-        self.code[name] = content_hash(text)
-        parent = name.rpartition(".")[0]
+        self._modules.add(name)
+        key = plain_name(name)
+        while key in self.code:  # a module of the same name beside another file
+            key += "'"
+        self.code[key] = content_hash(text)
+        parent, folder = name.rpartition(".")[0], folder_of(name)
         if file.suffix == ".py":
-            for each in _imported(text, name if file.stem == "__init__" else parent) | {parent} - {""}:
+            names = sorted(_imported(text, name if file.stem == "__init__" else parent) | {parent} - {""})
+            for each in names if folder is None else [module_beside(each, folder) for each in names]:
                 package = package_of(each)
                 if (home := _file(package)) is None or not is_installed(home):
                     self.add(each)

@@ -15,7 +15,6 @@ from desim import Evader, Scenario, Team, run
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
-
 from desim.kernel.graphs import Ring
 from desim.kernel.links import Links
 from desim.scenario.scenario import Motion

@@ -1,0 +1,138 @@
+"""Modules beside scenario files, each loaded from its own file under a name of its own.
+
+A module `rule` beside a file in the folder /a is imported as "rule@/a", so that a module of the same name beside
+another file is another module, with another `helper` beside it. If a plain import finds the same file, for example
+because a script beside the file has imported it, the module keeps its plain name. The names of modules that are hashed
+or shown are plain names, which do not depend on the folder.
+
+The folder is part of the name, so another process on this machine imports the same module by this name; a dot in the
+folder is written as %2E, because dots separate packages.
+"""
+
+import ast
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.util import find_spec, spec_from_file_location
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any
+
+from desim.config.packages import PACKAGES
+
+NOT_OWN = {*sys.stdlib_module_names, *PACKAGES, "desim"}
+"""The modules that no file beside a scenario replaces."""
+_FOLDER = re.compile(r"@[^.]*")
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a module, function or class without the folder of its module."""
+    return _FOLDER.sub("", name) if "@" in name else name
+
+
+def module_beside(name: str, folder: Path) -> str:
+    """Return the name under which a file in a folder imports a module, given its name in the file.
+
+    This is the plain name unless the folder has the module and a plain import would find another file, or none.
+    """
+    top, _, rest = name.partition(".")
+    folder = folder.resolve()
+    beside = None if top in NOT_OWN or "@" in name else PathFinder.find_spec(top, [str(folder)])
+    if beside is None or not _is_needed(top, beside):
+        return name
+    place = str(folder).replace("%", "%25").replace(".", "%2E").replace("@", "%40")
+    return ".".join(filter(None, [f"{top}@{place}", rest]))
+
+
+def _is_needed(top: str, beside: ModuleSpec) -> bool:
+    """Return whether a plain import of a module finds anything but the module beside a file."""
+    imported = sys.modules.get(top)
+    try:
+        plain = find_spec(top) if imported is None else imported.__spec__
+    except (ImportError, ValueError):
+        plain = None
+    if beside.origin is None:  # a folder without __init__.py, which any other module of this name precedes
+        places = [] if plain is None else list(plain.submodule_search_locations or ())
+        return plain is None or (
+            plain.origin is None and not set(beside.submodule_search_locations or ()) & set(places)
+        )
+    place = getattr(imported, "__file__", None) if plain is None else plain.origin
+    return place is None or Path(place).resolve() != Path(beside.origin).resolve()
+
+
+def folder_of(name: str) -> Path | None:
+    """Return the folder in the name of a module; None if it has a plain name."""
+    _, at, place = name.partition(".")[0].partition("@")
+    return Path(place.replace("%40", "@").replace("%2E", ".").replace("%25", "%")) if at else None
+
+
+class _Finder:
+    """Finds the modules whose names have a folder."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None, /
+    ) -> ModuleSpec | None:
+        """Return the specification of a module; None if its name has no folder, or the folder no such module."""
+        folder = folder_of(name)
+        if folder is None:
+            return None
+        found = PathFinder.find_spec(plain_name(name).rpartition(".")[2], [str(folder)] if path is None else path)
+        if found is None:
+            return None
+        places = found.submodule_search_locations
+        if found.origin is None:  # a folder without __init__.py
+            own = ModuleSpec(name, None, is_package=True)
+            own.submodule_search_locations = list(places or ())
+            return own
+        if not isinstance(found.loader, SourceFileLoader):  # the name of compiled code is part of it
+            return found
+        loader = _Loader(name, found.origin)
+        return spec_from_file_location(name, found.origin, loader=loader, submodule_search_locations=places)
+
+
+class _Loader(SourceFileLoader):
+    """Loads a module whose imports of modules beside the file find those of the same folder."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Return the code; it is not cached, because other programs import the file under its plain name."""
+        tree = _Renaming(folder_of(fullname) or Path()).visit(ast.parse(self.get_data(self.path), self.path))
+        code: CodeType = compile(ast.fix_missing_locations(tree), self.path, "exec", dont_inherit=True)
+        return code
+
+
+class _Renaming(ast.NodeTransformer):
+    """Replaces the names of modules beside the file in the imports of a module.
+
+    The names are part of the code, so an import in a function is right, too, when the function is called, also in a
+    process to which only the function was sent.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def visit_Import(self, node: ast.Import) -> Any:
+        """Import modules beside the file by their own names, and assign them to the variables of their plain names."""
+        return [ast.copy_location(ast.Import([alias]), node) for each in node.names for alias in self._aliases(each)]
+
+    def _aliases(self, alias: ast.alias) -> Iterator[ast.alias]:
+        own = module_beside(alias.name, self._folder)
+        if own == alias.name:
+            yield alias
+        elif alias.asname is not None or "." not in alias.name:
+            yield ast.alias(own, alias.asname or alias.name)
+        else:  # `import package.module` makes a variable `package`
+            yield ast.alias(own, "_")
+            yield ast.alias(module_beside(alias.name.partition(".")[0], self._folder), alias.name.partition(".")[0])
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
+        """Import from a module beside the file by its own name."""
+        if node.level == 0 and node.module is not None:
+            node.module = module_beside(node.module, self._folder)
+        return node
+
+
+def find_own_modules() -> None:
+    """Let Python import modules by the names that `module_beside` returns."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Finder())

@@ -1,0 +1,188 @@
+"""Modules beside scenario files: each folder runs its own code, whoever imports it and wherever."""
+
+import importlib
+import json
+import pickle
+import sys
+from multiprocessing import get_context
+
+import pytest
+
+from desim import load, run, summary, sweep
+from desim.config.own_modules import folder_of, module_beside, plain_name
+from desim.kernel.trace_file import line_of
+from desim.results import provenance
+from desim.scenario.toml import dump, read, validate
+from desim.study.config_hash import identify
+from desim.study.serialization import called, packed
+from desim.view.play import Playground
+
+SCENARIO = """
+protocol = "myrule:Rule"
+network.graph = "shapes.graphs:ring"
+network.latency = { kind = "myrule:Latency", value = 0.01 }
+evader.strategy = "strategies.own:flee"
+team.count = 3
+horizon = 0.5
+record.metrics = ["myrule:code", "myrule:lazy_code"]
+"""
+RULE = """
+import helper, shapes.names
+import shapes.graphs as drawn
+from desim.config.model import Value
+from desim.kernel.latency import Constant
+from shapes import names
+from math import pi
+
+class Latency(Value):
+    value: float
+
+    def __call__(self, *_):
+        return self.value * helper.NUMBER
+
+class Rule(Value):
+    def __call__(self, me):
+        import lazy
+        from shapes.names import NUMBER
+        assert lazy.NUMBER == NUMBER == helper.NUMBER == shapes.names.NUMBER == names.NUMBER == drawn.NUMBER
+        yield me.sleep(0.1 * lazy.NUMBER)
+        me.assign(True)
+
+def code(result):
+    return helper.NUMBER
+
+def lazy_code(result):
+    from lazy import NUMBER
+    return NUMBER
+"""
+FILES = {
+    "s.toml": SCENARIO,
+    "myrule.py": RULE,
+    "helper.py": "NUMBER = {n}",
+    "lazy.py": "from helper import NUMBER",
+    "shapes/__init__.py": "",
+    "shapes/names.py": "from helper import NUMBER",
+    "shapes/graphs.py": "from networkx import cycle_graph as ring\nfrom .names import NUMBER",
+    "strategies/own.py": "import helper\n\ndef flee(state, rng):\n    return 1j ** helper.NUMBER",
+}
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Return two folders with the same files, but for a number; a dot, a percent sign and an @ are in their names."""
+    made = [tmp_path / "a.1%2E", tmp_path / "b@2"]
+    for number, folder in enumerate(made, start=1):
+        for name, text in FILES.items():
+            file = folder / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text.replace("{n}", str(number)))
+    return made
+
+
+def loaded(folder):
+    return load(folder / "s.toml", allow_import=True)
+
+
+def codes(values):
+    return values["code"], values["lazy_code"]
+
+
+def lines(result):
+    return "".join(map(line_of, result.trace))
+
+
+def test_each_folder_runs_its_own_code_in_any_order(folders):
+    path = [*sys.path]
+    scenarios = [loaded(folder) for folder in folders]
+    results = [run(scenario, 1) for scenario in scenarios]
+    assert [codes(summary(result)) for result in results] == [(1, 1), (2, 2)]
+    assert lines(results[0]) != lines(results[1])
+    assert lines(run(loaded(folders[0]), 1)) == lines(results[0])
+    assert sys.path == path
+    assert not {"myrule", "helper", "lazy", "shapes", "strategies"} & sys.modules.keys()
+
+
+def test_identities_and_files_do_not_depend_on_the_folder(folders, tmp_path):
+    scenarios = [loaded(folder) for folder in folders]
+    identities = [identify(scenario) for scenario in scenarios]
+    assert identities[0].key != identities[1].key
+    names = {f"the code of {name}" for name in ("myrule", "helper", "lazy", "shapes", "shapes.names", "shapes.graphs")}
+    assert identities[0].sources.keys() == {*names, "the code of strategies.own"} == identities[1].sources.keys()
+    (folders[1] / "helper.py").write_text("NUMBER = 1")
+    assert identify(scenarios[1]) == identities[0]
+    assert dump(scenarios[0]) == dump(scenarios[1])
+    assert "@" not in dump(scenarios[0])
+    assert 'kind = "myrule:Rule"' in dump(scenarios[0])
+
+
+def test_a_plain_import_of_the_same_file_gives_the_same_module_and_identity(folders, monkeypatch):
+    """As in a script beside its scenario file."""
+    own = identify(loaded(folders[0]))
+    monkeypatch.syspath_prepend(folders[0])
+    scenario = loaded(folders[0])
+    assert type(scenario.protocol) is importlib.import_module("myrule").Rule
+    assert identify(scenario) == own
+    other = loaded(folders[1])
+    assert other.protocol.__module__ != "myrule"
+    assert codes(summary(run(other, 1))) == (2, 2)
+
+
+@pytest.mark.slow
+def test_workers_and_other_processes_run_the_code_of_the_folder(folders):
+    for number, folder in enumerate(folders, start=1):
+        scenario = loaded(folder)
+        for executor in (1, 2):
+            swept = sweep(scenario, {"team.count": [3]}, reps=2, executor=executor)
+            assert [[cell.mean for cell in swept.estimates(name)] for name in ("code", "lazy_code")] == [[number]] * 2
+        with get_context("spawn").Pool(1) as pool:
+            (result,) = pool.starmap(run, [(scenario, 1)])
+        assert lines(result) == lines(run(scenario, 1))
+        assert lines(pickle.loads(pickle.dumps(run))(scenario, 1)) == lines(result)
+
+
+def test_recorded_runs_and_play_use_the_folder_of_the_file(folders, tmp_path):
+    for number, folder in enumerate(folders, start=1):
+        scenario = loaded(folder)
+        made = json.loads(json.dumps(provenance.document(provenance.RUN, scenario, seed=1, folder=folder)))
+        again = validate(provenance.source(folder / "run.json", made, allow_import=True))
+        assert lines(run(again, 1)) == lines(run(scenario, 1))
+        ground = Playground(read(folder / "s.toml", allow_import=True), folder / "s.toml")
+        assert codes(summary(ground.result(()))) == (number, number)
+
+
+def test_a_reloaded_module_has_the_edited_code_of_its_folder(folders):
+    module = sys.modules[loaded(folders[1]).record.metrics[0].of.__module__]
+    (folders[1] / "myrule.py").write_text("import helper\n\ndef code(result):\n    return helper.NUMBER + 40\n")
+    assert importlib.reload(module).code(None) == 42
+
+
+def test_errors_have_plain_names(folders):
+    (folders[0] / "s.toml").write_text('protocol = "myrule:rul"')
+    with pytest.raises(ValueError, match=r"'myrule:rul' cannot be imported: module 'myrule' has no attribute 'rul'"):
+        loaded(folders[0])
+    (folders[0] / "s.toml").write_text('protocol = "shapes.none:rule"')
+    with pytest.raises(ValueError, match=r"cannot be imported: No module named 'shapes.none'; also searched in"):
+        loaded(folders[0])
+
+
+def test_python_and_desim_precede_modules_beside_a_file(folders):
+    for name in ("random", "protocols", "desim"):
+        (folders[0] / f"{name}.py").write_text("raise AssertionError")
+        assert module_beside(f"{name}.part", folders[0]) == f"{name}.part"
+    assert codes(summary(run(loaded(folders[0]), 1))) == (1, 1)
+
+
+def test_names_can_be_read_back(folders):
+    for folder in folders:
+        name = module_beside("shapes.names", folder)
+        assert plain_name(name) == "shapes.names"
+        assert folder_of(name) == folder
+        assert name.count(".") == 1
+    assert folder_of("shapes.names") is None
+
+
+def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
+    from functools import partial
+
+    calls = [packed(partial(loaded(folder).record.metrics[1].of, None)) for folder in folders]
+    assert [pickle.loads(called(call)) for call in calls] == [1, 2]
