@@ -373,6 +373,7 @@ ALLOWED = {
     "desim/__init__.py": {"import_module"},  # of its own modules
     "protocols/__init__.py": {"import_module"},  # of its own modules
     "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
+    "desim/config/fresh.py": {"reader.load"},  # what it has just pickled
     "desim/study/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
     "desim/study/workers.py": {"pickle.loads"},  # what they sent back
     "desim/study/dispatch.py": {"pickle.loads"},  # what it has just pickled

@@ -70,8 +70,8 @@ def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
             copier.dump(model)
         except Exception as error:  # code of an object may raise anything
             raise _refusal(users, error) from error
-        copied, kept = _Reader(content, copier.kept).load(), copier.kept
-        functions = copier.functions
+        reader = _Reader(content, copier.kept)
+        copied, kept, functions = reader.load(), copier.kept, copier.functions
     if not alone:
         warn_of_collections([*functions, *users.values()])
     with changes([*kept, *users.values()], _snapshot):

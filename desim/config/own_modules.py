@@ -97,8 +97,7 @@ class _Loader(SourceFileLoader):
     def get_code(self, fullname: str) -> CodeType:
         """Return the code; it is not cached, because other programs import the file under its plain name."""
         tree = _Renaming(folder_of(fullname) or Path()).visit(ast.parse(self.get_data(self.path), self.path))
-        code: CodeType = compile(ast.fix_missing_locations(tree), self.path, "exec", dont_inherit=True)
-        return code
+        return self.source_to_code(ast.fix_missing_locations(tree), self.path)
 
 
 class _Renaming(ast.NodeTransformer):

@@ -5,12 +5,11 @@ The page of `desim play` (`desim.view.play_server`) and the widget of notebooks 
 functions here return. Each answer to a request of a page is a JSON object.
 """
 
-import pickle
 import re
 import shlex
 import traceback
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -103,7 +102,7 @@ class Playground:
             ScenarioError: if it is not valid.
             TimedOut: if it takes longer than the time limit.
         """
-        return _result(cloudpickle.dumps((self, tuple(changes))))
+        return _result(_Request(cloudpickle.dumps((self, tuple(changes))), self, changes))
 
     def answer(self, now: Changes, pinned: Changes | None) -> Answer:
         """Run the scenario and return all that is shown of it.
@@ -213,12 +212,20 @@ class Playground:
             return summary(run(self.scenario(changes), seed))
 
 
+@dataclass(frozen=True)
+class _Request:
+    """A run of a playground; requests with the same bytes are equal."""
+
+    content: bytes
+    playground: Playground = field(compare=False)
+    changes: Changes = field(compare=False)
+
+
 @lru_cache(maxsize=KEPT)
-def _result(key: bytes) -> Result:
-    """Return the result of a pickled pair of playground and changes; see `Playground.result`."""
-    playground, changes = pickle.loads(key)
-    with within(playground.timeout):
-        return run(playground.scenario(changes))
+def _result(request: _Request) -> Result:
+    """Return the result of a request; see `Playground.result`."""
+    with within(request.playground.timeout):
+        return run(request.playground.scenario(request.changes))
 
 
 class Session:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from desim.config.model import Value
+from desim.config.own_modules import plain_name
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.results import environment, provenance
@@ -476,7 +477,7 @@ def test_a_module_beside_the_scenario_file_is_found(beside, tmp_path):
     }
     forget("rules_of_home")
     protocol = recorded(out / "run.json", allow_import=True).protocol
-    assert (protocol.at, protocol.until, type(protocol).__module__) == (0.2, inf, "rules_of_home")
+    assert (protocol.at, protocol.until, plain_name(type(protocol).__module__)) == (0.2, inf, "rules_of_home")
 
 
 def test_if_the_folder_is_gone_a_module_beside_the_record_is_found(beside, tmp_path):
