@@ -31,8 +31,9 @@ from desim.config.traits import name_of
 Model = TypeVar("Model")
 ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
 """The types of values that hold nothing else and never change."""
-NEVER_CHANGED = ("desim.", "protocols.", "networkx.", "pathlib")
-"""The beginnings of the names of modules whose objects do not change while a model holds them."""
+NEVER_CHANGED = ("desim.", "protocols.", "networkx.", "pathlib", "threading", "_thread", "queue", "_queue")
+"""The beginnings of the names of modules whose objects a copy shares: they do not change while a model holds them, or
+connect threads, such as locks."""
 FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
 """The attributes of a function that a copy takes over, besides those that its users set."""
 
@@ -113,7 +114,8 @@ def is_built_in(model: Any) -> bool:
     """Return whether a model and all that it holds are built-in models and constants, which have no state."""
     values = [model]
     for value in values:
-        form = _form(type(value))
+        kind: type = type(value)
+        form = _form(kind)
         if form == "object":
             if not _is_ours(value):
                 return False
@@ -124,7 +126,8 @@ def is_built_in(model: Any) -> bool:
 
 def _of_users(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and the value of each object in a model that is neither a built-in model nor a constant."""
-    form = _form(type(value))
+    kind: type = type(value)
+    form = _form(kind)
     if form == "object":
         if not _is_ours(value):
             yield key, value

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dis import get_instructions
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from types import CellType, CodeType, FunctionType
 from typing import Any
@@ -111,18 +111,18 @@ def _shared(objects: Iterable[Any]) -> Iterator[tuple[str, Read]]:
                     functions.append(method)
                     for name, cell in zip(method.__code__.co_freevars, method.__closure__ or (), strict=True):
                         if not only_adds(method.__code__, name):
-                            yield f"{name} of {method.__qualname__}", lambda cell=cell: _contents(cell)
+                            yield f"{name} of {method.__qualname__}", partial(_contents, cell)
             yield from _items(base.__qualname__, vars(base))
     for function in functions:
         for name in written_globals(function.__code__):
-            yield f"{function.__module__}.{name}", lambda place=function.__globals__, name=name: place.get(name)
+            yield f"{function.__module__}.{name}", partial(function.__globals__.get, name)
 
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
     """Yield the attributes in the namespace of a class or function, without methods and other descriptors."""
     for name, value in tuple(place.items()):
         if not (name.startswith("__") or name == "_abc_impl" or hasattr(type(value), "__get__")):
-            yield f"{owner}.{name}", lambda name=name: place.get(name)
+            yield f"{owner}.{name}", partial(place.get, name)
 
 
 def _contents(cell: CellType) -> Any:

@@ -1,14 +1,17 @@
 """A limit on the wall time of a block, and a description of what each process waits for when the limit is exceeded."""
 
 import ctypes
+import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from linecache import getline
+from math import inf
 from pathlib import Path
-from threading import TIMEOUT_MAX, Event, Thread, get_ident
+from threading import TIMEOUT_MAX, Event, Lock, Thread, current_thread, get_ident, main_thread
+from time import monotonic
 from traceback import walk_tb
-from types import GeneratorType
+from types import FrameType, GeneratorType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.python_numbers import real
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
 
 AGAIN = 0.1
-"""Interval, s, at which the watching thread raises its exception again if the exception was lost."""
+"""Interval, s, at which the exception of a limit is raised again if it was lost."""
 
 
 class TimedOut(BaseException):
@@ -38,84 +41,125 @@ def checked_limit(limit: float) -> float:
     return limit
 
 
-@contextmanager
-def within(limit: float) -> Iterator[None]:
-    """Raise TimedOut in this thread if the block has not ended after `limit` s of wall time.
+def within(limit: float) -> AbstractContextManager[None]:
+    """Return a context that raises TimedOut in this thread if its block has not ended after `limit` s of wall time.
 
-    Use it around a run or any other code that may not terminate. A watching thread raises the exception between two
-    Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
-    pydantic's serialiser drops it or raises another exception instead. The watching thread therefore raises TimedOut
-    again while the block lasts, but not while an earlier TimedOut is propagating, so that clean-up is not interrupted.
-    A block that exceeds its limit always ends with TimedOut, unless it raises KeyboardInterrupt or GeneratorExit.
+    Use it around a run or any other code that may not terminate. The exception is raised between two Python
+    instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception: the
+    serialiser of pydantic drops it or raises another exception instead, and Python reports and drops it in `__del__`.
+    It is therefore raised again while the block lasts, but not while an earlier one is handled, so that clean-up is not
+    interrupted. A block that exceeds its limit always ends with TimedOut, unless it raises KeyboardInterrupt or
+    GeneratorExit.
+
+    In the main thread, the timer and the signal SIGALRM are used; an earlier timer goes on, and calls its own handler.
+    In other threads, and on Windows, a watching thread raises the exception.
 
     Raises:
         TimedOut: if the block takes longer than `limit`.
         ValueError: if `limit`, s, is not valid; see `checked_limit`.
     """
-    limit = checked_limit(limit)
-    set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), get_ident()
-    is_late = is_over = False
+    has_signals = current_thread() is main_thread() and hasattr(signal, "setitimer")
+    return (_Alarm if has_signals else _Watch)(checked_limit(limit))
 
-    class Raised(TimedOut):
-        def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
-            super().__init__(
-                *text
-                or (f"took longer than {limit:g} s: the limit was reached while the timed block was entered or left",)
-            )
 
-    def watch() -> None:
-        nonlocal is_late
+class _Limit(AbstractContextManager[None]):
+    """The time limit of a block.
+
+    Attributes:
+        is_late: whether the limit was exceeded while the block lasted.
+        is_over: whether the block has ended; nothing is raised any more.
+    """
+
+    def __init__(self, limit: float):
+        self.is_late = self.is_over = False
+        self._limit = limit
+
+        class Raised(TimedOut):  # one class for each limit, because limits may be nested
+            def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
+                super().__init__(*text or (f"took longer than {limit:g} s: while the timed block was left",))
+
+        self._raised = Raised
+
+    def _stop(self) -> None:
+        """End the watch."""
+        raise NotImplementedError
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._stop()
+        if not self.is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
+            return
+        if error is None:
+            raise TimedOut(f"took longer than {self._limit:g} s: it ended by itself, but too late")
+        is_described = isinstance(error, TimedOut) and not isinstance(error, self._raised)
+        raise TimedOut(f"took longer than {self._limit:g} s: {error if is_described else place_of(error)}") from error
+
+
+class _Alarm(_Limit):
+    """The time limit of a block of the main thread, which a signal interrupts."""
+
+    def __enter__(self) -> None:
+        self._begin = monotonic()
+        self._handler = signal.signal(signal.SIGALRM, self._ring)
+        self._left, self._interval = signal.getitimer(signal.ITIMER_REAL)
+        signal.setitimer(signal.ITIMER_REAL, min(self._limit, self._left or inf), AGAIN)
+
+    def _ring(self, number: int, frame: FrameType | None) -> None:
+        """Raise the exception if it is time, and call the handler of the timer before, if it is its time.
+
+        In the code of this module nothing is raised: it looks at `is_late` itself.
+        """
+        elapsed = monotonic() - self._begin
+        if self._left and elapsed >= self._left and callable(self._handler):
+            self._handler(number, frame)
+        if self.is_over or elapsed < self._limit:
+            return
+        self.is_late = True
+        if not (_is_in(sys.exception(), self._raised) or (frame and frame.f_code.co_filename == __file__)):
+            raise self._raised
+
+    def _stop(self) -> None:
+        self.is_over = True
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, self._handler)
+        if self._left:
+            left = self._begin + self._left - monotonic()
+            signal.setitimer(signal.ITIMER_REAL, max(left, 1e-6), self._interval)
+
+
+class _Watch(_Limit):
+    """The time limit of a block of any thread, in which another thread raises the exception."""
+
+    def __enter__(self) -> None:
+        self._thread, self._over, self._lock = get_ident(), Event(), Lock()
+        Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
         sys.settrace(None)  # a traced thread of Python 3.11 stands still while an exception is pending in another
         sys.setprofile(None)
-        pause = limit
-        while not over.wait(pause):
-            is_late, pause = True, AGAIN
-            if not _handles(thread, Raised):
-                set_exception(ctypes.c_ulong(thread), ctypes.py_object(Raised))
+        pause = self._limit
+        while not self._over.wait(pause):
+            pause = AGAIN
+            handled: Any = sys._current_exceptions().get(self._thread)
+            with self._lock:
+                if not (self.is_over or _is_in(handled[1] if isinstance(handled, tuple) else handled, self._raised)):
+                    self.is_late = True
+                    ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                        ctypes.c_ulong(self._thread), ctypes.py_object(self._raised)
+                    )
 
-    watcher = Thread(target=watch, daemon=True)
-    usual_hook = sys.unraisablehook
-
-    def ignore_raised(dropped: "sys.UnraisableHookArgs") -> None:
-        if not issubclass(dropped.exc_type, Raised):  # one that hits a callback of the garbage collector is dropped
-            usual_hook(dropped)
-
-    def end() -> None:
-        nonlocal is_over
-        over.set()
-        if watcher.is_alive():
-            watcher.join()
-        if is_late:  # one may be pending; Python 3.11 hangs under a tracer if it is withdrawn, so another replaces it
-            with suppress(Raised):
-                set_exception(ctypes.c_ulong(thread), ctypes.py_object(Raised))
-                while True:
+    def _stop(self) -> None:
+        while not self.is_over:
+            with suppress(self._raised), self._lock:
+                self.is_over = True
+        self._over.set()
+        if self.is_late:
+            with suppress(self._raised):
+                for _ in range(100):  # an exception that is still pending is raised at the end of a turn
                     pass
-        sys.unraisablehook = usual_hook
-        is_over = True
-
-    try:
-        try:
-            sys.unraisablehook = ignore_raised
-            watcher.start()
-            yield
-        finally:
-            end()
-    except BaseException as error:
-        while not is_over:
-            with suppress(Raised):  # the watching thread may have raised another just before the first was handled
-                end()
-        if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
-            raise
-        is_described = isinstance(error, TimedOut) and not isinstance(error, Raised)
-        raise TimedOut(f"took longer than {limit:g} s: {error if is_described else place_of(error)}") from error
-    if is_late:
-        raise TimedOut(f"took longer than {limit:g} s: it ended by itself, but too late")
 
 
-def _handles(thread: int, kind: type[BaseException]) -> bool:
-    """Return whether a thread is in an `except`, `finally` or `with` block because of an exception of a kind."""
-    handled: Any = sys._current_exceptions().get(thread)
-    error = handled[1] if isinstance(handled, tuple) else handled  # a tuple before Python 3.12
+def _is_in(error: BaseException | None, kind: type[BaseException]) -> bool:
+    """Return whether an exception, or one that it was raised while handling, is of a kind."""
     while error is not None and not isinstance(error, kind):
         error = error.__context__
     return error is not None
@@ -123,7 +167,8 @@ def _handles(thread: int, kind: type[BaseException]) -> bool:
 
 def place_of(error: BaseException) -> str:
     """Return the file, line and function in which an error was raised."""
-    *_, (frame, line) = walk_tb(error.__traceback__)
+    places = list(walk_tb(error.__traceback__))
+    frame, line = next((place for place in places[::-1] if place[0].f_code.co_filename != __file__), places[-1])
     code = frame.f_code
     where = line or code.co_firstlineno  # an instruction may belong to no line
     return f"{short(code.co_filename)}:{where} ({code.co_name})"

@@ -1,21 +1,28 @@
 """Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
+import gc
+import os
+import random
 import re
+import signal
 import subprocess
 import sys
 import time
+import warnings
 from contextlib import contextmanager, nullcontext, suppress
-from queue import SimpleQueue
-from threading import Event, setprofile
+from pathlib import Path
+from threading import Barrier, Thread
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from pydantic import BaseModel, field_serializer
 from pydantic_core import PydanticSerializationError
 
 from desim.cli import main
+from desim.kernel.trace_file import line_of
 from desim.results import provenance, run_folder
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Scenario
@@ -71,25 +78,6 @@ def test_a_run_that_ends_in_time_is_not_interrupted():
         pass
 
 
-def test_a_time_limit_noticed_only_at_the_end_still_reports_its_cause(monkeypatch):
-    """The time is over while it takes leave, which has no end."""
-    begun = []
-
-    class Slow(Event):
-        def set(self):
-            begun.append(self)
-            while len(begun) == 1:
-                pass
-            super().set()
-
-    monkeypatch.setattr("desim.simulation.watchdog.Event", Slow)
-    with (
-        pytest.raises(TimedOut, match=r"^took longer than 0.05 s: simulation/test_watchdog.py:\d+ \(set\)$"),
-        within(0.05),
-    ):
-        pass
-
-
 TRACED = """
 import sys
 from desim.simulation.watchdog import TimedOut, within
@@ -111,37 +99,15 @@ def test_a_limit_ends_under_a_profiler():
 
 @pytest.fixture
 def look(monkeypatch):
-    """Yield a function that lets the watching thread check the limit once, without any time passing.
-
-    If that thread raises its exception, the function does not return. New threads are profiled: in Python 3.11 each of
-    the two threads would otherwise wait for the other.
-    """
-    watched = []
-
-    class Cued(Event):
-        def __init__(self):
-            super().__init__()
-            self.cues, self.looks = SimpleQueue(), SimpleQueue()
-            watched.append(self)
-
-        def wait(self, pause):
-            if pause < 9.0:
-                self.looks.put(None)
-            self.cues.get()
-            return self.is_set()
-
-        def set(self):
-            super().set()
-            self.cues.put(None)
+    """Return a function that lets 9 s pass at once and the timer ring; if the limit is reached, it does not return."""
+    now = [0.0]
+    monkeypatch.setattr(watchdog, "monotonic", lambda: now[0])
 
     def once():
-        watched[-1].cues.put(None)
-        watched[-1].looks.get()
+        now[0] = 9.0
+        signal.raise_signal(signal.SIGALRM)
 
-    monkeypatch.setattr("desim.simulation.watchdog.Event", Cued)
-    setprofile(lambda *_: None)
-    yield once
-    setprofile(None)
+    return once
 
 
 def test_a_swallowed_time_out_is_raised_again_and_never_while_it_propagates(look):
@@ -168,8 +134,8 @@ def test_a_swallowed_time_out_is_raised_again_and_never_while_it_propagates(look
     assert told == [0, 1, 2, 3, 4, "clean-up"]
 
 
-def test_a_time_out_that_python_drops_is_raised_again_and_not_reported(look, monkeypatch):
-    """Python drops exceptions of `__del__` and hands them to a hook, which gets all others."""
+def test_a_time_out_that_python_drops_is_raised_again(look, monkeypatch):
+    """Python drops exceptions of `__del__` and hands them to a hook."""
     dropped = []
     monkeypatch.setattr(sys, "unraisablehook", dropped.append)
     usual = sys.unraisablehook
@@ -188,7 +154,7 @@ def test_a_time_out_that_python_drops_is_raised_again_and_not_reported(look, mon
 
     with pytest.raises(TimedOut, match=r"^took longer than 9 s: .*:\d+ \(once\)$"), within(9.0):
         lose()
-    assert [each.exc_type for each in dropped] == [IndexError]
+    assert [issubclass(each.exc_type, TimedOut) for each in dropped] == [True, False]
     assert sys.unraisablehook is usual
 
 
@@ -215,6 +181,102 @@ def test_code_that_swallows_the_time_out_until_its_end_is_still_reported(look):
         suppress(PydanticSerializationError),
     ):
         Late(look=look).model_dump_json()
+
+
+def state():
+    """Return what runs and limits may change in the process."""
+    handlers = [signal.getsignal(each) for each in signal.valid_signals()]
+    hooks = sys.unraisablehook, sys.excepthook, sys.gettrace(), sys.getprofile(), sys.getswitchinterval()
+    whole = gc.get_threshold(), gc.isenabled(), warnings.filters[:], dict(os.environ), Path.cwd(), [*sys.path]
+    drawn = random.getstate(), str(np.random.get_state())  # noqa: NPY002
+    return handlers, hooks, whole, drawn, np.geterr(), np.get_printoptions()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 4])
+def test_runs_in_threads_leave_the_process_as_it_was(count):
+    """They overlap: each begins before any ends, and the first to begin is the first to end."""
+    begun, before, found = Barrier(count), state(), {}
+
+    def act(number):
+        def meet(me):
+            if me.id == 0:
+                begun.wait(60.0)
+                time.sleep(0.05 * number)
+            yield me.sleep(0.1)
+
+        with within(60.0):
+            found[number] = [line_of(event) for event in run(scenario(meet), 1).trace]
+
+    threads = [Thread(target=act, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [found[number] for number in range(count)] == [found[0]] * count
+    assert state() == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 4])
+def test_an_endless_loop_in_any_thread_is_ended(count):
+    told = []
+
+    def act():
+        for _ in range(3):
+            try:
+                with within(0.2):
+                    run(scenario(spin))
+            except TimedOut as error:
+                told.append(str(error))
+        for _ in range(100_000):  # nothing is raised later
+            pass
+
+    threads = [Thread(target=act) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    assert len(told) == 3 * count
+    assert all("(spin)" in text or "simulated time" in text for text in told)
+
+
+@pytest.mark.parametrize(("outer", "inner"), [(0.05, 9.0), (9.0, 0.05)])
+def test_the_shorter_of_nested_limits_ends_the_block(outer, inner):
+    before, shorter = state()[:2], min(outer, inner)
+    ended = []
+
+    def act():
+        try:
+            with within(inner):
+                while True:
+                    pass
+        finally:
+            ended.append(True)
+
+    with pytest.raises(TimedOut, match=f"^took longer than {shorter:g} s: "), within(outer):
+        act()
+    assert ended == [True]
+    assert state()[:2] == before
+
+
+def test_a_timer_of_the_caller_goes_on():
+    rung = []
+    usual = signal.signal(signal.SIGALRM, lambda *_: rung.append(time.monotonic()))
+    left = signal.setitimer(signal.ITIMER_REAL, 0.1)
+    try:
+        start = time.monotonic()
+        with within(9.0):
+            while not rung:
+                pass
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with within(9.0):
+            pass
+        assert 0.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= 0.2
+        assert rung[0] - start >= 0.09
+    finally:
+        signal.signal(signal.SIGALRM, usual)
+        signal.setitimer(signal.ITIMER_REAL, *left)
 
 
 def test_an_interrupt_is_not_taken_for_it(look):
