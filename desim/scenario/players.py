@@ -19,6 +19,7 @@ from pydantic import (
 
 from desim.config.choice import OneOf
 from desim.config.model import Box, FirstError, Limit, Probability, Speed, Time, Value
+from desim.config.python_numbers import as_python
 from desim.kernel.seeds import stream
 from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple
 from desim.pursuit.evader import EvaderController
@@ -91,7 +92,10 @@ class Team(Value):
     @model_validator(mode="wrap")
     @classmethod
     def _count_positions(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        starts, positions = None, given.get("positions") if isinstance(given, dict) else None
+        starts = positions = None
+        if isinstance(given, dict) and "positions" in given:
+            positions = as_python(given["positions"])
+            given = given | {"positions": positions}
         if isinstance(positions, dict):
             try:
                 starts = RecordedPositions.read(positions, info)

@@ -176,7 +176,9 @@ def generator():
     yield 1
 
 
-@pytest.mark.parametrize("held", [generator(), itertools.count(), itertools.cycle([1]), open], ids=str)
+@pytest.mark.parametrize(
+    "held", [generator(), itertools.count(), itertools.cycle([1]), open], ids=lambda held: type(held).__name__
+)
 def test_an_object_that_cannot_be_copied_is_refused_with_its_key(held, tmp_path):
     opened = held(tmp_path / "log", "w") if held is open else held
     scenario = Scenario(evader=Evader(strategy=lambda state, rng: next(opened)))
