@@ -299,22 +299,24 @@ def test_a_wrong_clock_shows_its_own_time_and_wakes_by_it():
 
 
 def test_clock_errors_of_one_node_add_up_and_those_of_all_are_drawn():
-    shown = {}
+    def shown(*skews, **changes):
+        """Return the time that the clock of each pursuer shows at the start."""
+        times = {}
 
-    def protocol(me):
-        yield me.sleep(0.0)
-        shown[me.id] = me.now
+        def protocol(me):
+            yield me.sleep(0.0)
+            times[me.id] = me.now
 
-    play(protocol, ClockSkew(node=1, offset=0.5), ClockSkew(node=1, offset=0.25))
-    assert shown == {0: 0.0, 1: 0.75, 2: 0.0}
-    team = Team(count=200, active_at_start=0.0)
-    play(protocol, ClockSkew(offset=2.0), team=team, horizon=0.1, record=Recording(trajectory=0.0))
-    drawn = np.array([*shown.values()])
+        play(protocol, *skews, **changes)
+        return times
+
+    assert shown(ClockSkew(node=1, offset=0.5), ClockSkew(node=1, offset=0.25)) == {0: 0.0, 1: 0.75, 2: 0.0}
+    team = {"team": Team(count=200, active_at_start=0.0), "horizon": 0.1, "record": Recording(trajectory=0.0)}
+    drawn = np.array([*shown(ClockSkew(offset=2.0), **team).values()])
     assert abs(drawn.mean()) < 4 * 2.0 / np.sqrt(200)
     assert abs(drawn.std() - 2.0) < 4 * 2.0 / np.sqrt(400)
     skews = ClockSkew(offset=2.0), ClockSkew(offset=1.5)  # of chances of their own
-    play(protocol, *skews, team=team, horizon=0.1, record=Recording(trajectory=0.0))
-    assert abs(np.std([*shown.values()]) - 2.5) < 4 * 2.5 / np.sqrt(400)
+    assert abs(np.std([*shown(*skews, **team).values()]) - 2.5) < 4 * 2.5 / np.sqrt(400)
 
 
 def slots(*faults, count=4, slot=0.1, horizon=20.05):

@@ -21,6 +21,7 @@ from desim import (
     SignalTrace,
 )
 from desim.config.model import Value
+from desim.pursuit.recorded import RecordedPositions
 
 
 def measured(trace):
@@ -45,14 +46,15 @@ READERS = {
 }
 """The model, a file with a place for a number, and what is read, of each reader of files of numbers."""
 NUMBER = {"table of netem": "7"}
-OTHERS = {Edges: "JSON and XML, not numbers in text"}
+OTHERS = {Edges: "graphs, in other formats", RecordedPositions: "reads as RecordedMotion does"}
 """Models that read other files, and why they are not here."""
 MODULES = {
     "config/data_files.py": "opens bytes for models of users, and hashes files",
     "config/number_files.py": "reads text for all readers",
     "config/trust.py": "writes",
     "kernel/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
-    "kernel/graphs.py": "reads JSON and XML",
+    "kernel/edge_lists.py": "splits text that config/number_files has read",
+    "kernel/mobility_table.py": "splits text that config/number_files has read",
     "kernel/trace_file.py": "writes",
 }
 """The modules that open files or split CSV text by themselves, below those of commands and results."""

@@ -60,7 +60,7 @@ def test_a_number_of_runs_or_of_workers_that_is_not_an_integer_is_refused(reps):
         sweep(SHORT, {"horizon": [0.1]}, reps=reps)
     with pytest.raises(ValueError, match=r"^runs should be an integer"):
         explain(SHORT, reps)
-    with pytest.raises(ValueError, match=r"^the number of workers should be an integer"):
+    with pytest.raises(ValueError, match=r"^executor should be a number of processes"):
         sweep(SHORT, {"horizon": [0.1]}, 1, executor=reps if reps != "2" else [2])
     with pytest.raises(ValueError, match=r"^the half width of end_time should be a number"):
         sweep(SHORT, {"horizon": [0.1]}, 1, until=("end_time", "2"))
@@ -94,7 +94,7 @@ def test_an_edge_has_a_latency_and_a_loss_of_any_kind_of_number(value):
 @pytest.mark.parametrize(
     ("name", "value", "why"),
     [
-        ("latency", "10 ms", "tag '10 ms'"),
+        ("latency", "10 ms", "should be a number, in s: 0.01 instead of"),
         ("latency", True, "should be a table with a kind"),
         ("latency", [0.1], "should be a table with a kind"),
         ("latency", -1.0, "should be greater than or equal to 0"),

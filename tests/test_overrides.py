@@ -55,6 +55,7 @@ from protocols.temperature import TEMPERATURES
 TABLE = "t,value\n0,0\n1,0\n"
 PARAMETERS: dict[str, dict[str, Any]] = {
     "Empirical": {"values": (0.1, 0.2)},
+    "LatencyMatrix": {"values": [[0.1] * 6] * 6},
     "LatencyTrace": {"table": TABLE},
     "LossTrace": {"table": TABLE},
     "SignalTrace": {"table": TABLE},

@@ -122,9 +122,9 @@ def test_a_model_on_an_edge_of_a_graph_is_checked_with_the_scenario():
         made.edges[0, 1]["latency"] = lambda: 0.1
         return made
 
-    with pytest.raises(ValidationError, match="the latency of an edge should accept a call with"):
+    with pytest.raises(ValidationError, match="the latency of the edge from 0 to 1 should accept a call with"):
         linked(graph=graph)
-    with pytest.raises(ValueError, match="the latency of an edge should accept a call with"):
+    with pytest.raises(ValueError, match="the latency of the edge from 0 to 1 should accept a call with"):
         Network(Clock(), graph(3))
 
 

@@ -107,7 +107,9 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
 
 def _is_ours(value: Any) -> bool:
     """Return whether a value is a function of desim at the top level, which has no state."""
-    return type(value) is FunctionType and value.__closure__ is None and value.__module__.startswith(NEVER_CHANGED)
+    return (
+        type(value) is FunctionType and value.__closure__ is None and (value.__module__ or "").startswith(NEVER_CHANGED)
+    )
 
 
 def is_built_in(model: Any) -> bool:

@@ -276,10 +276,10 @@ def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
     Raises:
         ValueError: if the attribute is not valid; the message names the edge and the attribute.
     """
-    model = as_model(name, value)
     if name == "order":
-        return model
+        return as_model(name, value)
     try:
+        model = as_model(name, value)
         if not callable(model):
             return dict(Edge(src=0, dst=0, **{name: model}))[name]
         (LATENCIES if name == "latency" else LOSSES).check(model)

@@ -310,7 +310,7 @@ class LatencyMatrix(Value):
     """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
 
     kind: Literal["matrix"] = "matrix"
-    values: tuple[tuple[Limit, ...], ...] = ()
+    values: Annotated[tuple[Annotated[tuple[Limit, ...], FirstError()], ...], FirstError()] = ()
     """(N, N) latencies, a row per sender; inf or nan where a link does not exist. In Python, it may be an array."""
     file: str | None = None
     """Instead of values: path of a text file with a line of N numbers per sender, separated by commas, semicolons, tabs

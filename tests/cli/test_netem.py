@@ -83,7 +83,9 @@ def test_wrong_input_is_refused(words, why):
 
 def test_a_file_that_is_not_text_and_a_table_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "binary").write_bytes(b"\xff\xff")
-    assert refused("netem", "--from", tmp_path / "binary").startswith(f"{tmp_path / 'binary'} cannot be read: 'utf-8'")
+    assert refused("netem", "--from", tmp_path / "binary").startswith(
+        f"{tmp_path / 'binary'} cannot be read: it is not text in UTF-8"
+    )
     (tmp_path / "measured.toml").write_text(MEASURED)
     result = desim("netem", tmp_path / "measured.toml", "--table", tmp_path / "binary")
     assert result.exit_code == 2

@@ -37,10 +37,10 @@ class Given:
     shared, half_duplex, queue_limit = False, False, inf
 
     def __init__(self, airtime):
-        self.airtime = airtime
+        self.seconds = airtime
 
     def __call__(self, size):
-        return self.airtime
+        return self.seconds
 
 
 @pytest.mark.parametrize("medium", [Given(1e300), Given(10**30), LoRa(bandwidth=1.0, preamble=10**6)])

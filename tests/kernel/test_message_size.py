@@ -57,7 +57,7 @@ def test_the_size_that_a_sender_tells_is_an_integer():
 
 @pytest.mark.parametrize("size", [40.0, 40.5, np.float64(40), "40", True, np.True_, None, [40], np.array([4, 0])])
 def test_a_size_that_is_no_integer_is_refused(size):
-    with pytest.raises(ValueError, match="the size of a message should be an integer, the number of its bytes"):
+    with pytest.raises(ValueError, match="the size of a message, in bytes, should be an integer"):
         checked_size(size)
 
 

@@ -268,7 +268,7 @@ def test_a_table_may_have_another_length(tmp_path, length):
     assert model.table == table
     delays = 1.0 + 0.1 * np.array(table) / SCALE
     assert model.quantile((np.arange(length) + 0.5) / length) == pytest.approx(delays)
-    assert model.mean() == pytest.approx(delays.mean())
+    assert model.mean_latency() == pytest.approx(delays.mean())
     with_state = model.model_copy(update={"correlation": 0.01}).start_run(2)
     context, rng = LinkContext(0, np.array([1])), np.random.default_rng(0)
     draws = {round(float(with_state(context, rng)[0]), 12) for _ in range(300)}

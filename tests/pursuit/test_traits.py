@@ -152,14 +152,14 @@ def test_attributes_of_a_user_that_mean_something_else_are_left_alone(family):
     ("family", "attributes", "says"),
     [
         ("protocol", {"announces": "unsen"}, "announces of Mine: should be True, False or 'unseen' (got 'unsen')"),
-        ("protocol", {"assumes": "no_crashes"}, "assumes of Mine: should be a valid tuple (got 'no_crashes')"),
+        ("protocol", {"assumes": "no_crashes"}, "assumes of Mine: should be a list (got 'no_crashes')"),
         (
             "schedule",
             {"spreads_to": "everyone"},
             "spreads_to of Mine: should be 'all' or 'neighbours' (got 'everyone')",
         ),
-        ("strategy", {"listens": 1.5}, "listens of Mine: should be a valid boolean (got 1.5)"),
-        ("strategy", {"depends_on": "a.txt"}, "depends_on of Mine: should be a valid tuple (got 'a.txt')"),
+        ("strategy", {"listens": 1.5}, "listens of Mine: should be true or false (got 1.5)"),
+        ("strategy", {"depends_on": "a.txt"}, "depends_on of Mine: should be a list (got 'a.txt')"),
         ("latency", {"draw": 3}, "draw of Mine: should be callable (got 3)"),
     ],
 )

@@ -623,7 +623,7 @@ end = inf
     ids=lambda options: " ".join(map(str, options)),
 )
 def test_infinities_files_seeds_and_overrides_are_repeated_byte_for_byte(tmp_path, options):
-    (tmp_path / "delays.txt").write_text("0.01 0.02\n0.3\n")
+    (tmp_path / "delays.txt").write_text("0.01\n0.02\n0.3\n")
     (tmp_path / "far.toml").write_text(FAR)
     first, second = repeated(tmp_path, tmp_path / "far.toml", *options)
     assert first == second

@@ -439,8 +439,11 @@ def test_the_attributes_of_a_rule_in_a_script_do_not_depend_on_its_location():
 def test_it_counts_which_of_several_places_holds_what():
     """Of two links and three, with the same two models between them."""
 
+    def latency(value):
+        return lambda context, rng: value
+
     def of(*levels):
-        links = [{"src": 0, "dst": k + 1, "latency": made(level)} for k, level in enumerate(levels)]
+        links = [{"src": 0, "dst": k + 1, "latency": latency(level)} for k, level in enumerate(levels)]
         return config_hash(Scenario(team=Team(count=4), network=Links(link=links)))
 
     assert len({of(1.0, 2.0), of(2.0, 1.0), of(1.0, 2.0, 1.0), of(1.0, 2.0, 2.0)}) == 4

@@ -23,6 +23,7 @@ def by_key(given):
 
 FROM_FILES = {
     "wired": tuple(f"network.graph.{each}" for each in ("edges.", "nodes", "directed")),
+    "named": ("network.graph.", "team.positions"),
     "recorded": ("evader.strategy.", "team.relay.0.motion."),
 }
 """The beginnings of the keys whose values are in a data file of the scenario."""
