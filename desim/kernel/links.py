@@ -2,7 +2,7 @@
 
 from collections.abc import Set
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import field_validator, model_validator
 
@@ -15,9 +15,6 @@ from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 from desim.kernel.transport import TRANSPORTS, BestEffort, Transport
-
-if TYPE_CHECKING:
-    import networkx as nx
 
 
 class Processing(Value):
@@ -96,7 +93,7 @@ class Links(Value):
     link: tuple[Link, ...] = ()
     """Links with their own models."""
 
-    def make_graph(self, size: int) -> "nx.Graph[int]":
+    def make_graph(self, size: int) -> Any:
         """Return the communication graph of a number of nodes, from a graph model that is as it was at the start.
 
         Raises:
