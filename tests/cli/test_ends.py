@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -212,13 +213,16 @@ def test_a_warning_is_one_line_without_the_source_that_gave_it():
     assert CliRunner().invoke(command).stderr == "warning: the store has a rollback journal\n"
 
 
-@pytest.fixture
+@contextmanager
 def small_disk():
-    """Let no file grow beyond 500 bytes, as on a disk that is nearly full."""
+    """Let no file grow beyond 500 bytes, as on a disk that is nearly full; that of the output of pytest may have to."""
     resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.slow_but_one
@@ -238,7 +242,7 @@ def small_disk():
         (("export",), "a.mcap"),
     ],
 )
-def test_a_file_that_cannot_be_written_as_a_whole_leaves_the_older_one(file, tmp_path, small_disk, args, name):
+def test_a_file_that_cannot_be_written_as_a_whole_leaves_the_older_one(file, tmp_path, args, name):
     """What has been shown before stays, and no part of the new file is left beside it."""
     target = tmp_path / name
     scenario = file("record.messages = true\n")
@@ -246,8 +250,8 @@ def test_a_file_that_cannot_be_written_as_a_whole_leaves_the_older_one(file, tmp
     accepted(*command)
     assert target.stat().st_size > 500
     target.write_text("older\n")
-    small_disk()
-    done = desim(*command)
+    with small_disk():
+        done = desim(*command)
     assert done.exit_code == 2
     assert "cannot be written: File too large" in done.stderr
     assert target.read_text() == "older\n"
