@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.graphs import Edges, edge_model, links_with_attributes
-from desim.kernel.link_trace_base import LinkTrace
+from desim.kernel.graphs import edge_model, links_with_attributes
 from desim.kernel.links import Links
 from desim.kernel.node_names import shortened
 from desim.kernel.traits import link_trait
@@ -41,16 +40,20 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 
 
 def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
-    """Yield the key and the text of each table that numbers the names of nodes in another way than the graph does."""
-    names = links.graph.names if isinstance(links.graph, Edges) else ()
-    owners: list[tuple[Place, Any]] = [((), links), *((("link", k), link) for k, link in enumerate(links.link))]
-    for place, owner in owners:
-        for name in ("latency", "loss"):
-            model = getattr(owner, name)
-            order = (model.nodes or model.measurements.names) if isinstance(model, LinkTrace) else None
-            if names and order and tuple(order) != names:
-                text = f"numbers the nodes {shortened(order)}, and the graph {shortened(names)}"
-                yield (*place, name), f"{model.name} {text}: set nodes to the names in the order of the graph"
+    """Yield the key and the text of each table of measurements that cannot have the numbers of the named nodes."""
+    names = links.node_names
+    for place, trace in links.traces():
+        order = trace.nodes or trace.measurements.names
+        if not names or order == names:
+            continue
+        try:
+            is_numbered = trace.numbered(names) is trace
+        except ValueError as error:
+            yield place, f"{error}: the nodes are {shortened(names)}"
+            continue
+        if order and is_numbered:
+            text = f"numbers the nodes {shortened(order)}, and the network {shortened(names)}"
+            yield place, f"{trace.name} {text}: nodes should be in the order of the network, or absent"
 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:

@@ -7,9 +7,10 @@ from collections.abc import Collection, Iterable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationError, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
+from desim.config.error_texts import text_of as text_of_error
 from desim.config.model import Flag, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.csv_tables import header_of, place_of, select, text_of
@@ -47,7 +48,8 @@ class LinkTrace(Value):
     """Column of the receivers."""
     nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
     """Names of the nodes in the columns of senders and receivers, in the order of their numbers. Without it, these
-    columns have numbers, or names that are numbered in alphabetical order, uav2 before uav10; if in doubt, give it."""
+    columns have numbers, or names: those of the graph, else of the file of the positions, else in the order of the
+    table."""
     value: Name = "value"
     """Column of the values. A message that is sent while the value is missing (empty or nan) is lost."""
     both_ways: Flag = False
@@ -142,6 +144,25 @@ class LinkTrace(Value):
         numbers = [f"{number} is {name}" for number, name in enumerate(names)]
         few = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
         return ", ".join(few)
+
+    def numbered(self, names: tuple[str, ...]) -> Self:
+        """Return the trace with the numbers that a network gives to the names of its nodes.
+
+        The trace is returned unchanged if it numbers them so by itself, has `nodes`, or columns with numbers. But if
+        the names are numbers themselves, as in a graph of the nodes 1 .. n, so are those in the columns.
+
+        Raises:
+            ValueError: if the table has another name.
+        """
+        if not names or self.nodes is not None or self.src is None:
+            return self
+        order = self.measurements.names
+        if order == names or (order is None and not all(map(str.isdecimal, names))):
+            return self
+        try:
+            return self.model_copy(update={"nodes": names})
+        except ValidationError as error:
+            raise ValueError(text_of_error(error.errors(include_url=False)[0])) from error
 
     def scaled(self, values: Floats) -> Floats:
         """Return values of the table in the unit of the model."""

@@ -1,20 +1,24 @@
 """The link models of a network as one immutable object: graph, range, reception, latency, loss, medium."""
 
-from collections.abc import Set
+from collections.abc import Iterator, Mapping, Set
+from contextlib import suppress
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import field_validator, model_validator
 
 from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
-from desim.kernel.graphs import GRAPHS, Complete, Edges, GraphModel, Link, Order, graph_of, is_networkx
+from desim.kernel.graphs import GRAPHS, Complete, Edge, Edges, GraphModel, Link, Order, graph_of, is_networkx
 from desim.kernel.latency import LATENCIES, Constant, Latency
+from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 from desim.kernel.transport import TRANSPORTS, BestEffort, Transport
+
+EdgeLike = TypeVar("EdgeLike", bound=Edge)
 
 
 class Processing(Value):
@@ -41,6 +45,12 @@ def _tables_completed(given: dict[str, Any], preset: dict[str, Any]) -> dict[str
     return {
         key: _completed(given[key], table) for key, table in preset.items() if key in given and isinstance(table, dict)
     }
+
+
+def _with(owner: EdgeLike, traces: Mapping[tuple[str | int, ...], LinkTrace], place: tuple[str | int, ...]) -> EdgeLike:
+    """Return an edge or a link with other tables of measurements, by their keys; `place` is its own."""
+    own = {name: traces[*place, name] for name in ("latency", "loss") if (*place, name) in traces}
+    return owner.model_copy(update=own) if own else owner
 
 
 class Links(Value):
@@ -92,6 +102,54 @@ class Links(Value):
     messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
+
+    @property
+    def node_names(self) -> tuple[str, ...]:
+        """The names of the nodes, by number: those of the graph, else of the first table of measurements with names."""
+        if isinstance(self.graph, Edges) and self.graph.names:
+            return self.graph.names
+        orders = (trace.nodes or trace.measurements.names for _, trace in self.traces())
+        return next((order for order in orders if order), ())
+
+    def traces(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace]]:
+        """Yield the key and the model of each table of measurements."""
+        edges = self.graph.edges if isinstance(self.graph, Edges) else ()
+        owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
+        owners += ((("link", k), link) for k, link in enumerate(self.link))
+        owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
+        for place, owner in owners:
+            for name in ("latency", "loss"):
+                if isinstance(model := getattr(owner, name), LinkTrace):
+                    yield (*place, name), model
+
+    def numbered(self, names: tuple[str, ...]) -> "Links":
+        """Return the links with tables of measurements that give the nodes of these names their numbers.
+
+        A table that has other names is unchanged; see `desim.kernel.link_checks`.
+        """
+        changed: dict[tuple[str | int, ...], LinkTrace] = {}
+        for place, trace in self.traces():
+            with suppress(ValueError):
+                if (numbered := trace.numbered(names)) is not trace:
+                    changed[place] = numbered
+        if not changed:
+            return self
+        copy = self.model_copy()
+        own = {str(place[0]): trace for place, trace in changed.items() if len(place) == 1}
+        links = [_with(link, changed, ("link", k)) for k, link in enumerate(self.link)]
+        copy.__dict__.update(own, link=tuple(links))
+        if isinstance(self.graph, Edges):
+            graph = self.graph.model_copy()
+            edges = [_with(edge, changed, ("graph", "edges", k)) for k, edge in enumerate(graph.edges)]
+            graph.__dict__["edges"] = tuple(edges)
+            copy.__dict__["graph"] = graph
+        return copy
+
+    @model_validator(mode="after")
+    def _number_by_graph(self) -> Self:
+        if isinstance(self.graph, Edges) and self.graph.names:
+            self.__dict__.update(self.numbered(self.graph.names).__dict__)
+        return self
 
     def make_graph(self, size: int) -> Any:
         """Return the communication graph of a number of nodes, from a graph model that is as it was at the start.

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from functools import lru_cache, partial
+from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from statistics import median
@@ -96,8 +97,8 @@ class Measurements:
     is_missing: Bools
     """(R,) whether the row has no value."""
     names: tuple[str, ...] | None = None
-    """The names of the nodes in the order of their numbers, if the cells have names and no order was given: in
-    alphabetical order, but numbers in names by their value, so that uav2 is before uav10."""
+    """The names of the nodes in the order of their numbers, if the cells have names and no order was given: in the
+    order of the table, by rows, and in a row the sender first."""
 
     @property
     def end(self) -> int:
@@ -305,18 +306,15 @@ def _node_of(cell: str) -> int:
 
 def _names(cells: Cells, columns: Columns) -> tuple[str, ...] | None:
     """Return the names of the nodes in a table; None if a cell has a number, or what looks like one."""
-    names: set[str] = set()
-    for column in (columns.src, columns.dst):
-        if column is None or LIKE_NUMBER.fullmatch(cells.columns[column][0].strip()):
-            return None
-        names.update(cell.strip() for cell in set(cells.columns[column]))
-    return None if any(map(LIKE_NUMBER.fullmatch, names)) else tuple(sorted(names, key=_natural))
-
-
-def _natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Return a sort key by which numbers in names are in order of their values, and before letters."""
-    parts = re.findall(r"[0-9]+|[^0-9]+", name)
-    return [(0, int(part), "") if part[0] in "0123456789" else (1, 0, part) for part in parts], name
+    if columns.src is None or columns.dst is None:
+        return None
+    src, dst = cells.columns[columns.src], cells.columns[columns.dst]
+    if LIKE_NUMBER.fullmatch(src[0].strip()) or LIKE_NUMBER.fullmatch(dst[0].strip()):
+        return None
+    names = tuple(
+        dict.fromkeys(cell.strip() for cell in dict.fromkeys(chain.from_iterable(zip(src, dst, strict=True))))
+    )
+    return None if any(map(LIKE_NUMBER.fullmatch, names)) else names
 
 
 def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:

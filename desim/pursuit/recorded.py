@@ -245,7 +245,8 @@ class RecordedPositions(_Record):
         tracks = [mobility.track(node) for node in nodes]
         first = [made.placed([each[:3] for each in track.waypoints])[0][0] for track in tracks]
         names = tuple(node for node in nodes if isinstance(node, str))
-        return Starts([(x, y) for _, x, y in first], names, any(track.has_heights for track in tracks))
+        has_heights = any(track.has_heights for track in tracks)
+        return Starts([(x, y) for _, x, y in first], names, made.nodes is None, has_heights)
 
 
 class Starts(NamedTuple):
@@ -255,6 +256,8 @@ class Starts(NamedTuple):
     """(N,) positions, m."""
     names: tuple[str, ...]
     """The names of the nodes, if they have names."""
+    is_in_file_order: bool
+    """Whether the scenario does not name the node of each pursuer."""
     has_heights: bool
     """Whether the file had heights, which were dropped."""
 

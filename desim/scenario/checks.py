@@ -390,15 +390,18 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
     owners = [("network", dict(scenario.network)), *(("network.graph", own) for own in _edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
+    numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
     spans: dict[str, float] = {}
     for key, owner in owners:
         for name in ("latency", "loss"):
             model = owner.get(name)
             if isinstance(model, LinkTrace) and (named := model.named_nodes) is not None:
-                yield f"{key}.{name}.nodes", f"the nodes of {model.name} were numbered by their names: {named}"
+                place = key if key == "network.graph" else f"{key}.{name}.nodes"
+                numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
             if isinstance(model, LinkTrace) and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))
+    yield from numbers
     for place, span in spans.items():
         yield (
             place,

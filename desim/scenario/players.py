@@ -3,7 +3,7 @@
 from collections.abc import Set
 from functools import cached_property
 from math import inf
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +109,7 @@ class Team(Value):
         made = make(given)
         if starts is not None:  # neither is a part of its identity
             made.__dict__["has_heights"], made.__dict__["names"] = starts.has_heights, starts.names
+            made.__dict__["is_in_file_order"] = starts.is_in_file_order
         return made
 
     @field_validator("positions", mode="before")
@@ -125,6 +126,25 @@ class Team(Value):
     def names(self) -> tuple[str, ...]:
         """The names of the pursuers, if the file of the positions had names."""
         return ()
+
+    @cached_property
+    def is_in_file_order(self) -> bool:
+        """Whether the pursuers have the numbers of the nodes in the file of the positions, because none were given."""
+        return False
+
+    def numbered(self, names: tuple[str, ...]) -> "Team":
+        """Return the team whose positions are in the order of the names of a graph, if both have the same names.
+
+        Positions whose `nodes` were given keep their order.
+        """
+        if not self.is_in_file_order or self.positions is None or self.names == names:
+            return self
+        if set(self.names) != set(names):
+            return self
+        at = dict(zip(self.names, cast("tuple[Point, ...]", self.positions), strict=True))
+        copy = self.model_copy()
+        copy.__dict__.update(positions=tuple(at[name] for name in names), names=names)
+        return copy
 
     def _derived(self) -> Set[str]:
         """Return the number of pursuers, if it is the number of their positions."""

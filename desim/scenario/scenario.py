@@ -253,11 +253,19 @@ class Scenario(Value):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        self._number_by_names()
         found = list(self._misfits())
         if found:
             text = "; ".join(f"{'.'.join(map(str, place))}: {why}" for place, why in found)
             raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": found})
         return self
+
+    def _number_by_names(self) -> None:
+        """Give named nodes one number everywhere: that in the graph, else in the positions, else in the first table."""
+        names = self.network.graph.names if isinstance(self.network.graph, Edges) else ()
+        names = names or self.team.names or self.network.node_names
+        self.__dict__["network"] = self.network.numbered(names)
+        self.__dict__["team"] = self.team.numbered(names)
 
     def _misfits(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
         """Yield the key and the text of each inconsistency between tables."""
@@ -292,8 +300,8 @@ class Scenario(Value):
         if names and self.team.names and names != self.team.names:
             yield (
                 ("team", "positions"),
-                f"the file numbers the pursuers {shortened(self.team.names)}, and the graph {shortened(names)}: set"
-                " nodes to the names in the order of the graph",
+                f"the nodes of the file are {shortened(self.team.names)}, and those of the graph {shortened(names)}:"
+                " nodes should be in the order of the graph, or absent if both have the same names",
             )
         yield from _motion_misfits(self)
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):

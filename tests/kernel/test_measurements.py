@@ -278,11 +278,10 @@ def ways(trace):
     return list(zip(trace.measurements.src.tolist(), trace.measurements.dst.tolist(), strict=True))
 
 
-def test_named_nodes_are_numbered_in_alphabetical_order_or_in_the_order_given(read):
-    """uav2 is before uav10; the order does not depend on that of the rows."""
+def test_named_nodes_are_numbered_in_the_order_of_the_table_or_in_the_order_given(read):
     trace = read(NAMED)
-    assert trace.named_nodes == "0 is gateway, 1 is uav2, 2 is uav10"
-    assert ways(trace) == [(0, 1), (1, 0), (2, 0)]
+    assert trace.named_nodes == "0 is uav10, 1 is gateway, 2 is uav2"
+    assert ways(trace) == [(0, 1), (1, 2), (2, 1)]
     header, *rows = NAMED.splitlines()
     assert ways(read("\n".join([header, rows[2], rows[0]]), start="random")) == [(0, 1), (2, 0)]
     chosen = read(NAMED, nodes=["uav2", "uav10", "gateway"])
@@ -291,7 +290,7 @@ def test_named_nodes_are_numbered_in_alphabetical_order_or_in_the_order_given(re
     assert LatencyTrace.model_validate(chosen.plain()) == chosen
     assert ways(read(NAMED.replace("uav10", "7"), nodes=["uav2", "7", "gateway"])) == ways(chosen)
     macs = read("t,src,dst,value\n0,00:11:22:33:44:55,10.0.0.1,1\n1,0x1f,10.0.0.1,1\n")
-    assert macs.named_nodes == "0 is 00:11:22:33:44:55, 1 is 0x1f, 2 is 10.0.0.1"
+    assert macs.named_nodes == "0 is 00:11:22:33:44:55, 1 is 10.0.0.1, 2 is 0x1f"
 
 
 @pytest.mark.parametrize(
@@ -313,12 +312,19 @@ def test_names_that_are_numbers_or_not_known_are_refused(read, text, options, co
 def test_the_numbers_of_named_nodes_are_shown():
     table = NAMED.replace("uav10", "uav1")
     network = {"loss": {"kind": "trace", "table": table, "received": True}}
-    graph = {"kind": "edges", "edges": [{"src": 1, "dst": 0}, {"src": 2, "dst": 0}, {"src": 0, "dst": 2}]}
+    graph = {"kind": "edges", "edges": [{"src": 0, "dst": 1}, {"src": 2, "dst": 1}, {"src": 1, "dst": 2}]}
     scenario = Scenario(team={"count": 3}, network=network | {"graph": graph | {"directed": True}})
-    shown = "the nodes of the table were numbered by their names: 0 is gateway, 1 is uav1, 2 is uav2"
+    shown = "the nodes of the table are numbered in its order: 0 is uav1, 1 is gateway, 2 is uav2"
     assert ("network.loss.nodes", shown) in list(warnings(scenario))
     many = "t,src,dst,value\n" + "".join(f"{k},a{k},b{k},1\n" for k in range(50))
-    assert LatencyTrace(table=many).named_nodes.endswith("18 is a18, ..., 99 is b49")
+    assert LatencyTrace(table=many).named_nodes.endswith("18 is a9, ..., 99 is b49")
+
+
+def test_the_numbers_of_named_nodes_in_the_trace_of_an_edge_are_shown_once():
+    trace = {"kind": "trace", "table": "t,src,dst,value\n0,b,a,1\n0,a,b,1\n"}
+    graph = {"kind": "edges", "edges": [{"src": 0, "dst": 1, "latency": trace}]}
+    shown = ("network.graph", "the nodes of the table are numbered in its order: 0 is b, 1 is a")
+    assert list(warnings(Scenario(team={"count": 2}, network={"graph": graph}))).count(shown) == 1
 
 
 @pytest.mark.parametrize("between", ["hold", "linear"])

@@ -317,21 +317,79 @@ def test_positions_that_do_not_fit_are_refused_with_the_place(written, text, why
         written(text)
 
 
-def test_names_that_a_graph_a_record_and_a_trace_number_differently_are_refused(written, tmp_path):
-    """The graph numbers them in the order of its file, and the trace alphabetically."""
+GRAPH = 'network.graph = { kind = "edges", file = "graph.csv" }'
+TRACE = 'network.{} = {{ kind = "trace", file = "{}.csv" }}'
+STARTS = "t,node,x,y\n0,a,1,2\n0,b,3,4\n"
+ROWS = {"trace": "t,src,dst,value\n0,a,b,0.1\n0,b,a,0.2\n", "other": "t,src,dst,value\n0,b,a,0.4\n0,a,b,0.3\n"}
+
+
+@pytest.fixture
+def named(written, tmp_path):
+    """Return a function that returns the scenario with some lines, beside files about the nodes a and b."""
     (tmp_path / "graph.csv").write_text("source,target\nb,a\n")
-    (tmp_path / "trace.csv").write_text("t,src,dst,value\n0,a,b,0.1\n0,b,a,0.2\n")
-    graph = 'network.graph = { kind = "edges", file = "graph.csv" }'
-    trace = 'network.latency = { kind = "trace", file = "trace.csv" }'
-    table = "t,node,x,y\n0,a,1,2\n0,b,3,4\n"
-    order = "set nodes to the names in the order of the graph"
-    with pytest.raises(ValueError, match=rf"team\.positions: the file numbers the pursuers a, b, .* b, a: {order}"):
-        written(f"{graph}\n{POSITIONS}", table)
-    with pytest.raises(ValueError, match=rf"network\.latency: trace\.csv numbers the nodes a, b, .* b, a: {order}"):
-        written(f"{graph}\n{trace}\nteam.count = 2")
-    nodes = ', nodes = ["b", "a"] }'
-    scenario = written("\n".join([graph, trace.replace(" }", nodes), POSITIONS.replace(" }", nodes)]), table)
-    assert scenario.network.graph.names == scenario.team.names == scenario.network.latency.nodes == ("b", "a")
+    for name, rows in ROWS.items():
+        (tmp_path / f"{name}.csv").write_text(rows)
+    return lambda *lines: written("\n".join(lines), STARTS)
+
+
+def values(trace):
+    """Return the value of each link of a trace."""
+    links = zip(trace.measurements.src.tolist(), trace.measurements.dst.tolist(), strict=True)
+    return dict(zip(links, trace.measurements.values.tolist(), strict=True))
+
+
+def test_a_graph_numbers_the_names_in_all_files(named):
+    """The graph begins with b, and the positions and one of the traces with a."""
+    traces = [TRACE.format("latency", "trace"), TRACE.format("loss", "other")]
+    scenario = named(GRAPH, POSITIONS, *traces)
+    assert scenario.network.graph.names == scenario.team.names == ("b", "a")
+    assert scenario.team.positions == ((3.0, 4.0), (1.0, 2.0))
+    assert values(scenario.network.latency) == {(0, 1): 0.2, (1, 0): 0.1}
+    assert values(scenario.network.loss) == {(0, 1): 0.4, (1, 0): 0.3}
+    assert Scenario.model_validate(scenario.plain()) == scenario
+
+
+def test_the_first_file_with_names_numbers_them_if_there_is_no_graph(named):
+    """Positions are asked before traces, and latencies before losses."""
+    traces = [TRACE.format("latency", "other"), TRACE.format("loss", "trace")]
+    scenario = named(POSITIONS, *traces)
+    assert values(scenario.network.latency) == {(0, 1): 0.3, (1, 0): 0.4}
+    scenario = named("team.count = 2", *traces)
+    assert values(scenario.network.latency) == {(0, 1): 0.4, (1, 0): 0.3}
+    assert values(scenario.network.loss) == {(0, 1): 0.2, (1, 0): 0.1}
+    assert scenario.network.latency.nodes is None  # and so a warning shows the numbers
+
+
+@pytest.mark.parametrize("key", ["network.link", "network.graph.edges"])
+def test_a_trace_of_one_link_has_the_numbers_of_the_others(named, key):
+    edge = 'src = 0, dst = 1, latency = { kind = "trace", file = "trace.csv" }'
+    own = {
+        "network.link": f"[[network.link]]\n{edge.replace(', ', chr(10), 2)}\nboth_ways = true",
+        "network.graph.edges": f'[network.graph]\nkind = "edges"\nedges = [{{ {edge} }}]',
+    }[key]
+    network = named("team.count = 2", TRACE.format("loss", "other"), own).network
+    model = network.link[0].latency if network.link else network.graph.edges[0].latency
+    assert network.loss.measurements.names == ("b", "a")
+    assert values(model) == {(0, 1): 0.2, (1, 0): 0.1}
+
+
+def test_the_nodes_of_a_graph_from_1_are_names_in_a_trace(named, tmp_path):
+    (tmp_path / "graph.csv").write_text("1,2\n")
+    (tmp_path / "trace.csv").write_text(ROWS["trace"].replace("a,b", "1,2").replace("b,a", "2,1"))
+    scenario = named("team.count = 2", GRAPH, TRACE.format("latency", "trace"))
+    assert values(scenario.network.latency) == {(0, 1): 0.1, (1, 0): 0.2}
+
+
+def test_nodes_in_another_order_than_the_graph_are_refused(named, tmp_path):
+    nodes = ', nodes = ["a", "b"] }'
+    trace = TRACE.format("latency", "trace")
+    with pytest.raises(ValueError, match=r"team\.positions: the nodes of the file are a, b, and .* graph b, a"):
+        named(GRAPH, POSITIONS.replace(" }", nodes))
+    with pytest.raises(ValueError, match=r"network\.latency: trace\.csv numbers the nodes a, b, and .* b, a"):
+        named(GRAPH, trace.replace(" }", nodes), "team.count = 2")
+    (tmp_path / "trace.csv").write_text(ROWS["trace"].replace("a,b", "c,b"))
+    with pytest.raises(ValueError, match=r"latency: trace\.csv, line 2: src: 'c' is not in nodes: the nodes are b, a"):
+        named(GRAPH, trace, "team.count = 2")
 
 
 def test_a_script_is_told_the_number_of_the_waypoint():
