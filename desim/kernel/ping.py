@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 REPLY = re.compile(
     r"(?:\[(\d+(?:\.\d+)?)\] )?(?:\d+ bytes from .*?\b(?:icmp_)?seq=(\d+)\b.*?|Reply from \S+: bytes=\d+ )"
-    r"time[=<]([\d.]+) ?ms\b.*",
+    r"time[=<](\d+(?:[.,]\d+)?) ?ms\b.*",
     re.ASCII,
 )
 FAILURE = re.compile(r"Request timed out\.|Reply from \S+: (?:Destination|TTL expired).*|General failure\.?")
@@ -78,7 +78,7 @@ def probes_of(text: str) -> list[Probe]:
         if reply := REPLY.fullmatch(line):
             stamp, number, rtt = reply.groups()
             last = _unwrapped(int(number), last) if number else len(replies) + len(lost)
-            seconds = float(rtt) / 1e3
+            seconds = float(rtt.replace(",", ".")) / 1e3  # the decimal sign is that of the locale
             replies.setdefault(last, (float(stamp) - seconds if stamp else None, seconds))  # the first, of duplicates
         elif FAILURE.fullmatch(line):
             lost.add(len(replies) + len(lost))

@@ -88,3 +88,8 @@ def test_several_outputs_and_endless_ones_are_refused(model, tmp_path):
         (tmp_path / "ping.txt").write_text(text)
         with pytest.raises(ValidationError, match=rf"ping\.txt {why}"):
             model(file=str(tmp_path / "ping.txt"))
+
+
+def test_a_decimal_comma_of_a_locale_is_not_a_lost_probe():
+    """Round trips of 100 ms or more have no decimals, so that only the others have a comma."""
+    assert probes_of(LINUX.replace("12.3 ms", "12,3 ms").replace("0.045 ms", "0,045 ms")) == probes_of(LINUX)
