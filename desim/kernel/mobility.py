@@ -8,9 +8,11 @@ from typing import NamedTuple
 from desim.config.model import MAX_COORDINATE, MAX_TIME
 from desim.config.number_files import number_of
 from desim.config.suggestion import did_you_mean
-from desim.kernel.measurements import time_of
+from desim.kernel.measurements import LIKE_NUMBER, time_of
 from desim.kernel.units import nanoseconds
 
+MAX_NAMES = 10
+"""Maximum number of nodes listed in an error message."""
 NodeName = int | str
 """The number or the name of a node in a file."""
 
@@ -56,8 +58,12 @@ class MobilityFile:
             ValueError: if there is no such node, or a line about the node is not valid; the message names the file and
                 the line.
         """
-        if isinstance(node, int) and self.nodes and isinstance(self.nodes[0], str) and node < len(self.nodes):
-            node = self.nodes[node]
+        names = [name for name in self.nodes if isinstance(name, str)]
+        if isinstance(node, int) and node < len(names):
+            if any(map(LIKE_NUMBER.fullmatch, names)):
+                shown = ", ".join(repr(name) for name in names[:MAX_NAMES])
+                raise ValueError(f"{self.file}: node {node} is not clear, because names look like numbers: {shown}")
+            node = names[node]
         if node not in self.nodes:
             raise ValueError(self._lacks(node))
         return self._track(node)
@@ -71,7 +77,9 @@ class MobilityFile:
         if self.nodes == tuple(range(count)) and count > 1:
             which = f"nodes 0 to {count - 1}"
         else:
-            which = f"node{'s' if count > 1 else ''} {', '.join(names[:10])}{', ...' if count > 10 else ''}"
+            which = (
+                f"node{'s' if count > 1 else ''} {', '.join(names[:MAX_NAMES])}{', ...' if count > MAX_NAMES else ''}"
+            )
         return f"{self.file} has no node {node}{hint}: it has {which if names else 'no nodes'}"
 
 

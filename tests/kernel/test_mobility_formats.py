@@ -194,3 +194,14 @@ def test_an_unknown_node_is_refused_with_those_that_there_are(tmp_path):
         read(tmp_path, b"t,node,x,y\n0,uav3,1,2\n0,base,1,2\n", "uav4")
     with pytest.raises(ValueError, match="has no node 2: it has nodes 3, 7"):
         read(tmp_path, b"t,node,x,y\n0,7,1,2\n0,3,1,2\n", 2)
+
+
+def test_the_index_of_a_name_that_looks_like_a_number_is_refused(tmp_path):
+    """Node 1 would be the second, which is named 02."""
+    file = tmp_path / "walk.csv"
+    file.write_text("t,node,x,y\n0,01,1,2\n0,02,3,4\n")
+    with pytest.raises(
+        ValueError, match=r"walk\.csv: node 1 is not clear, because names look like numbers: '01', '02'"
+    ):
+        RecordedMotion(file=str(file), node=1)
+    assert RecordedMotion(file=str(file), node="01").start == 1 + 2j
