@@ -233,7 +233,7 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
         )
     edges = [
         {"src": numbers[src], "dst": numbers[dst]}
-        | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
+        | {name: _attribute(src, dst, name, own[name]) for name in ("latency", "loss", "order") if name in own}
         for src, dst, own in graph.edges(data=True)
     ]
     fields = {"edges": edges, "nodes": len(graph), "directed": graph.is_directed()}
@@ -268,6 +268,15 @@ def as_model(name: str, value: Any) -> Any:
     if type(number) is not int and type(number) is not float:
         return value
     return Constant(value=number) if name == "latency" else Bernoulli(p=number)
+
+
+def _attribute(src: Any, dst: Any, name: str, value: Any) -> Any:
+    """Convert an attribute of the edge between two nodes; see `as_model`."""
+    try:
+        return as_model(name, value)
+    except ValidationError as error:
+        why = text_of(error.errors(include_url=False)[0])
+        raise ValueError(f"the {name} of the edge from {src} to {dst}: {why} (got {value!r})") from error
 
 
 def edge_model(src: int, dst: int, name: str, value: Any) -> Any:

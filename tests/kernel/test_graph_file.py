@@ -413,3 +413,12 @@ def test_a_trace_on_an_edge_that_may_end_before_the_run_gives_a_warning():
     graph = Edges(edges=[{"src": 0, "dst": 1, "latency": trace}])
     found = dict(warnings(Scenario(team=Team(count=2), network=Links(graph=graph), horizon=9.0)))
     assert found["network.graph"].startswith("a message that is sent later than 2 s ends the run with an error")
+
+
+@pytest.mark.parametrize(
+    ("key", "number", "why"), [("loss", 50, "less than or equal to 1"), ("latency", -1, "than or")]
+)
+def test_a_number_that_is_not_valid_is_refused_with_its_edge(tmp_path, key, number, why):
+    (tmp_path / "g.csv").write_text(f"source,target,{key}\na,b,0\nb,c,{number}\n")
+    with pytest.raises(ValueError, match=rf"g\.csv: the {key} of the edge from b to c: should be .*{why}"):
+        Edges(file=str(tmp_path / "g.csv"))
