@@ -60,7 +60,7 @@ class MobilityFile:
         """
         names = [name for name in self.nodes if isinstance(name, str)]
         if isinstance(node, int) and node < len(names):
-            if any(map(LIKE_NUMBER.fullmatch, names)):
+            if len(names) > 1 and any(map(LIKE_NUMBER.fullmatch, names)):
                 shown = ", ".join(repr(name) for name in names[:MAX_NAMES])
                 raise ValueError(f"{self.file}: node {node} is not clear, because names look like numbers: {shown}")
             node = names[node]

@@ -203,5 +203,5 @@ def test_the_index_of_a_name_that_looks_like_a_number_is_refused(tmp_path):
     with pytest.raises(
         ValueError, match=r"walk\.csv: node 1 is not clear, because names look like numbers: '01', '02'"
     ):
-        RecordedMotion(file=str(file), node=1)
-    assert RecordedMotion(file=str(file), node="01").start == 1 + 2j
+        read_mobility(file).track(1)
+    assert read_mobility(file).track("01").waypoints[0][1:3] == (1.0, 2.0)
