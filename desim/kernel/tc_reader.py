@@ -75,14 +75,20 @@ def _disciplines(script: Iterable[Command]) -> list[Command]:
     present: dict[Device, tuple[Device, int]] = {}
     for number, command in enumerate(script):
         if command.action == "delete":
-            present.pop(command.device, None)
+            *device, parent = command.device
+            gone = [place for place in present if [*place[:-1]] == device and parent in {"", place[-1]}]
+            present = {place: key for place, key in present.items() if place not in gone}
             continue
         key = present.get(command.device)
         if key is not None and command.action != "add":
             last[key] = _changed(last[key], command)
             continue
-        if key is None:  # the device has no netem now: what it had before a deletion no longer counts
-            last = {other: known for other, known in last.items() if other[0] != command.device}
+        if key is None:  # there is no netem now: what the device had before a deletion no longer counts
+            last = {
+                other: before
+                for other, before in last.items()
+                if other[0][:-1] != command.device[:-1] or other[0] in present
+            }
         key = present[command.device] = command.device, number
         last[key] = command
     return list(last.values())

@@ -39,7 +39,7 @@ class TcError(ValueError):
 
 
 Device = tuple[str, ...]
-"""The name of a device, after the words that name its namespace or container."""
+"""Where a discipline is: the words that name a namespace or container, the device, and the parent; "" at the root."""
 
 
 class Command(NamedTuple):
@@ -207,17 +207,18 @@ def _command(words: _Words, way: Way | None) -> Command | None:
         raise words.wrong(FORM)
     if action in {"show", "list", "lst"}:
         return None
-    device, handle = "", ""
+    device, parent, handle = "", "", ""
     while words.peek() and (word := words.take("netem")) != "netem":
         if word in {"dev", "parent", "handle"}:
             value = words.take("a value")
             device, handle = value if word == "dev" else device, value if word == "handle" else handle
+            parent = value if word == "parent" else parent
         elif word != "root" and action != "delete":
             raise words.wrong("is not allowed here; allowed: dev, parent, handle, root, netem")
     if action != "delete" and word != "netem":
         words.take("netem")
     options = {} if action == "delete" else _options(words)
-    return Command(where, way, action, (*runner, *namespace, device), handle, options)
+    return Command(where, way, action, (*runner, *namespace, device, parent), handle, options)
 
 
 def _runner(words: _Words) -> list[str]:

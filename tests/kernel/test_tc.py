@@ -558,3 +558,22 @@ def test_a_device_may_have_a_usual_name(device):
 def test_a_name_that_a_shell_or_linux_does_not_take_is_refused(device):
     with pytest.raises(ValueError, match="the name of a device has at most 15 letters"):
         script(Links(), 2, device)
+
+
+@pytest.mark.parametrize(
+    ("commands", "delay"),
+    [
+        ("replace parent 5:1 netem delay 20ms; replace parent 5:2 netem delay 50ms", None),
+        ("add parent 5:1 netem; add parent 5:2 netem; del parent 5:1; add parent 5:1 netem delay 50ms", None),
+        ("add parent 5:1 netem; add parent 5:2 netem delay 50ms; change parent 5:1 netem delay 50ms", 0.05),
+        ("add parent 5:1 netem; add parent 5:2 netem; del root; add root netem delay 50ms", 0.05),
+    ],
+)
+def test_each_class_of_a_device_has_a_discipline_of_its_own(commands, delay):
+    """A deletion of the root deletes all of a device."""
+    text = re.sub(r"(add|change|replace|del) ", r"tc qdisc \1 dev eth0 ", commands)
+    if delay is None:
+        with pytest.raises(TcError, match="differs from the command above for the whole network"):
+            read_script(text)
+    else:
+        assert read_script(text).network == {"latency": {"kind": "constant", "value": delay}}
