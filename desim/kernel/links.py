@@ -5,7 +5,7 @@ from contextlib import suppress
 from math import inf
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import field_validator, model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
@@ -164,6 +164,21 @@ class Links(Value):
     @classmethod
     def _of_networkx(cls, given: Any) -> Any:
         return Edges.of(given) if is_networkx(given) else given
+
+    @field_validator("link", mode="before")
+    @classmethod
+    def _has_numbers(cls, given: Any, info: ValidationInfo) -> Any:
+        """Raise ValueError with the number of a node that is named instead."""
+        graph = info.data.get("graph")
+        names = graph.names if isinstance(graph, Edges) else ()
+        for k, link in enumerate(given if isinstance(given, list | tuple) else ()):
+            for end in ("src", "dst"):
+                node = link.get(end) if isinstance(link, dict) else None
+                if isinstance(node, str) and node in names:
+                    raise ValueError(
+                        f"{end} of link {k} should be a number; the number of {node} is {names.index(node)}"
+                    )
+        return given
 
     @model_validator(mode="before")
     @classmethod

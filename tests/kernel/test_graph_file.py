@@ -422,3 +422,9 @@ def test_a_number_that_is_not_valid_is_refused_with_its_edge(tmp_path, key, numb
     (tmp_path / "g.csv").write_text(f"source,target,{key}\na,b,0\nb,c,{number}\n")
     with pytest.raises(ValueError, match=rf"g\.csv: the {key} of the edge from b to c: should be .*{why}"):
         Edges(file=str(tmp_path / "g.csv"))
+
+
+def test_a_link_between_names_is_refused_with_their_numbers():
+    graph = {"kind": "edges", "edges": [{"src": 0, "dst": 1}], "names": ["boat", "uav"]}
+    with pytest.raises(ValueError, match=r"dst of link 0 should be a number; the number of uav is 1"):
+        Links(graph=graph, link=[{"src": 0, "dst": "uav", "latency": 0.1}])
