@@ -24,7 +24,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.model import markers_of
-from desim.config.own_modules import find_own_modules, module_beside, plain_name
+from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
 from desim.config.packages import check_visible
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
@@ -351,6 +351,7 @@ def load_named(kind: str, folder: Path | None) -> Any:
     """
     module, _, name = kind.partition(":")
     where, found = "", module
+    folder = kind.folder if isinstance(kind, CodeName) else folder
     point = _named_by_entry_points().get(kind)
     if point is None and folder is not None:
         where = f"; also searched in the folder of the file, {folder.absolute()}"

@@ -26,6 +26,26 @@ NOT_OWN = {*sys.stdlib_module_names, *PACKAGES, "desim"}
 _FOLDER = re.compile(r"@[^.]*")
 
 
+class CodeName(str):
+    """A name "module:name" whose module is looked up in another folder than that of the file that is read.
+
+    Args:
+        text: the name.
+        folder: the folder.
+    """
+
+    folder: Path
+
+    def __new__(cls, text: str, folder: Path) -> "CodeName":
+        """Create the name."""
+        name = super().__new__(cls, text)
+        name.folder = folder
+        return name
+
+    def __getnewargs__(self) -> tuple[str, Path]:
+        return str(self), self.folder
+
+
 def plain_name(name: str) -> str:
     """Return the name of a module, function or class without the folder of its module."""
     return _FOLDER.sub("", name) if "@" in name else name

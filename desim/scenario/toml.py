@@ -4,12 +4,14 @@ import os
 import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 from pydantic import ValidationError
 
+from desim.config.own_modules import CodeName
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
@@ -73,6 +75,7 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         try:
             base = path_in(file.parent, given, is_trusted=allow_import)
             source = _parsed(base, allow_import)
+            source = replace(source, tables=_in_folder(source.tables, base.parent))
         except OSError as error:
             raise ScenarioError(f"{where}: {error.filename} cannot be read: {error.strerror}") from error
         except ScenarioError:
@@ -84,6 +87,15 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         seen.add(base.resolve())
         file = base
     yield source
+
+
+def _in_folder(node: Any, folder: Path) -> Any:
+    """Return tables in which the names of code say the folder in which their modules are looked up."""
+    if isinstance(node, dict):
+        return {key: _in_folder(item, folder) for key, item in node.items()}
+    if isinstance(node, list):
+        return [_in_folder(item, folder) for item in node]
+    return CodeName(node, folder) if isinstance(node, str) and ":" in node else node
 
 
 def _relocate(source: Source, node: Any, above: KeyPath) -> None:

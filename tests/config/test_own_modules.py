@@ -14,6 +14,7 @@ from desim.kernel.trace_file import line_of
 from desim.results import provenance
 from desim.scenario.toml import dump, read, validate
 from desim.study.config_hash import identify
+from desim.study.configurations import configurations
 from desim.study.serialization import called, packed
 from desim.view.play import Playground
 
@@ -186,3 +187,33 @@ def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
 
     calls = [packed(partial(loaded(folder).record.metrics[1].of, None)) for folder in folders]
     assert [pickle.loads(called(call)) for call in calls] == [1, 2]
+
+
+def test_a_base_in_another_folder_runs_its_own_code(folders, tmp_path):
+    for number, folder in enumerate(folders, start=1):
+        file = tmp_path / f"over{number}" / "s.toml"
+        file.parent.mkdir()
+        for name, text in FILES.items():  # the file that uses the base has modules of the same names
+            (file.parent / name).parent.mkdir(exist_ok=True)
+            (file.parent / name).write_text(text.replace("{n}", "3"))
+        file.write_text(f"base = '{folder / 's.toml'}'\nsweep.grid = {{}}\n")
+        scenario = load(file, allow_import=True)
+        assert lines(run(scenario, 1)) == lines(run(loaded(folder), 1))
+        assert codes(summary(run(scenario, 1))) == (number, number)
+        assert identify(scenario).key == identify(loaded(folder)).key
+        assert dump(scenario) == dump(loaded(folder))
+        assert codes(summary(run(scenario.with_({"seed": 2})))) == (number, number)
+        own = load(file, ['protocol="myrule:Rule"', "network.latency.kind='myrule:Latency'"], allow_import=True)
+        assert folder_of(type(own.protocol).__module__) == folder_of(type(own.network.latency).__module__)
+        assert folder_of(type(own.protocol).__module__) == file.parent
+        assert folder_of(own.evader.strategy.__module__) == folder
+
+
+def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
+    (folders[0] / "grid.toml").write_text(
+        "base = 's.toml'\n[sweep.grid]\nprotocol = ['myrule:Rule']\n'network.latency.kind' = ['myrule:Latency']\n"
+    )
+    (folders[1] / "over.toml").write_text(f"base = '{folders[0] / 'grid.toml'}'\n")
+    (swept,) = configurations(read(folders[1] / "over.toml", allow_import=True))
+    for model in (swept.scenario.protocol, swept.scenario.network.latency):
+        assert folder_of(type(model).__module__) == folders[0]
