@@ -274,6 +274,7 @@ UNITS = MappingProxyType({"s": ("s", 1.0), "ms": ("s", 1e3), "us": ("s", 1e6), "
 
 def _why_no_number(text: str) -> str | None:
     """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind."""
+    text = str(text)  # numpy's are shown otherwise
     match = NUMBER_AS_TEXT.fullmatch(text)
     if match is None:
         return None

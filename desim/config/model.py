@@ -3,7 +3,7 @@
 import ast
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set, Sized
+from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
@@ -21,6 +21,7 @@ from pydantic import (
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -29,7 +30,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
-from desim.config.python_numbers import as_python
+from desim.config.python_numbers import as_python, why_no_text
 from desim.config.suggestion import did_you_mean
 
 if sys.version_info >= (3, 14):
@@ -135,12 +136,20 @@ class Value(BaseModel):
 
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
-    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         """Convert the numbers and lists given for fields, see `as_python`."""
         if not isinstance(given, dict):
             return make(given)
-        plain = _plain_fields(cls)
-        return make({name: as_python(value) if name in plain else value for name, value in given.items()})
+        if info.context is None and (unknown := given.keys() - cls.model_fields.keys()):  # files have their own texts
+            cls._check_names({name: given[name] for name in given if name in unknown})
+        plain, converted = _plain_fields(cls), dict(given)
+        for name in plain & given.keys():
+            try:
+                converted[name] = as_python(given[name])
+            except UnicodeEncodeError as error:
+                problem = PydanticCustomError("text", "{why}", {"why": why_no_text(error)})
+                raise cls._error({name: problem}, given) from error
+        return make(converted)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -170,7 +179,6 @@ class Value(BaseModel):
         copy = super().model_copy(deep=deep)
         if not update:
             return copy
-        self._check_names(update)
         kept = {name: getattr(copy, name) for name in self.own_fields()}
         return type(self).model_validate(kept | dict(update), by_name=True)
 
@@ -183,24 +191,29 @@ class Value(BaseModel):
         return frozenset()
 
     @classmethod
-    def _check_names(cls, values: Iterable[str]) -> None:
+    def _check_names(cls, values: Mapping[str, Any]) -> None:
         """Raise ValidationError if a name is not a field; with what may be meant, which pydantic does not say."""
-        forbids = cls.model_config.get("extra") == "forbid"
-        unknown = [name for name in values if forbids and name not in cls.model_fields]
-        problems = [
-            InitErrorDetails(
-                type=PydanticCustomError(
-                    "extra_forbidden",
-                    "unknown key{hint}; allowed: {allowed}",
-                    {"hint": did_you_mean(str(name), cls.model_fields), "allowed": ", ".join(sorted(cls.model_fields))},
-                ),
-                loc=(name,),
-                input=name,
+        fields = cls.model_fields
+        names = sorted({*fields, *(field.alias for field in fields.values() if field.alias)})
+        problems = {
+            name: PydanticCustomError(
+                "extra_forbidden",
+                "unknown key{hint}; allowed: {names}",
+                {"hint": did_you_mean(str(name), names), "names": ", ".join(names)},
             )
-            for name in unknown
+            for name in values
+            if name not in names
+        }
+        if problems and cls.model_config.get("extra") == "forbid":
+            raise cls._error(problems, values)
+
+    @classmethod
+    def _error(cls, problems: Mapping[str, PydanticCustomError], values: Mapping[str, Any]) -> ValidationError:
+        """Return the error for the problems of some keys."""
+        details = [
+            InitErrorDetails(type=problem, loc=(name,), input=values[name]) for name, problem in problems.items()
         ]
-        if problems:
-            raise ValidationError.from_exception_data(cls.__name__, problems)
+        return ValidationError.from_exception_data(cls.__name__, details)
 
     def given(self) -> dict[str, Any]:
         """Return the fields without a default, and those that differ from their defaults, by name."""

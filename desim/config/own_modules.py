@@ -42,8 +42,8 @@ class CodeName(str):
         name.folder = folder
         return name
 
-    def __getnewargs__(self) -> tuple[str, Path]:
-        return str(self), self.folder
+    def __reduce__(self) -> tuple[type["CodeName"], tuple[str, Path]]:
+        return CodeName, (str(self), self.folder)
 
 
 def plain_name(name: str) -> str:

@@ -3,6 +3,9 @@
 A number is an `int` if it counts (`operator.index`), and a `float` if it measures. A float that is whole stays a float,
 a boolean stays a boolean, and a text stays a text, so strict types refuse the same values as before the conversion. A
 value that is neither a number nor a list is returned unchanged, for the field that receives it to judge.
+
+A text that no file can hold is refused, with UnicodeEncodeError: one with half of a surrogate pair, such as names with
+undecodable bytes on a command line have.
 """
 
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
@@ -15,6 +18,7 @@ from typing import Any
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
 """Types of values that need no conversion."""
+NUMBERS = ATOMS - {str}
 ROWS = frozenset({list, tuple})
 LISTS = (list, tuple, Sequence, Iterator, KeysView, ValuesView, ItemsView)
 """Types with an order: lists, ranges, generators, `zip`, views of dicts, deques. A set has none and stays a set."""
@@ -26,19 +30,22 @@ DATES = frozenset("mM")
 def as_python(value: Any) -> Any:
     """Return a value with all numbers in it as `int` or `float`, and what is in order, such as an array, as a list.
 
-    The values of dicts and the items of lists are converted, too; lists and dicts without such values are not copied.
+    The values of dicts and the items of lists are converted, too; lists of Python's numbers are not copied.
+
+    Raises:
+        UnicodeEncodeError: if a text cannot be encoded; see `why_no_text`.
     """
     kind = type(value)
+    if kind is str:
+        if not value.isascii():
+            value.encode()
+        return value
     if kind in ATOMS:
         return value
     if kind is list or kind is tuple:
         return value if _is_plain(value) else _items(value)
     if kind is dict:
-        return (
-            value
-            if ATOMS.issuperset(map(type, value.values()))
-            else {key: as_python(item) for key, item in value.items()}
-        )
+        return {as_python(key) if type(key) is str else key: as_python(item) for key, item in value.items()}
     if callable(value):  # a model of a user, which may be a list, too
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES:
@@ -48,6 +55,11 @@ def as_python(value: Any) -> Any:
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
     return _items(value) if isinstance(value, LISTS) and not isinstance(value, TEXTS) else value
+
+
+def why_no_text(error: UnicodeEncodeError) -> str:
+    """Return why a text is refused that cannot be encoded."""
+    return f"should be a text that a file can hold: {error.object[error.start]!r} is half of a character"
 
 
 def whole(value: Any, name: str) -> int:
@@ -77,7 +89,7 @@ def real(value: Any, name: str) -> float:
 def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
     """Return whether a list, or a list of rows, needs no conversion: a check of types takes a tenth of the time."""
     kinds = set(map(type, values))
-    return kinds <= ATOMS or (kinds <= ROWS and ATOMS.issuperset(map(type, chain.from_iterable(values))))
+    return kinds <= NUMBERS or (kinds <= ROWS and NUMBERS.issuperset(map(type, chain.from_iterable(values))))
 
 
 def _items(values: Any) -> Any:

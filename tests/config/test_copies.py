@@ -44,6 +44,8 @@ def test_a_field_that_does_not_exist_is_refused_with_what_may_be_meant(model):
     meant = f", did you mean '{name}'" if name else ""
     with pytest.raises(ValidationError, match=f"unknown key{meant}"):
         made(model).model_copy(update={f"{name}x": 1})
+    with pytest.raises(ValidationError, match=f"unknown key{meant}"):
+        model(**{f"{name}x": 1})
 
 
 def test_tables_become_models_and_fields_that_contradict_each_other_are_refused():

@@ -22,6 +22,8 @@ from desim.config.python_numbers import as_python, real, whole
 from desim.kernel.latency import LatencyMatrix
 from desim.kernel.netem import Netem
 from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
+from desim.scenario.sweep_table import Sweep
 from tests.models import MODELS, made
 
 COUNTED = (0, 1, 2, 7, 8)
@@ -37,7 +39,7 @@ UNSIGNED = (np.uint8, np.uint16, np.uint32, np.uint64)
 FLOATS = (np.float16, np.float32, np.float64, np.longdouble)
 
 
-ALONE_WRONG = {"duty_cycle", "frequencies", "noise", "share", "spreading_factors", "table"}
+ALONE_WRONG = {"dimensions", "duty_cycle", "frequencies", "noise", "share", "spreading_factors", "table"}
 """Fields that are right together with others only, so that only refusals are compared."""
 
 
@@ -192,7 +194,7 @@ def test_infinity_and_nan_stay_what_they_are():
 
 
 def test_a_list_of_plain_numbers_is_not_copied():
-    for values in ([1.0, 2, None, "a"], ((1.0, 2.0), (3.0, 4.0)), {"a": 1}, [[1, 2], (3,)]):
+    for values in ([1.0, 2, None], ((1.0, 2.0), (3.0, 4.0)), [[1, 2], (3,)]):
         assert as_python(values) is values
 
 
@@ -271,3 +273,25 @@ def test_the_number_of_pursuers_is_that_of_their_positions_whatever_holds_them()
     for positions in (np.array(rows), iter(rows), zip([1, 3], [2, 4], strict=True), {2: rows[0], 5: rows[1]}.values()):
         assert Team(positions=positions) == Team(positions=rows, count=2)
     assert Netem(table=np.arange(4096), delay=1.0).table == tuple(range(4096))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_half_of_a_character_is_refused_wherever_a_text_is(model):
+    for name in model.model_fields:
+        for value in ("\ud800", ["\udcff"], [[1.0, "\ud800"]], {"a": "\ud800"}, {"\ud800": 1}):
+            try:
+                again = made(model, {name: value})
+            except ValueError as error:
+                assert "Error serializing" not in str(error)
+            else:
+                again.model_dump_json()
+
+
+@pytest.mark.parametrize("text", ["\ud800", "a\udcff"])
+def test_a_name_that_no_file_can_hold_is_refused_with_its_key(text):
+    with pytest.raises(ValidationError, match=r"name\n  should be a text that a file can hold: '.ud...' is half of"):
+        Scenario(name=text)
+    for value in ([text], {"a": [text]}, {text: 1.0}, np.array([text])):
+        with pytest.raises(ValidationError, match=r"grid\n  should be a text that a file can hold"):
+            Sweep(grid={"name": value})
+    assert Scenario(name="caf\u00e9 \U0001f600").name == "caf\u00e9 \U0001f600"
