@@ -25,7 +25,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from desim.config.shared_state import COLLECTIONS, changes, defaults_of, warn_of_collections
+from desim.config.shared_state import COLLECTIONS, changes, defaults_of
 from desim.config.traits import name_of
 
 Model = TypeVar("Model")
@@ -49,8 +49,8 @@ def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
     An object to which the model refers twice is copied once. A collection in a variable of an enclosing function, such
     as a list to which the function appends what it sees, is shared with the caller, who reads it after the run.
 
-    A `StateWarning` names what is not copied and changes: collections that a function reads and that differ from those
-    that its first run found, and attributes of classes and global variables that differ at the end of the block.
+    A `StateWarning` names what is not copied and differs at the end of the block: attributes of classes, collections
+    and global variables.
 
     Args:
         model: the model.
@@ -73,9 +73,7 @@ def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
             raise _refusal(users, error) from error
         reader = _Reader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
-    if not alone:
-        warn_of_collections([*functions, *users.values()])
-    with changes([*kept, *users.values()], _snapshot):
+    with changes([*kept, *functions, *users.values()], _snapshot):
         yield copied
 
 
@@ -167,6 +165,8 @@ def _is_collection(held: Any) -> bool:
 
 def _snapshot(value: Any) -> Any:
     """Return what differs if a value has changed; None if that cannot be found out."""
+    if _is_plain(value):
+        return [value]
     content = BytesIO()
     copier = _Copier(content)
     try:

@@ -1,4 +1,4 @@
-"""State that a model shares with other runs: what its code changes in classes, in functions and in global variables."""
+"""State that a model shares with other runs: what its code changes in classes, functions, collections and globals."""
 
 import sys
 from collections import deque
@@ -10,7 +10,6 @@ from itertools import pairwise
 from types import CellType, CodeType, FunctionType
 from typing import Any
 from warnings import warn
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -19,6 +18,8 @@ ADDING = {"append", "extend", "add", "update"}
 """The methods that add to a collection and return nothing."""
 Read = Callable[[], Any]
 """Reads a variable; None if it has no value."""
+_FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
+"""The packages whose classes and functions are not looked at."""
 
 
 class StateWarning(UserWarning):
@@ -27,7 +28,11 @@ class StateWarning(UserWarning):
 
 @contextmanager
 def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Warn at the end of the block of each variable that classes and functions share between runs and that has changed.
+    """Warn at the end of the block of each variable that runs share and that has changed.
+
+    These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the
+    global variables that code of a user reads or writes. A collection to which the code only adds may change: it
+    reports to the caller.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
@@ -40,82 +45,31 @@ def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[
     if changed:
         text = (
             f"{', '.join(sorted(changed))}: changed during the run, so a second run would start from another state;"
-            " what a model remembers should be in its instance (self), of which each run gets a copy"
+            " what a model remembers should be in its instance (self), of which each run gets a copy; what it reports"
+            " may be appended to a list that it does not read"
         )
         warn(text, StateWarning, stacklevel=6)
 
 
-_found: WeakKeyDictionary[FunctionType, dict[str, Any]] = WeakKeyDictionary()
-"""The collections that the first run of each function found, by name."""
-
-
-def warn_of_collections(objects: Iterable[Any]) -> None:
-    """Warn of each collection that a function among some objects reads, and whose items an earlier run has changed."""
-    for function in objects:
-        if isinstance(function, FunctionType):
-            now = {name: _items_of(value, 4) for name, value in _collections(function)}
-            first = _found.setdefault(function, now)
-            if changed := [name for name, items in now.items() if name in first and items != first[name]]:
-                warn(
-                    f"{', '.join(changed)} of {function.__qualname__}: has changed since the first run with this"
-                    " function, so this run starts from another state; what a model remembers should be in its"
-                    " instance (self), of which each run gets a copy",
-                    StateWarning,
-                    stacklevel=5,
-                )
-
-
-def _collections(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of each collection that a function holds and does more with than to add to it."""
-    code = function.__code__
-    arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-    defaults = function.__defaults__ or ()
-    held = dict(zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False))
-    held |= function.__kwdefaults__ or {}
-    held |= {name: _contents(cell) for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)}
-    for name, value in held.items():
-        if isinstance(value, COLLECTIONS) and not only_adds(code, name):
-            yield name, value
-
-
-def defaults_of(function: FunctionType) -> list[Any]:
-    """Return the defaults of the arguments of a function."""
-    return [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
-
-
-def _items_of(value: Any, depth: int) -> Any:
-    """Return what is equal for equal numbers and texts in a collection, and for the same other objects."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if depth and isinstance(value, dict):
-        return [(_items_of(key, depth - 1), _items_of(item, depth - 1)) for key, item in value.items()]
-    if depth and isinstance(value, COLLECTIONS):
-        return [_items_of(item, depth - 1) for item in value]
-    return value if isinstance(value, int | float | str) else id(value)
-
-
 def _shared(objects: Iterable[Any]) -> Iterator[tuple[str, Read]]:
     """Yield the name of each variable that code of a user may change, with a function that reads it."""
-    functions = []
     for item in objects:
         function = getattr(item, "__func__", item)
         if isinstance(function, FunctionType):
-            functions.append(function)
             yield from _items(function.__qualname__, vars(function))
+            yield from _variables(function)
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
-            if base.__module__.partition(".")[0] in _FOREIGN:
+            if _is_foreign(base):
                 continue
             for method in tuple(vars(base).values()):  # pydantic may still complete the class
                 method = getattr(method, "__func__", method)
                 if isinstance(method, FunctionType):
-                    functions.append(method)
-                    for name, cell in zip(method.__code__.co_freevars, method.__closure__ or (), strict=True):
-                        if not only_adds(method.__code__, name):
-                            yield f"{name} of {method.__qualname__}", partial(_contents, cell)
+                    yield from _variables(method)
             yield from _items(base.__qualname__, vars(base))
-    for function in functions:
-        for name in written_globals(function.__code__):
-            yield f"{function.__module__}.{name}", partial(function.__globals__.get, name)
+
+
+def _is_foreign(definition: Any) -> bool:
+    return (definition.__module__ or "").partition(".")[0] in _FOREIGN
 
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
@@ -125,6 +79,37 @@ def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
             yield f"{owner}.{name}", partial(place.get, name)
 
 
+def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
+    """Yield the variables outside of a function that it may change, without collections to which it only adds."""
+    if _is_foreign(function):
+        return
+    code, places = function.__code__, function.__globals__
+    arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+    defaults = function.__defaults__ or ()
+    held: dict[str, Read] = {}
+    for name, value in zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False):
+        held[name] = partial(_itself, value)
+    for name, value in (function.__kwdefaults__ or {}).items():
+        held[name] = partial(_itself, value)
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+        held[name] = partial(_contents, cell)
+    for name, read in held.items():
+        if not only_adds(code, name):
+            yield f"{name} of {function.__qualname__}", read
+    for name in _globals_of(code):
+        if name in places and not only_adds(code, name):
+            yield f"{function.__module__}.{name}", partial(places.get, name)
+
+
+def defaults_of(function: FunctionType) -> list[Any]:
+    """Return the defaults of the arguments of a function."""
+    return [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
+
+
+def _itself(value: Any) -> Any:
+    return value
+
+
 def _contents(cell: CellType) -> Any:
     try:
         return cell.cell_contents
@@ -132,27 +117,27 @@ def _contents(cell: CellType) -> Any:
         return None
 
 
-_FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
-"""The packages whose classes are not looked at."""
-
-
 @lru_cache(maxsize=256)
 def only_adds(code: CodeType, name: str) -> bool:
-    """Return whether a function and the functions inside it use a variable only to add to it, or to set items of it.
+    """Return whether a function and the functions inside it use a variable only to call methods that add to it.
 
     In all versions of Python, the method is loaded by the instruction after the one that loads the variable.
     """
     for instruction, after in pairwise(get_instructions(code)):
         names = instruction.argval if isinstance(instruction.argval, tuple) else (instruction.argval,)
-        is_loaded = name in names and "LOAD_" in instruction.opname and "CLOSURE" not in instruction.opname
-        if is_loaded and after.argval not in ADDING:
+        is_used = name in names and instruction.opname.startswith(("LOAD_", "STORE_", "DELETE_"))
+        if is_used and "CLOSURE" not in instruction.opname and after.argval not in ADDING:
             return False
-    inner = [item for item in code.co_consts if isinstance(item, CodeType) and name in item.co_freevars]
-    return all(only_adds(item, name) for item in inner)
+    return all(only_adds(inner, name) for inner in _inner(code) if name in (*inner.co_freevars, *inner.co_names))
 
 
 @lru_cache(maxsize=256)
-def written_globals(code: CodeType) -> frozenset[str]:
-    """Return the names of the global variables that a function and the functions inside it assign or delete."""
-    names = {item.argval for item in get_instructions(code) if item.opname in {"STORE_GLOBAL", "DELETE_GLOBAL"}}
-    return frozenset(names).union(*(written_globals(item) for item in code.co_consts if isinstance(item, CodeType)))
+def _globals_of(code: CodeType) -> frozenset[str]:
+    """Return the names of the global variables that a function and the functions inside it use."""
+    names = {item.argval for item in get_instructions(code) if item.opname.endswith("_GLOBAL")}
+    return frozenset(names).union(*map(_globals_of, _inner(code)))
+
+
+def _inner(code: CodeType) -> list[CodeType]:
+    """Return the code of the functions inside a function."""
+    return [item for item in code.co_consts if isinstance(item, CodeType)]

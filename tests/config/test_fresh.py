@@ -5,6 +5,7 @@ import importlib
 import itertools
 import pkgutil
 
+import networkx
 import numpy as np
 import pytest
 from pydantic import BaseModel
@@ -273,16 +274,29 @@ def test_runs_are_equal_whoever_performs_them(make):
     assert measured[0] == measured[1]
 
 
-def test_a_function_may_report_to_its_caller_and_is_warned_of_when_it_reads_what_an_earlier_run_left():
+SEEN = []
+
+
+def reporting(state, rng):
+    SEEN.append(state)
+    return 1j
+
+
+def test_a_function_may_report_to_its_caller_as_often_as_it_is_run():
     seen = []
     scenario = game(lambda state, rng: seen.append(state) or 1j)
     for _ in range(2):
         run(scenario, 1)
-    assert len(seen) > 100
-    scenario = game(in_a_list())
-    run(scenario, 1)
-    with pytest.warns(StateWarning, match=r"^calls of in_a_list.<locals>.strategy: has changed since the first run"):
-        run(scenario, 1)
+        run(game(reporting), 1)
+    assert len(SEEN) == len(seen) > 100
+
+
+def test_a_caller_may_change_what_a_function_reads_between_runs():
+    speed = [1.0]
+    scenario = game(lambda state, rng: 1j * speed[0])
+    first = run(scenario, 1)
+    speed[0] = 0.5
+    assert run(scenario, 1).trace.events != first.trace.events
 
 
 class Counter:
@@ -310,6 +324,40 @@ def attributed(state, rng):
 attributed.calls = 0
 
 
+def in_a_default(state, rng, calls=[0]):  # noqa: B006
+    calls[0] += 1
+    return 1j
+
+
+def in_a_keyword(state, rng, *, calls=[0]):  # noqa: B006
+    calls[0] += 1
+    return 1j
+
+
+MEMORY = {"calls": 0}
+DRAWS = np.random.default_rng(1)
+HELD = Remembering()
+LATENCY = Remembering()
+
+
+def in_a_global_collection(state, rng):
+    MEMORY["calls"] += 1
+    return 1j
+
+
+def drawing(state, rng):
+    return 1j ** (lambda: DRAWS.random())()
+
+
+def calling(state, rng):
+    return 1j * np.sign(HELD())
+
+
+def rereading(state, rng):
+    SEEN.append(state)
+    return 1j * min(len(SEEN), 1)
+
+
 @pytest.mark.parametrize(
     ("strategy", "name"),
     [
@@ -317,11 +365,30 @@ attributed.calls = 0
         (functools.partial(Counter()), "Counter.calls"),
         (global_counter, f"{__name__}.CALLS"),
         (attributed, "attributed.calls"),
+        (in_a_list(), "calls of in_a_list.<locals>.strategy"),
+        (in_a_default, "calls of in_a_default"),
+        (in_a_keyword, "calls of in_a_keyword"),
+        (in_a_global_collection, f"{__name__}.MEMORY"),
+        (drawing, f"{__name__}.DRAWS"),
+        (calling, f"{__name__}.HELD"),
+        (rereading, f"{__name__}.SEEN"),
     ],
 )
-def test_state_in_a_class_or_a_module_is_warned_of(strategy, name):
+def test_state_in_a_class_a_function_or_a_module_is_warned_of(strategy, name):
     with pytest.warns(StateWarning, match=f"^{name}: changed during the run, so a second run would start from"):
         run(game(strategy), 1)
+
+
+def with_a_global_on_its_edges(size):
+    graph = networkx.complete_graph(size)
+    networkx.set_edge_attributes(graph, LATENCY, "latency")
+    return graph
+
+
+def test_a_global_model_that_a_graph_function_puts_on_edges_is_warned_of():
+    scenario = Scenario(team=Team(count=3), horizon=0.1, network=Links(graph=with_a_global_on_its_edges))
+    with pytest.warns(StateWarning, match=rf"^{__name__}\.LATENCY: changed during the run"):
+        run(scenario, 1)
 
 
 class Graph(Remembering):

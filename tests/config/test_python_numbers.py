@@ -3,6 +3,7 @@
 import array
 import enum
 from collections import UserList, deque
+from contextlib import suppress
 from decimal import Decimal
 from fractions import Fraction
 from itertools import chain
@@ -279,12 +280,8 @@ def test_the_number_of_pursuers_is_that_of_their_positions_whatever_holds_them()
 def test_half_of_a_character_is_refused_wherever_a_text_is(model):
     for name in model.model_fields:
         for value in ("\ud800", ["\udcff"], [[1.0, "\ud800"]], {"a": "\ud800"}, {"\ud800": 1}):
-            try:
-                again = made(model, {name: value})
-            except ValueError as error:
-                assert "Error serializing" not in str(error)
-            else:
-                again.model_dump_json()
+            with suppress(ValidationError):
+                made(model, {name: value}).model_dump_json()
 
 
 @pytest.mark.parametrize("text", ["\ud800", "a\udcff"])
