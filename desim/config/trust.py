@@ -7,6 +7,8 @@ from errno import EEXIST, EINVAL, EISDIR
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from desim.config.python_numbers import why_no_text
+
 if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
@@ -154,6 +156,10 @@ def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(why_no_text(error)) from error
     try:
         is_within = (folder / path).resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError) as error:  # a cycle of symbolic links, a null character
