@@ -4,6 +4,7 @@ import functools
 import importlib
 import itertools
 import pkgutil
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import networkx
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import BaseModel
 
 import desim
 import protocols
-from desim import Evader, Scenario, Team, run
+from desim import Evader, Scenario, Team, run, sweep
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
@@ -272,6 +273,18 @@ def test_runs_are_equal_whoever_performs_them(make):
     measured = run_many(shared, jobs=1)
     assert measured == run_many(shared, jobs=2) == run_many(tasks, jobs=1)
     assert measured[0] == measured[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", STRATEGIES.values(), ids=STRATEGIES)
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(make, pool):
+    def frame(executor):
+        swept = sweep(game(make()), {"team.count": [3, 4]}, reps=3, executor=executor)
+        return [[(cell.mean, cell.count) for cell in swept.estimates(name)] for name in ("end_time", "energy")]
+
+    with pool(2) as executor:
+        assert frame(executor) == frame(1)
 
 
 SEEN = []
