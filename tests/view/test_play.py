@@ -28,7 +28,7 @@ from desim.analysis.statistics import paired
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read
 from desim.study.workers import InProcess, Processes
-from desim.view import play_server
+from desim.view import play, play_server
 from desim.view.play import Playground, Session, _differences
 from desim.view.play_server import PlayServer
 from scenarios.study import SCENARIOS
@@ -403,6 +403,20 @@ def test_comparisons_of_pages_that_were_closed_are_dropped(server, monkeypatch):
     for page in ("a", "b", "b", "c"):
         server.begin_comparison(page, iter([{"done": page}]))
     assert [server.next_of_comparison(page) for page in ("a", "b", "c", "c")] == [{}, {"done": "b"}, {"done": "c"}, {}]
+
+
+@pytest.mark.slow
+def test_a_session_keeps_nothing_of_pages_that_are_answered(small):
+    session = Session(small, InProcess())
+    for page in range(2):
+        session.run((f"seed={page}",), None, str(page))
+        assert list(session.compare((), ("seed=1",), 1, str(page)))
+        closed = session.compare((), ("seed=1",), 2, f"closed {page}")
+        next(closed)
+        closed.close()
+    assert not session._last
+    assert not session._comparisons
+    assert play._result.cache_info().maxsize == play.KEPT
 
 
 def test_a_request_that_takes_too_long_to_arrive_is_ended(small, monkeypatch):
