@@ -5,6 +5,7 @@ source; a reader receives the record directly or over several hops. Of the recor
 reader keeps the one with the highest sequence number. An older record that arrives later is ignored.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 
@@ -18,7 +19,7 @@ from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost
 from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import announced_action, records_in, relayed_records
+from desim.pursuit.announcements import action_in_game, records_in, relayed_records
 from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]
@@ -52,7 +53,8 @@ def knowledge(result: Result) -> Pieces:
     """Return the newest record that each pursuer had of every other over time; O(n log n) for n received records.
 
     A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
-    memory. A record without an action (an attribute `active` of its body) does not change the known action.
+    memory. A record without an action (an attribute `active` of its body, an evader or 0) does not change the known
+    action. A relayed record of a node that does not exist is ignored.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.
@@ -180,7 +182,9 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
     node, at = np.fromiter(chain.from_iterable(fates), np.int64).reshape(-1, 2).T
     arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(transmission * size + node, lost))
     arrived = arrived[np.lexsort((place_of[arrived], at[arrived], node[arrived]))]
-    return _columns(records), _Receptions(*(column[arrived] for column in (node, at, place_of, first, count)))
+    return _columns(records, len(started(result).evaders)), _Receptions(
+        *(column[arrived] for column in (node, at, place_of, first, count))
+    )
 
 
 class _Clocks:
@@ -200,12 +204,15 @@ class _Clocks:
         """By source and sequence number, the time of publication, ns."""
         self._right = not self._corrections and not any(offset or drift for offset, drift in self._errors)
 
-    def true_records(self, event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
+    def true_records(self, event: Broadcast | Sent | Delivered) -> Sequence[Record]:
         """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
-        relays = relayed_records(event.body) is not None
-        if not relays or self._right:
+        relayed = relayed_records(event.body)
+        if relayed is None:
             return records_in(event)
-        return tuple(record._replace(stamp=self._time(record, event)) for record in records_in(event))
+        records = tuple(record for record in relayed if record.src < len(self._errors))
+        if self._right:
+            return records
+        return tuple(record._replace(stamp=self._time(record, event)) for record in records)
 
     def _time(self, record: Record, event: Broadcast | Sent | Delivered) -> int:
         """Return the true time, ns, at which a record in a transmission or delivery was published.
@@ -233,8 +240,8 @@ class _Clocks:
         return found
 
 
-def _columns(records: list[Record]) -> _Announcements:
-    active = [-1 if (action := announced_action(record.body)) is None else action for record in records]
+def _columns(records: list[Record], evaders: int) -> _Announcements:
+    active = [-1 if (action := action_in_game(record.body, evaders)) is None else action for record in records]
     source, seq, created = ([record[k] for record in records] for k in range(3))
     return _Announcements(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 

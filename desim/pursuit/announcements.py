@@ -1,7 +1,8 @@
 """Announcements of pursuers: their payload, when they are sent, and how long they are believed."""
 
 from cmath import phase, rect
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
@@ -123,6 +124,10 @@ class Forwarded(NamedTuple):
     """Number of hops that it may still travel, the present one included."""
 
 
+MAX_SEQ = 1 << 40
+"""Largest sequence number of a record."""
+MAX_STAMP = 1 << 62
+"""Largest time stamp of a record, ns."""
 INTEGERS = (int, np.integer, np.bool_)
 """The types of an action."""
 
@@ -136,21 +141,49 @@ def announced_action(body: Any) -> int | None:
     return action if isinstance(action, INTEGERS) else None
 
 
-def relayed_records(body: Any) -> tuple[Record, ...] | None:
+def action_in_game(body: Any, evaders: int) -> int | None:
+    """Return the action that a message announces in a game with a number of evaders; None if there is no action.
+
+    A protocol of a user may give an attribute `active` another meaning: a number that is no action is none. The keys of
+    a dict count as attributes, because a trace that is read does not tell one from the other.
+    """
+    action = body.get("active") if isinstance(body, Mapping) else announced_action(body)
+    return int(action) if isinstance(action, INTEGERS) and 0 <= action <= evaders else None
+
+
+def relayed_records(body: Any) -> Sequence[Record] | None:
     """Return `body.records`, the records that a message relays; None if the message is not a relay.
 
-    The records of a trace that was read from a file have another type, with the same fields.
+    The records of a trace that was read from a file have another type, with the same fields. A protocol of a user may
+    give an attribute `records` another meaning.
     """
-    try:
-        records: Any = body.records
-    except AttributeError:
-        return None
-    if not isinstance(records, tuple) or any(getattr(each, "_fields", None) != Record._fields for each in records):
-        return None
-    return records
+    records: Any = getattr(body, "records", None)
+    if records is None and isinstance(body, Mapping):
+        records = body.get("records")
+    return records if type(records) in {tuple, list} and all(map(_is_record, records)) else None
 
 
-def records_in(event: Broadcast | Sent | Delivered) -> tuple[Record, ...]:
+def _is_record(value: Any) -> bool:
+    """Return whether a value has the fields of a record, with numbers as those of a record."""
+    if getattr(value, "_fields", None) != Record._fields:
+        return False
+    if not all(isinstance(number, INTEGERS) for number in (value.src, value.seq, value.stamp)):
+        return False
+    return bool(value.src >= 0 and 0 <= value.seq <= MAX_SEQ and abs(value.stamp) <= MAX_STAMP)
+
+
+def with_records(body: Any, records: Iterable[Record]) -> Any:
+    """Return a copy of a message that relays other records."""
+    if isinstance(body, Mapping):
+        return {**body, "records": tuple(records)}
+    if isinstance(body, tuple):
+        return body._replace(records=tuple(records))  # type: ignore[attr-defined]  # a named tuple
+    changed = copy(body)
+    object.__setattr__(changed, "records", tuple(records))  # also if it is frozen
+    return changed
+
+
+def records_in(event: Broadcast | Sent | Delivered) -> Sequence[Record]:
     """Return the records in a transmission or delivery: the relayed records, the broadcast record, or none.
 
     A frame of a transport (`desim.kernel.transport_frames`) has none: they count when they are delivered.

@@ -24,7 +24,7 @@ from desim.kernel.seeds import stream
 from desim.kernel.transport import BestEffort, Transport
 from desim.kernel.units import nanoseconds
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import Forwarded, relayed_records
+from desim.pursuit.announcements import Forwarded, relayed_records, with_records
 from desim.pursuit.lies import ByzantineFault, ReplayAttack, Silent, Speaker
 from desim.pursuit.trust import PORT as ACCUSATIONS
 from desim.pursuit.trust import Accusation
@@ -177,10 +177,12 @@ class LyingTeam:
             return
         for only, said in told:
             if dst is None or dst in only:
-                records = tuple(own._replace(body=said) if each is own else each for each in body.records)
-                yield _Version(dst, only if dst is None else None, body._replace(records=records))
+                forged = [
+                    own._replace(body=said) if record is own else record for record in relayed_records(body) or ()
+                ]
+                yield _Version(dst, only if dst is None else None, with_records(body, forged))
 
-    def _forwarded(self, src: int, body: Any, records: tuple[Record, ...]) -> Any:
+    def _forwarded(self, src: int, body: Any, records: Sequence[Record]) -> Any:
         """Return a message without the records of others that a pursuer withholds; None if nothing is left.
 
         A message that is more than its records, such as a token, is withheld as a whole.

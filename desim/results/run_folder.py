@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
@@ -29,7 +29,6 @@ from desim.kernel.events import (
     TransportCounts,
 )
 from desim.kernel.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
-from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
 from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results import provenance
@@ -256,7 +255,10 @@ def _check_format(first: Sequence[str]) -> None:
 
 
 def _limits(start: Any) -> Limits:
-    """Return the constraints on the fields of events in a trace, given its first event."""
+    """Return the constraints on the fields of events in a trace, given its first event.
+
+    Bodies have none: a protocol of a user may give any meaning to their fields.
+    """
     size, evaders = len(start.pursuers), len(start.evaders)
     return {
         "node": Field(lt=size),
@@ -264,35 +266,7 @@ def _limits(start: Any) -> Limits:
         "evader": Field(ge=1, le=evaders),
         "action": Field(ge=0, le=evaders),
         "evaders": Field(min_length=evaders, max_length=evaders),
-        "body": BeforeValidator(lambda body: _checked_body(body, size, evaders)),
     }
-
-
-def _checked_body(body: Any, size: int, evaders: int) -> Any:
-    """Return the body of a message, a JSON value, after a check of its action and of its records.
-
-    A body may have an `active` that is no integer, and `records` of another form: a protocol of a user gives them
-    another meaning, and no analysis takes them for an announcement.
-
-    Raises:
-        ValueError: if `active` is an integer but no action, or a record is invalid.
-    """
-    if not isinstance(body, dict):
-        return body
-    if isinstance(active := body.get("active"), int) and not _is_number(active, evaders + 1):
-        raise ValueError(f"active should be 0 to {evaders}")
-    records = body.get("records")
-    if isinstance(records, list) and all(isinstance(each, dict) and tuple(each) == Record._fields for each in records):
-        for each in records:
-            if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "stamp"))):
-                raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and stamp of at least 0")
-            _checked_body(each["body"], size, evaders)
-    return body
-
-
-def _is_number(value: Any, end: int) -> bool:
-    """Return whether a value is an integer in 0 .. end - 1."""
-    return isinstance(value, int) and 0 <= value < end
 
 
 def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:

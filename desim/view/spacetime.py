@@ -20,7 +20,7 @@ from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.faults import Crash, Misbehaviour
 from desim.kernel.units import SECOND, nanoseconds, seconds
-from desim.pursuit.announcements import announced_action
+from desim.pursuit.announcements import action_in_game
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
 from desim.view.deliveries import Delivery, Interval, chasing, deliveries, outages
@@ -231,7 +231,7 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
     """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
 
     def kind(each: Delivery) -> tuple[str, str]:
-        announced = announced_action(each.body)
+        announced = action_in_game(each.body, evaders)
         if announced is None:
             return "#555555", "message"
         if not announced:

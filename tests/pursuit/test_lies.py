@@ -1,6 +1,8 @@
 """Byzantine faults: content, sender and receivers of the false announcements; the rest of a run is unchanged."""
 
+from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.transport import Coded, Reliable
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, Announcements, LocatedAssignment, records_in
+from desim.pursuit.announcements import DISSEMINATIONS, Announcements, LocatedAssignment, records_in, relayed_records
 from desim.pursuit.capture import capture_time, least_capture_time
 from desim.pursuit.events import Decided
 from desim.pursuit.falsehoods import (
@@ -248,6 +250,25 @@ def test_a_selective_pursuer_forwards_nothing_but_its_own_announcements():
 
 
 @pytest.mark.slow
+@dataclass(frozen=True)
+class Relaying:
+    records: Any
+
+
+@pytest.mark.parametrize(
+    "make", [Relaying, lambda records: Relaying(list(records)), lambda records: {"records": records}]
+)
+def test_an_equivocating_pursuer_relays_different_records_in_a_body_of_any_type(make):
+    def protocol(me):
+        me.send(None, make((me.record(me.announcement()),)), size=10)
+        yield me.sleep(1.0)
+
+    result = run(team(Equivocate(node=1, start=0.0), protocol=protocol), 1)
+    bodies = [event.body for event in result.trace.of(Sent) if event.src == 1]
+    actions = [relayed_records(body)[0].body.active for body in bodies]
+    assert set(actions) == {0, 1}
+
+
 def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     """The protocol of pursuer 2 gets no receipt for it, and repeats it; a pursuer that swallows all forwards none."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))
