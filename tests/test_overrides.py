@@ -24,6 +24,7 @@ from desim import (
     Team,
     run,
 )
+from desim.analysis.link_figures import link_traces
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import Value
 from desim.config.traits import is_ours, positions
@@ -32,7 +33,8 @@ from desim.kernel.clock import Phase
 from desim.kernel.faults import FAULTS, Crash
 from desim.kernel.graphs import GRAPHS, Edges, Link
 from desim.kernel.interference import INTERFERENCES
-from desim.kernel.latency import BASES, JITTERS, LATENCIES, Lognormal, PerPair, mean_latency
+from desim.kernel.latency import BASES, JITTERS, LATENCIES, LatencyMatrix, Lognormal, PerPair, mean_latency
+from desim.kernel.link_traces import LatencyTrace, LossTrace, SignalTrace
 from desim.kernel.loss import LOSSES, GilbertElliott
 from desim.kernel.medium import MEDIA, LoRa
 from desim.kernel.reception import RECEPTION_MODELS
@@ -543,3 +545,39 @@ def test_checks_do_not_describe_the_kind_that_is_overridden():
     assert "network.latency" not in dict(warnings(Scenario(network=Links(latency=Instant(mean=20.0)))))
     assert ProtocolTraits.of(BestResponse()).assumes == BestResponse.assumes
     assert "one_at_a_time" not in ProtocolTraits.of(Solo()).assumes
+
+
+TRACES = [LatencyTrace, LossTrace, SignalTrace]
+NAMED = "t,src,dst,value\n0,a,b,0\n1,a,b,0\n0,b,a,0\n1,b,a,0\n"
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", TRACES)
+def test_a_table_is_described_unless_what_replays_it_is_overridden(kind):
+    """By the figure of the measurements, the warning about its end, and the check of its links."""
+
+    def with_model(**body):
+        model = type(kind)("Theirs", (kind,), {"__module__": "theirs"} | body)(table=NAMED, after="error")
+        return {"latency" if kind is LatencyTrace else "loss": model}
+
+    end = f"network.{'latency' if kind is LatencyTrace else 'loss'}.after"
+    pair = Team(count=2)
+    followed = Scenario(team=pair, network=Links(**with_model(scaled=lambda _, values: values + 0.5)))
+    assert end in dict(warnings(followed))
+    assert len(link_traces(followed).axes) == 1
+    with pytest.raises(ValidationError, match="has no row for the link"):
+        linked(**with_model(scaled=lambda _, values: values))
+    for method in ("__call__", "start_run", "draw"):
+        theirs = Scenario(team=pair, network=Links(**with_model(**{method: lambda *_: None})))
+        assert end not in dict(warnings(theirs))
+        with pytest.raises(ValueError, match="no link follows measurements"):
+            link_traces(theirs)
+        linked(**with_model(**{method: lambda *_: None}))
+
+
+@pytest.mark.parametrize("method", ["__call__", "start_run", "draw"])
+def test_a_matrix_need_not_have_the_links_of_a_latency_that_overrides_it(method):
+    small = {"values": [[0.0, 0.1], [0.1, 0.0]]}
+    with pytest.raises(ValidationError, match="should have a row for each of 4 nodes"):
+        linked(latency=LatencyMatrix(**small))
+    linked(latency=type("Theirs", (LatencyMatrix,), {"__module__": "theirs", method: lambda *_: None})(**small))

@@ -46,6 +46,8 @@ def link_traces(scenario: Scenario) -> Figure:
     Up to six links have a line each. A row without a value, whose messages are lost, is a cross at the value before it.
     Of more links, the median, the middle 90 % and the share without a value are drawn.
 
+    A model of a user's class that overrides how the table is replayed is left out.
+
     Raises:
         ValueError: if no link follows measurements.
     """
@@ -57,7 +59,7 @@ def link_traces(scenario: Scenario) -> Figure:
         for axes, (key, trace) in zip(panels, found.items(), strict=True):
             _draw(axes, trace)
             axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
-            axes.set(xlabel="time of the measurements (s)", ylabel=Y_LABELS[type(trace)])
+            axes.set(xlabel="time of the measurements (s)", ylabel=_y_label(trace))
         handles = {
             label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
         }
@@ -72,8 +74,13 @@ def _traces(scenario: Scenario) -> Iterator[tuple[str, LinkTrace]]:
     owners += [(f"network.link.{k}", link) for k, link in enumerate(scenario.network.link)]
     for key, owner in owners:
         for name in ("latency", "loss"):
-            if isinstance(model := getattr(owner, name), LinkTrace):
+            if isinstance(model := getattr(owner, name), LinkTrace) and model.is_replayed:
                 yield f"{key}.{name}", model
+
+
+def _y_label(trace: LinkTrace) -> str:
+    """Return the label of the values of a trace, or of a class that is derived from one."""
+    return next(label for kind, label in Y_LABELS.items() if isinstance(trace, kind))
 
 
 def _links(trace: LinkTrace) -> list[_Link]:

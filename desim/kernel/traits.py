@@ -38,7 +38,9 @@ class LinkTraits(Traits):
     have no effect."""
     time_span: Annotated[float, Field(ge=0)] | None = None
     """For a latency that is a function of time: the time from 0, s, whose mean latency is typical."""
-    check_links: Callable[[int, Iterable[tuple[int, int]]], object] | None = None
+    check_links: Annotated[
+        Callable[[int, Iterable[tuple[int, int]]], object] | None, Follows("__call__", "start_run", not_above="draw")
+    ] = None
     """`check_links(size, links)` raises ValueError if the model does not apply to some links (sender, receiver) of a
     network of `size` nodes."""
 

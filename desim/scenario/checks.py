@@ -395,10 +395,12 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, owner in owners:
         for name in ("latency", "loss"):
             model = owner.get(name)
-            if isinstance(model, LinkTrace) and (named := model.named_nodes) is not None:
+            if not isinstance(model, LinkTrace):
+                continue
+            if (named := model.named_nodes) is not None:
                 place = key if key == "network.graph" else f"{key}.{name}.nodes"
                 numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
-            if isinstance(model, LinkTrace) and model.after == "error" and model.span < scenario.horizon:
+            if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))
     yield from numbers
