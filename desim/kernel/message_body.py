@@ -189,6 +189,22 @@ def in_json_types(value: Any, depth: int = 0) -> Any:
     return in_json_types(value, depth + 1)
 
 
+def differs(value: Any, other: Any) -> bool:
+    """Return whether two objects are unequal; those of two types, or that cannot tell, as arrays, by their contents.
+
+    Raises:
+        ValueError: if a content is needed and there is none.
+    """
+    if type(value) is type(other):
+        try:
+            is_unequal = value != other
+        except ValueError:  # an array in a collection is neither equal nor unequal
+            is_unequal = None
+        if isinstance(is_unequal, bool | np.bool_):
+            return bool(is_unequal)
+    return repr(in_json_types(value)) != repr(in_json_types(other))  # as texts, in which nan equals nan
+
+
 @functools.singledispatch
 def content(value: Any) -> Any:
     """Return the content of an object: a number, text, list, `Fields`, or another object, whose content it is.

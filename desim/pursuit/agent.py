@@ -15,7 +15,7 @@ import simpy
 
 from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.inbox import Message
-from desim.kernel.message_body import as_sent
+from desim.kernel.message_body import as_sent, differs
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
@@ -132,7 +132,7 @@ class Agent(Knowledge, Timing):
         Call it after every `assign`. Use `broadcast` to announce in any case.
         """
         trigger = self._announcements.trigger
-        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced):
+        if trigger == "revision" or (trigger in {"change", "both"} and differs(self._news(), self._announced)):
             self.broadcast()
 
     def broadcast(self) -> None:

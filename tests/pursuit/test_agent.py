@@ -1,10 +1,12 @@
 """The agent: what a protocol may know and do."""
 
+from dataclasses import dataclass
 from math import inf, nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import networkx as nx
 import numpy as np
+import pandas as pd
 import pytest
 
 from desim import Scenario, run
@@ -446,3 +448,39 @@ def test_news_that_change_in_place_are_announced():
 
     result = play(protocol, announce=Announcements(trigger="change"), record=Recording(messages=True), horizon=1.0)
     assert [event.body.news for event in result.trace if isinstance(event, Broadcast)] == [[0], [0, 0], [0, 0, 1]]
+
+
+NEWS = {
+    "array": lambda k: np.array([k, 1.0]),
+    "array of one": lambda k: np.array([k]),
+    "array without items": lambda k: np.zeros(k),
+    "array of nan": lambda k: np.array([k, np.nan]),
+    "series": lambda k: pd.Series([k, 2]),
+    "table": lambda k: pd.DataFrame({"a": [k, 2]}),
+    "array in a tuple": lambda k: (k, np.zeros(2) + k),
+    "array in a dict": lambda k: {"a": np.zeros(2) + k},
+    "number of numpy": np.float64,
+    "list": lambda k: [k],
+    "number": int,
+}
+
+
+@pytest.mark.parametrize("name", NEWS)
+def test_news_of_any_type_are_announced_when_they_change(name):
+    def protocol(me):
+        for k in (0, 0, 1, 1, 0, 0):
+            me.set_payload(Noted(0, NEWS[name](k)))
+            me.announce()
+            yield me.sleep(0.1)
+
+    scenario = Scenario(
+        team=Team(count=2), protocol=protocol, announce=Announcements(trigger="change"), record={"messages": True}
+    )
+    sent = [event for event in run(scenario, 1).trace.of(Broadcast) if event.src == 0]
+    assert [event.t for event in sent] == [0, 200_000_000, 400_000_000]
+
+
+@dataclass
+class Noted:
+    active: int
+    news: Any
