@@ -41,6 +41,8 @@ ATOMS = JSON_ATOMS | {
     *(set(np.sctypeDict.values()) - {np.void, np.object_}),
 }
 """Types without parts whose objects never change. Objects of a type that is derived from one may have attributes."""
+COMPARED = (int, float, complex, np.generic, tuple)
+"""Types that compare with one another."""
 Parts = Callable[[Any], Iterable[Any]]
 """A function that returns the objects of which an object consists."""
 
@@ -190,18 +192,21 @@ def in_json_types(value: Any, depth: int = 0) -> Any:
 
 
 def differs(value: Any, other: Any) -> bool:
-    """Return whether two objects are unequal; those of two types, or that cannot tell, as arrays, by their contents.
+    """Return whether two objects are unequal; those that cannot tell, such as arrays, if their contents are.
+
+    Numbers and tuples can be equal although their types differ, and other objects cannot.
 
     Raises:
         ValueError: if a content is needed and there is none.
     """
-    if type(value) is type(other):
-        try:
-            is_unequal = value != other
-        except ValueError:  # an array in a collection is neither equal nor unequal
-            is_unequal = None
-        if isinstance(is_unequal, bool | np.bool_):
-            return bool(is_unequal)
+    if type(value) is not type(other) and not (isinstance(value, COMPARED) and isinstance(other, COMPARED)):
+        return True
+    try:
+        is_unequal = value != other
+    except ValueError:  # an array in a collection is neither equal nor unequal
+        is_unequal = None
+    if isinstance(is_unequal, bool | np.bool_):
+        return bool(is_unequal)
     return repr(in_json_types(value)) != repr(in_json_types(other))  # as texts, in which nan equals nan
 
 
