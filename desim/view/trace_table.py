@@ -167,7 +167,12 @@ def write_parquet(events: Iterable[Event], file: Path, kinds: Collection[str] = 
 def _arrow_table(batch: Sequence[Row], schema: "pa.Schema") -> "pa.Table":
     import pyarrow as pa
 
-    return pa.table({name: [row.get(name) for row in batch] for name in schema.names}, schema=schema)
+    return pa.table({name: [_in_unicode(row.get(name)) for row in batch] for name in schema.names}, schema=schema)
+
+
+def _in_unicode(value: Any) -> Any:
+    """Return a value; half a surrogate pair in a text, such as the name of a port, is escaped as in JSON."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def _own_rows(event: Event) -> Iterator[Row]:

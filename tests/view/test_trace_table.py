@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from desim import Scenario, Team, run
 from desim.kernel.events import (
     LOST,
     Broadcast,
@@ -27,10 +28,12 @@ from desim.kernel.events import (
 )
 from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.trace_file import events_of, line_of
+from desim.kernel.transport import Reliable
 from desim.kernel.units import SECOND, nanoseconds
 from desim.pursuit.events import FORMAT, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results.run_folder import EVENTS
 from desim.view import trace_table
+from desim.view.export import export
 from desim.view.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
 from tests.kernel.test_trace_file import EVENTS as MESSAGE_EVENTS
 from tests.kernel.test_trace_file import NODES, TIMES
@@ -224,3 +227,18 @@ def test_events_are_not_held_in_memory(tmp_path):
 
     assert write_csv(many(), file) == 3_001
     assert sizes[-1] > 0.9 * file.stat().st_size
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_port_of_any_text_is_in_a_table(suffix, tmp_path):
+    """Also half a surrogate pair, which UTF-8 cannot write."""
+
+    def protocol(me):
+        me.send(1 - me.id, "hello", "half \udcff", transport=Reliable())
+        yield me.sleep(1.0)
+
+    made = run(Scenario(team=Team(count=2), protocol=protocol, horizon=0.1, record={"messages": True}), 1)
+    file = tmp_path / f"a.{suffix}"
+    export(made.trace, file)
+    table = pd.read_csv(file) if suffix == "csv" else pd.read_parquet(file)
+    assert set(table["port"].dropna()) == {"half \\udcff"}
