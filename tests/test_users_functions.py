@@ -3,6 +3,7 @@
 Each family that is called is listed once, so that a new one is noticed by `tests.test_overrides`.
 """
 
+from math import inf, nan
 from multiprocessing.pool import ThreadPool
 
 import networkx as nx
@@ -10,14 +11,18 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim import Links, Scenario, run, summary, sweep
+from desim import Announcements, Links, Scenario, Sensing, Team, run, summary, sweep
 from desim.kernel.clock import Clock
 from desim.kernel.events import Lost
 from desim.kernel.faults import Jamming, Partition
 from desim.kernel.latency import PerPair
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
+from desim.pursuit.dynamics import Acceleration
 from desim.pursuit.events import Ended
+from desim.pursuit.lies import Liar
+from desim.pursuit.noise import PositionNoise
+from desim.pursuit.trust import Credulous, Judge
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.replay import replay
@@ -81,6 +86,53 @@ def test_a_wrong_return_value_gives_a_sentence_about_what_it_should_be(name, k):
         model = plain(first_kind(name), _answering(family.function, answer), family.beside)
     with pytest.raises((ValueError, TypeError), match="should"):
         run(family.with_model(model), 1)
+
+
+WRONG_METHODS = {
+    "false capture time": [None, "x", nan, 1j, [1.0], True],
+    "false position": [None, "x", complex(nan, 0.0), complex(inf, 0.0), (1.0, 2.0), np.ones(2)],
+    "judge": [3, "x", object()],
+    "ignored": [None, 3, "x"],
+    "covariance": [None, 1.0, np.eye(2), (1.0, 2.0, 1.0), (-1.0, 0.0, 1.0), ("a", 0.0, 1.0), (nan, 0.0, 1.0)],
+    "capture_times": [None, 1.0, [1.0], np.ones(7), np.full(4, nan), "x", np.ones((4, 2)), np.ones(4) * 1j],
+    "headings": [None, [1.0], [0j] * 4, "abcd", [2.0 + 0j] * 4, [nan] * 4],
+}
+"""For each function of a liar, and each method of a trust, a noise and dynamics, what it should not return."""
+
+
+def with_method(name, answer):
+    """Return a scenario with a class of a user whose method returns an answer."""
+
+    def theirs(kind):
+        return type(kind)("Theirs", (kind,), {"__module__": "theirs", name: lambda *_, **__: answer})()
+
+    match name:
+        case "false capture time":
+            lie = Liar(node=1, start=0.0, phi=lambda truth, least, rng: answer)
+            return scenario(fault=(lie,), announce=Announcements(payload="time"))
+        case "false position":
+            lie = Liar(node=1, start=0.0, position=lambda truth, rng: answer)
+            return scenario(fault=(lie,), announce=Announcements(payload="state"))
+        case "judge":
+            return scenario(announce=Announcements(trust=theirs(Credulous)))
+        case "ignored":
+            judge = type("Theirs", (Judge,), {name: lambda *_: answer})()
+            trust = type(Credulous)("Trusting", (Credulous,), {"__module__": "theirs", "judge": lambda *_: judge})()
+            return scenario(protocol="best_response", announce=Announcements(trust=trust, payload="time"))
+        case "covariance":
+            return scenario(sensing=Sensing(noise=theirs(PositionNoise), estimator="kalman"))
+    protocol = "best_response" if name == "capture_times" else "sap"
+    return scenario(protocol=protocol, team=Team(count=4, speeds=3.0, dynamics=theirs(Acceleration)))
+
+
+METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("name", "k"), METHODS, ids=[f"{name}-{WRONG_METHODS[name][k]!r}"[:40] for name, k in METHODS])
+def test_a_wrong_answer_of_a_method_gives_a_sentence_about_what_it_should_be(name, k):
+    with pytest.raises(ValueError, match=f"{name}.*should"):
+        run(with_method(name, WRONG_METHODS[name][k]), 1)
 
 
 def _answering(function, answer):

@@ -23,7 +23,7 @@ LEGEND = 0.5
 """Height of the legend, inches."""
 SHORT = 10
 """Length of the labels, five of which fit into a row of the legend."""
-Y_LABELS = {
+Y_LABELS: dict[type[LinkTrace], str] = {
     LatencyTrace: "one-way latency (ms)",
     LossTrace: "probability of loss",
     SignalTrace: "signal (dB or dBm)",

@@ -17,7 +17,7 @@ from desim.kernel.records import Record
 from desim.kernel.units import SECOND
 from desim.pursuit.announcements import Announcements, Located, TimedAssignment
 from desim.pursuit.dead_reckoning import MotionState
-from desim.pursuit.trust import Judge
+from desim.pursuit.trust import Judge, ignored_by
 from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
@@ -112,7 +112,7 @@ class Beliefs:
             times = [self._capture_time(matching[j][1], evader) for j in chasing]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
-            ignored = self._judge.ignored(own, claims)
+            ignored = ignored_by(self._judge, own, claims)
             chasing = [j for j in chasing if j not in ignored]
             times = [claims[j] for j in chasing]
         return own, chasing, times
@@ -130,7 +130,7 @@ class Beliefs:
         if self._judge is None:
             return beliefs
         (own,) = self._view.capture_times_of([self._id], evader)
-        ignored = self._judge.ignored(own, {j: belief.capture_time for j, belief in beliefs.items()})
+        ignored = ignored_by(self._judge, own, {j: belief.capture_time for j, belief in beliefs.items()})
         return {j: belief for j, belief in beliefs.items() if j not in ignored}
 
     def team_estimate(self, evader: int) -> TeamEstimate:

@@ -15,7 +15,7 @@ from pydantic import Field
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Value
-from desim.config.traits import Follows, Traits, name_of
+from desim.config.traits import Follows, Traits, is_ours, name_of
 from desim.pursuit.capture import RadialTime, accelerated_capture_times
 from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.state import lengths
@@ -280,6 +280,44 @@ class DynamicsTraits(Traits):
                 f"{name_of(value)} inherits is_simple = True, so that commanded velocities are taken at once, and its"
                 f" own {', '.join(methods)} would have no effect: it should have is_simple: ClassVar[bool] = False, too"
             )
+
+
+def capture_times_with(
+    dynamics: Dynamics, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+) -> Floats:
+    """Return the (k,) capture times, s, with some dynamics; see `Dynamics.capture_times`.
+
+    Raises:
+        ValueError: if those of a user return something else.
+    """
+    times = dynamics.capture_times(offsets, courses, speeds, evader_speed, radius)
+    if is_ours(type(dynamics)):
+        return times
+    array = np.asarray(times)
+    if array.shape != speeds.shape or array.dtype.kind not in "iuf" or np.isnan(array).any():
+        raise ValueError(
+            f"capture_times of dynamics should return a time in s, or inf, for each of {len(speeds)} pursuers, got"
+            f" {times!r} from {dynamics!r}"
+        )
+    return array.astype(float)
+
+
+def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> list[complex]:
+    """Return the initial headings, of length 1, of several players; see `Dynamics.headings`.
+
+    Raises:
+        ValueError: if the dynamics of a user return something else.
+    """
+    headings = dynamics.headings(rng, count)
+    if is_ours(type(dynamics)):
+        return headings
+    array = np.asarray(headings)
+    if array.shape != (count,) or array.dtype.kind not in "iufc" or not np.allclose(np.abs(array), 1.0):
+        raise ValueError(
+            f"headings of dynamics should return a complex number of length 1 for each of {count} players, got"
+            f" {headings!r} from {dynamics!r}"
+        )
+    return array.astype(complex).tolist()  # type: ignore[no-any-return]
 
 
 DYNAMICS = OneOf(

@@ -11,7 +11,7 @@ from desim.config.arrays import Floats, Points
 from desim.kernel.units import SECOND, nanoseconds, seconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.dead_reckoning import EvaderTrack, MotionState
-from desim.pursuit.dynamics import Courses, Dynamics
+from desim.pursuit.dynamics import Courses, Dynamics, capture_times_with
 from desim.pursuit.evasion import PureEvasion, Strategy, away
 from desim.pursuit.flow import Environment
 from desim.pursuit.flow_capture import capture_times_in_flow
@@ -232,7 +232,7 @@ class EvaderBody:
             )
         offsets = place - pursuers
         stretched = offsets * (distances / np.maximum(lengths(offsets), SMALLEST))
-        return self._dynamics.capture_times(stretched, courses, speeds, self.speed, self._radius)
+        return capture_times_with(self._dynamics, stretched, courses, speeds, self.speed, self._radius)
 
     def choose_velocity(self, state: State, *, handover: bool) -> complex:
         """Return the velocity, m/s, that the evader chooses in the present state; 0 once it has been captured.

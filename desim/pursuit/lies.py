@@ -6,9 +6,10 @@ beliefs and motion are not changed, except that with `acts = "stay"` it does not
 these models in a run.
 """
 
+from cmath import isfinite
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, isnan
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -16,6 +17,7 @@ from pydantic import model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probability, Rate, Value
+from desim.config.python_numbers import real
 from desim.kernel.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, Window
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import pair_uniform, stream
@@ -172,12 +174,23 @@ class FalseAnnouncements(ByzantineFault):
             return TimedAssignment(action, self._phi(me, action, truth))
         if isinstance(body, Located):
             place = complex(body.x, body.y)
-            place = place if self.position is None else self.position(place, me.rng)
+            place = place if self.position is None else self._place(place, me)
             return body._replace(active=action, x=place.real, y=place.imag)
         return Assignment(action) if isinstance(body, Assignment) else body
 
     def _phi(self, me: Speaker, action: int, truth: float) -> float:
-        return truth if self.phi is None else float(self.phi(truth, me.least_phi(action), me.rng))
+        if self.phi is None:
+            return truth
+        phi = real(self.phi(truth, me.least_phi(action), me.rng), "a false capture time, in s,")
+        if isnan(phi):
+            raise ValueError("a false capture time, in s, should be a number or inf (got nan)")
+        return phi
+
+    def _place(self, truth: complex, me: Speaker) -> complex:
+        place: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
+        if not isinstance(place, (complex, float, int, np.number)) or not isfinite(complex(place)):
+            raise ValueError(f"a false position should be a finite complex number, x + yj in m (got {place!r})")
+        return complex(place)
 
 
 class Liar(FalseAnnouncements):

@@ -6,10 +6,12 @@ each evader. Captures follow the true positions.
 """
 
 from collections.abc import Generator, Iterable, Iterator
+from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from desim.config.traits import is_ours
 from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
@@ -127,7 +129,28 @@ class NoisySensor:
                             f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
                             f" {self._noise!r}"
                         )
-                    view.measure(evader, complex(measured), self._noise.covariance(complex(measured)))
+                    view.measure(evader, complex(measured), self._covariance(complex(measured)))
+
+    def _covariance(self, measured: complex) -> Covariance:
+        """Return the covariance of the error of a measurement.
+
+        Raises:
+            ValueError: if that of a user's noise is not positive definite.
+        """
+        given: Any = self._noise.covariance(measured)
+        if type(given) is Covariance and is_ours(type(self._noise)):
+            return given
+        try:
+            covariance = Covariance(*(float(entry) for entry in given))
+        except (TypeError, ValueError):
+            covariance = Covariance(nan, nan, nan)
+        xx, xy, yy = covariance
+        if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
+            raise ValueError(
+                "covariance(offset) of a noise should return the entries xx, xy and yy of a positive definite matrix,"
+                f" in m^2, got {given!r} from {self._noise!r}"
+            )
+        return covariance
 
 
 Sensor = TeamSensor | NoisySensor

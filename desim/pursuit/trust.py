@@ -80,6 +80,10 @@ class Judge:
         """Forget all evidence, after a crash without memory."""
 
 
+JUDGES = ("believes", "ignored", "report", "forget")
+"""The methods of a judge."""
+
+
 class Trust(Protocol):
     """A model of trust."""
 
@@ -91,6 +95,34 @@ class Trust(Protocol):
     def judge(self, witness: Observer) -> Judge | None:
         """Create the judge of a pursuer, given what it observes; None: it believes everything."""
         ...
+
+
+def judge_of(trust: Trust, witness: Observer) -> Judge | None:
+    """Return the judge of a pursuer, given what it observes; None: it believes everything.
+
+    Raises:
+        ValueError: if the trust of a user creates something else.
+    """
+    judge: Any = trust.judge(witness)
+    missing = [name for name in JUDGES if not callable(getattr(judge, name, None))]
+    if judge is not None and missing:
+        raise ValueError(
+            f"judge(witness) of a trust should return None, or an object with the methods {', '.join(JUDGES)} such as a"
+            f" Judge, got {judge!r} from {trust!r}"
+        )
+    return judge  # type: ignore[no-any-return]
+
+
+def ignored_by(judge: Judge, own: float, claims: Mapping[int, float]) -> Collection[int]:
+    """Return the teammates whose claims a judge ignores; see `Judge.ignored`.
+
+    Raises:
+        ValueError: if the judge of a user returns something else.
+    """
+    ignored: Any = judge.ignored(own, claims)
+    if not isinstance(ignored, Collection) or isinstance(ignored, str):
+        raise ValueError(f"ignored(own, claims) of a judge should return a collection of pursuers, got {ignored!r}")
+    return ignored
 
 
 class Credulous(Value):

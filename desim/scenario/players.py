@@ -21,7 +21,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Box, FirstError, Limit, Probability, Speed, Time, Value
 from desim.config.python_numbers import as_python
 from desim.kernel.seeds import stream
-from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple
+from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple, headings_with
 from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
@@ -184,7 +184,7 @@ class Team(Value):
 
     def headings(self, seed: int) -> list[complex]:
         """Return the (N,) initial headings, of length 1."""
-        return self.dynamics.headings(stream(seed, "headings"), self.count)
+        return headings_with(self.dynamics, stream(seed, "headings"), self.count)
 
     @property
     def relays(self) -> dict[int, RecordedMotion]:
@@ -281,7 +281,7 @@ class Evader(Value):
 
     def heading(self, seed: int, index: int = 0) -> complex:
         """Return the initial heading, of length 1; `index` counts all evaders of the scenario from 0."""
-        (heading,) = self.dynamics.headings(stream(seed, "evader heading", index), 1)
+        (heading,) = headings_with(self.dynamics, stream(seed, "evader heading", index), 1)
         return heading
 
     @property

@@ -27,6 +27,7 @@ from desim.pursuit.lying import LyingTeam
 from desim.pursuit.noisy_sensing import NoisySensor, Sensor
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import coordinates
+from desim.pursuit.trust import judge_of
 from desim.pursuit.views import GlobalState, View
 from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import Scenario
@@ -206,7 +207,7 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
         synchronise(env, network, clocks, scenario.clocks.sync, seed, trace, voice.send)
     agents, judges = [], []
     for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True)):
-        judges.append(scenario.announce.trust.judge(Witness(pursuer, view, clock, network, voice, step, trace)))
+        judges.append(judge_of(scenario.announce.trust, Witness(pursuer, view, clock, network, voice, step, trace)))
         agents.append(
             Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock, voice, judges[-1])
         )
