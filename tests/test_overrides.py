@@ -30,6 +30,7 @@ from desim.config.model import Value
 from desim.config.traits import is_ours, positions
 from desim.kernel.access import Aloha
 from desim.kernel.clock import Phase
+from desim.kernel.events import MessageCounts
 from desim.kernel.faults import FAULTS, Crash
 from desim.kernel.graphs import GRAPHS, Edges, Link
 from desim.kernel.interference import INTERFERENCES
@@ -581,3 +582,10 @@ def test_a_matrix_need_not_have_the_links_of_a_latency_that_overrides_it(method)
     with pytest.raises(ValidationError, match="should have a row for each of 4 nodes"):
         linked(latency=LatencyMatrix(**small))
     linked(latency=type("Theirs", (LatencyMatrix,), {"__module__": "theirs", method: lambda *_: None})(**small))
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", LOSS_KINDS, ids=lambda kind: kind.__name__)
+def test_a_loss_that_overrides_a_kind_loses_all_that_is_sent(kind):
+    counts = run(linked(loss=derived(kind, __call__=lambda _, context, rng: True)), seed=1).trace.of(MessageCounts)[0]
+    assert counts.sent == counts.lost > 0
