@@ -20,6 +20,8 @@ from desim.pursuit.noise import LEAST, Covariance
 Acceleration = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
+ROUNDING = 1e-14
+"""A difference of variances that is at most this share of them is 0 with rounding errors."""
 Matrix = list[list[float]]
 """The rows of a matrix."""
 Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
@@ -64,22 +66,25 @@ def corrected(state: list[float], covariance: Matrix, seen: list[float], errors:
     """
     rows = [[float(i == j) for j in range(len(state))] for i in range(len(seen))]
     seen, errors, rest = list(seen), [list(row) for row in errors], list(range(len(seen)))
+    variances = [errors[k][k] for k in rest]
+    deviations = [sqrt(max(line[i], 0.0)) for i, line in enumerate(covariance)]
     while rest:
         k = max(rest, key=lambda i: errors[i][i])
         rest.remove(k)
-        variance = max(errors[k][k], 0.0)
+        variance = errors[k][k] if errors[k][k] > ROUNDING * variances[k] else 0.0
         for i in rest if variance else ():
             share = errors[i][k] / variance
             rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
             seen[i] -= share * seen[k]
             for j in rest:
                 errors[i][j] -= share * errors[k][j]
-        state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance)
+        most = _dot([abs(h) for h in rows[k]], deviations)
+        state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance, ROUNDING * most * most)
     return state, covariance
 
 
 def _with_entry(
-    state: list[float], covariance: Matrix, row: list[float], seen: float, variance: float
+    state: list[float], covariance: Matrix, row: list[float], seen: float, variance: float, least: float
 ) -> tuple[list[float], Matrix]:
     """Return a state and its covariance P after one number, the product of a row h and the state with an error.
 
@@ -88,7 +93,7 @@ def _with_entry(
     """
     spread = [_dot(line, row) for line in covariance]
     total = _dot(spread, row) + variance
-    if total <= 0.0:  # the state is as exact as the number
+    if total <= least:  # the state is as exact as the number, up to rounding
         return state, covariance
     gain = [each / total for each in spread]
     off, n = seen - _dot(row, state), range(len(state))

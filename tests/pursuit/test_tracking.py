@@ -74,6 +74,20 @@ def test_every_covariance_is_positive_however_exact_the_sightings_are(seed):
 
 
 @pytest.mark.slow
+def singular(rng, size):
+    """Return a random covariance of rank 1, of which the standard deviations differ by up to a factor of 10^9."""
+    root = rng.normal(size=size) * 10.0 ** rng.uniform(-6, 3, size)
+    return np.outer(root, root)
+
+
+def test_a_covariance_of_rank_one_stays_positive_after_a_measurement_of_rank_one():
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        before = singular(rng, 4)
+        _, after = corrected([0.0] * 4, before.tolist(), [0.0] * 4, singular(rng, 4).tolist())
+        assert np.linalg.eigvalsh(np.array(after))[0] > -1e-12 * np.trace(before)
+
+
 def test_ten_thousand_covariances_are_positive():
     for seed in range(125):
         updates(seed, 80)
