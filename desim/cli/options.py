@@ -31,7 +31,7 @@ RAISED = 1
 """Exit code if a metric of a user raises an exception or returns a wrong type."""
 OUT_OF_TIME = 1
 """Exit code if a run or a command exceeds its time limit."""
-OUT_OF_MEMORY = 1
+NO_MEMORY = 1
 """Exit code if the memory is full."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))

@@ -11,10 +11,10 @@ from typing import Any
 
 import click
 
-from desim.cli.options import OUT_OF_MEMORY, OUT_OF_TIME, echo, fail
+from desim.cli.options import NO_MEMORY, OUT_OF_TIME, echo, fail
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
-from desim.simulation.watchdog import TimedOut
+from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
 
 
 class Program(click.Command):
@@ -39,12 +39,8 @@ class Program(click.Command):
             echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
         except MemoryError:
-            echo(
-                "out of memory: shorten the horizon, simulate fewer nodes, or record less (record.trajectory,"
-                ' record.messages = "file")',
-                err=True,
-            )
-            ctx.exit(OUT_OF_MEMORY)
+            echo(OUT_OF_MEMORY, err=True)
+            ctx.exit(NO_MEMORY)
         except HiddenPackageError as error:
             fail(str(error))
         except ValueError as error:

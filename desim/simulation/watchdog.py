@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from desim.simulation.restartable import RestartableProcess
 
 
+OUT_OF_MEMORY = (
+    "out of memory: shorten the horizon, simulate fewer nodes, or record less (record.trajectory,"
+    ' record.messages = "file")'
+)
+"""What a user can do about a `MemoryError`, which has no text of its own."""
 AGAIN = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
 

@@ -18,7 +18,7 @@ from desim.config.data_files import identified_run
 from desim.config.fresh import fresh_copy
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
-from desim.simulation.watchdog import within
+from desim.simulation.watchdog import OUT_OF_MEMORY, within
 from desim.study.workers import Workers
 
 Task = tuple[Scenario, int]
@@ -156,6 +156,7 @@ def _run_alone(k: int, submit: Submit, workers: Workers) -> Outcome:
             workers.renew()
         if workers.died(error):
             return Outcome("crashed", error=error, traceback=CRASHED)
+        _explain(error)
         return Outcome("error", error=error, traceback=f"{type(error).__name__}: {error}\n")
     return outcome
 
@@ -179,8 +180,15 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too
+        _explain(error)
         text = traceback.format_exc(limit=-INNERMOST)
         return Outcome("error", error=_picklable(error), traceback=text)
+
+
+def _explain(error: BaseException) -> None:
+    """Give a MemoryError without a text one that says what to do."""
+    if isinstance(error, MemoryError) and not str(error):
+        error.args = (OUT_OF_MEMORY,)
 
 
 def _picklable(error: BaseException) -> BaseException | None:

@@ -13,6 +13,7 @@ import desim
 from desim.analysis.metrics import summary
 from desim.scenario.toml import load
 from desim.simulation.run import run
+from desim.simulation.watchdog import OUT_OF_MEMORY
 from desim.study import dispatch
 from desim.study.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
 from desim.study.row import Row
@@ -141,6 +142,15 @@ def test_the_crashes_of_the_first_and_seventh_of_ten_runs_are_rows_of_the_same_t
     ]
     assert CRASHED.strip() in table.splitlines()[7]
     assert Counter(run[4] for run in runs) == {"ok": 8, "crashed": 2}
+
+
+def test_a_run_without_memory_says_what_to_do(scenario):
+    def measure(_):
+        raise MemoryError
+
+    ((_, outcome),) = drive([(scenario, 1)], InProcess(), measure)
+    assert str(outcome.error) == OUT_OF_MEMORY
+    assert Row(0, 0, "error", traceback=outcome.traceback).error == f"MemoryError: {OUT_OF_MEMORY}"
 
 
 @pytest.mark.slow
