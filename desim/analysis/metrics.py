@@ -10,6 +10,7 @@ It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from keyword import iskeyword
 from math import isnan, nan
 from operator import itemgetter
@@ -51,6 +52,7 @@ from desim.analysis.transport import (
     retransmissions,
     share_delivered,
 )
+from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.config.python_numbers import as_python
@@ -434,9 +436,10 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
 
 def measured(own: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
-    index = trace_index(result)
-    values = {name: metric(index) for name, metric in METRICS.items()}
-    values |= {name: _checked(name, metric, index) for name, metric in own}
+    with fresh_copy(result.scenario, alone=True) as scenario:  # metrics call models, which may remember the calls
+        index = trace_index(replace(result, scenario=scenario))
+        values = {name: metric(index) for name, metric in METRICS.items()}
+        values |= {name: _checked(name, metric, index) for name, metric in own}
     return Summary(values, {name: metric.unit for name, metric in own})
 
 

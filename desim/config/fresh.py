@@ -26,14 +26,14 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.shared_state import COLLECTIONS, changes, defaults_of
-from desim.config.traits import name_of
+from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
 ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
 """The types of values that hold nothing else and never change."""
-NEVER_CHANGED = ("desim.", "protocols.", "networkx.", "pathlib", "threading", "_thread", "queue", "_queue")
-"""The beginnings of the names of modules whose objects a copy shares: they do not change while a model holds them, or
-connect threads, such as locks."""
+NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue"}
+"""The packages and modules whose objects a copy shares: they do not change while a model holds them, or connect
+threads, such as locks."""
 FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
 """The attributes of a function that a copy takes over, besides those that its users set."""
 
@@ -91,6 +91,11 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
     return StateError(f"cannot be copied: {error}")
 
 
+def _never_changes(module: str | None) -> bool:
+    """Return whether the objects of a module, given its name, are shared; a similar name is that of another module."""
+    return (module or "").partition(".")[0] in NEVER_CHANGED
+
+
 @lru_cache(maxsize=256)
 def _form(kind: type) -> Literal["constant", "model", "items", "values", "object"]:
     """Return how the values of a type are looked through."""
@@ -98,16 +103,14 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
         return "items"
     if kind is dict:
         return "values"
-    if not kind.__module__.startswith(NEVER_CHANGED):
+    if not _never_changes(kind.__module__):
         return "constant" if kind in {*ATOMS, np.ndarray} else "object"
     return "model" if issubclass(kind, BaseModel) else "constant"
 
 
 def _is_ours(value: Any) -> bool:
     """Return whether a value is a function of desim at the top level, which has no state."""
-    return (
-        type(value) is FunctionType and value.__closure__ is None and (value.__module__ or "").startswith(NEVER_CHANGED)
-    )
+    return type(value) is FunctionType and value.__closure__ is None and _never_changes(value.__module__)
 
 
 def is_built_in(model: Any) -> bool:
@@ -221,7 +224,7 @@ class _Copier(pickle.Pickler):
         elif kind is np.ndarray:
             if value.flags.writeable:
                 return None
-        elif kind.__module__.startswith(NEVER_CHANGED):
+        elif _never_changes(kind.__module__):
             if not all(_is_plain(item, alone=self._alone) for _, item in _of_users(value)):
                 return None
         elif not _is_plain(value, alone=self._alone):

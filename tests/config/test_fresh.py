@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 import desim
 import protocols
-from desim import Evader, Scenario, Team, run, sweep
+from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
@@ -254,6 +254,27 @@ STRATEGIES = {
 
 def game(strategy):
     return Scenario(team=Team(count=3, speeds=2.0), evader=Evader(strategy=strategy), horizon=3.0)
+
+
+class Growing(Remembering):
+    """A latency, s, that is greater at each call."""
+
+    def __call__(self, context, rng):
+        return 0.01 * super().__call__()
+
+
+def test_a_second_summary_equals_the_first_and_the_object_of_the_caller_stays_as_it_was():
+    latency = Growing()
+    result = run(Scenario(team=Team(count=3), network=Links(latency=latency), horizon=0.5), 1)
+    assert summary(result) == summary(result)
+    assert latency.calls == 0
+
+
+@pytest.mark.parametrize("module", ["queueing", "pathlib2", "threading_models", "desim_models", "protocols2"])
+def test_an_object_of_a_module_with_a_name_like_that_of_another_one_is_copied(module):
+    model = type("Model", (Remembering,), {"__module__": module})()
+    with fresh_copy({"table": model}, alone=True) as copied:
+        assert copied["table"] is not model
 
 
 @pytest.mark.slow_but_one
