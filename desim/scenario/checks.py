@@ -223,13 +223,13 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 def _edge_attributes(scenario: Scenario) -> Iterator[dict[str, Any]]:
     """Yield the attributes of each link of the graph that has some."""
-    yield from (own for _, _, own in links_with_attributes(scenario.network.graph(scenario.team.count)))
+    yield from (own for _, _, own in links_with_attributes(scenario.network.make_graph(scenario.team.count)))
 
 
 def _graph_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about attributes of a graph that are not read, and about shifted numbers of nodes."""
-    model = scenario.network.graph
-    notes = model.notes if isinstance(model, Edges) else unread_attributes(model(scenario.team.count))
+    model, count = scenario.network.graph, scenario.team.count
+    notes = model.notes if isinstance(model, Edges) else unread_attributes(scenario.network.make_graph(count))
     yield from (("network.graph", note) for note in notes)
 
 

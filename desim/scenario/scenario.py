@@ -169,7 +169,7 @@ class Scenario(Value):
         Use it to vary a scenario in a script:
 
             late = scenario.with_({"network.latency.value": 0.5, "team.count": 8})
-            lossy = scenario.with_({"network.loss": GilbertElliott(p=0.1), "fault.0.start": 2.0})
+            lossy = scenario.with_({"network.loss": GilbertElliott(share=0.1), "fault.0.start": 2.0})
 
         Args:
             changes: dotted keys, with the index of an item of a list as in "fault.0.start", and their new values: a

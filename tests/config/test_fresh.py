@@ -19,6 +19,7 @@ from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
 from desim.kernel.graphs import Ring
 from desim.kernel.links import Links
+from desim.scenario.checks import warnings
 from desim.scenario.scenario import Motion
 from desim.study.batch import run_many
 
@@ -436,6 +437,7 @@ def test_a_graph_that_remembers_is_called_once_by_the_scenario_and_by_each_run()
     scenario = Scenario(team=Team(count=3), motion=Motion(static=True), horizon=0.1, network=Links(graph=graph))
     for _ in range(2):
         run(scenario)
+        list(warnings(scenario))
     assert graph.calls == 0
 
 
