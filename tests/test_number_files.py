@@ -54,7 +54,6 @@ MODULES = {
     "config/trust.py": "writes",
     "kernel/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
     "kernel/edge_lists.py": "splits text that config/number_files has read",
-    "kernel/mobility_table.py": "splits text that config/number_files has read",
     "kernel/trace_file.py": "writes",
 }
 """The modules that open files or split CSV text by themselves, below those of commands and results."""

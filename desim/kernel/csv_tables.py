@@ -203,8 +203,8 @@ def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
         ValueError: if the text is not CSV, or numbers have both decimal commas and decimal points.
     """
     text = re.sub(r"(?m)#.*", "", text)
-    separator = next((sign for sign in ";\t," if sign in text), None)
-    if separator is None:
+    separator = separator_in(text)
+    if not separator:
         text, separator = re.sub(r"(?m)(?<=\S) +(?=\S)", "\t", text), "\t"
     rows = rows_of(text, name, separator)
     return rows if separator == "," else with_points(rows, list, name)
@@ -229,6 +229,14 @@ def with_points(
             why = f"numbers should have either decimal points or decimal commas (got {one} and {other})"
             raise ValueError(f"{name}, {place_of(where, name)}: {why}")
         yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
+
+
+def separator_in(text: str) -> str:
+    """Return the sign that separates the cells of numbers and names: "" stands for white space.
+
+    Commas may be decimal commas where there are semicolons or tabs.
+    """
+    return next((sign for sign in ";\t," if sign in text), "")
 
 
 def separator_of(text: str) -> str:

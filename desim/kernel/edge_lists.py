@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.number_files import number_of
-from desim.kernel.csv_tables import with_points
+from desim.kernel.csv_tables import separator_in, with_points
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -140,7 +140,7 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
 def _delimiter(text: str) -> str:
     """Return the sign that separates the cells of a list; "": white space."""
     first = next((line for line in text.split("\n") if line.strip() and line.strip()[0] not in "#%"), "")
-    return next((mark for mark in ";\t," if mark in first.partition("{")[0]), "")
+    return separator_in(first.partition("{")[0])
 
 
 def _rows(file: Path, text: str, delimiter: str) -> list[Row]:

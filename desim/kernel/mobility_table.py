@@ -5,7 +5,6 @@ t,node,x,y
 2.5,uav1,12.0,20.0
 """
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.number_files import COMMAS
-from desim.kernel.csv_tables import with_points
+from desim.kernel.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measurements import start_of, time_of
 from desim.kernel.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
 
@@ -50,7 +49,7 @@ def header_of(lines: Sequence[str]) -> tuple[int, str, Header] | None:
             continue
         is_comment = text.startswith("#")
         text = text.lstrip("#").strip()
-        delimiter = next((mark for mark in ";\t," if mark in text), "")
+        delimiter = separator_in(text)
         header = _header(text.split(delimiter) if delimiter else text.split())
         known = {name for names in COLUMNS.values() for name in names} | DEGREES
         if len(known & set(header.names)) >= (3 if is_comment else 2):
@@ -138,14 +137,10 @@ def _is_number(name: str) -> bool:
 
 def _cells(file: Path, lines: Sequence[str], first: int, delimiter: str) -> Iterator[tuple[int, list[str]]]:
     """Yield the line and the cells of each row below the header."""
-    below = ["" if line.lstrip().startswith("#") else line for line in lines[first + 1 :]]
-    if not delimiter:
-        yield from ((line, row) for line, text in enumerate(below, first + 2) if (row := text.split()))
+    below = lines[first + 1 :]
+    if delimiter:  # the lines above are left blank, so that each row is on its line
+        yield from rows_of("\n" * (first + 1) + "\n".join(below), str(file), delimiter)
         return
-    reader = csv.reader(below, strict=True, skipinitialspace=True, delimiter=delimiter)
-    try:
-        for cells in reader:
-            if any(cells):
-                yield reader.line_num + first + 1, cells
-    except csv.Error as error:
-        raise ValueError(f"{file}, line {reader.line_num + first + 1}: {error}") from error
+    for line, text in enumerate(below, first + 2):
+        if (row := text.split()) and not row[0].startswith("#"):
+            yield line, row
