@@ -159,7 +159,7 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-        if self.number is not None and isinstance(value, str) and (reason := _why_no_number(value)):
+        if self.number is not None and isinstance(value, str) and (reason := _why_no_number(str(value))):
             raise ValueError(reason)
         value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:

@@ -25,11 +25,12 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
+from desim.config.python_numbers import ATOMS
 from desim.config.shared_state import COLLECTIONS, changes, defaults_of
 from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
-ATOMS = frozenset({type(None), bool, int, float, complex, str, bytes})
+CONSTANTS = ATOMS | {complex, bytes}
 """The types of values that hold nothing else and never change."""
 NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue"}
 """The packages and modules whose objects a copy shares: they do not change while a model holds them, or connect
@@ -104,7 +105,7 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
     if kind is dict:
         return "values"
     if not _never_changes(kind.__module__):
-        return "constant" if kind in {*ATOMS, np.ndarray} else "object"
+        return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
     return "model" if issubclass(kind, BaseModel) else "constant"
 
 
@@ -148,7 +149,7 @@ def _is_plain(value: Any, *, alone: bool = False) -> bool:
         return _is_ours(value) or all((not alone and _is_collection(item)) or _is_constant(item) for item in held)
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
-    return kind in ATOMS or isinstance(value, type | ModuleType | CodeType)
+    return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)
 
 
 def _is_constant(value: Any) -> bool:
@@ -215,7 +216,7 @@ class _Copier(pickle.Pickler):
     def persistent_id(self, value: Any) -> int | None:
         """Return the number of an object to which the copy refers; None for an object that is copied."""
         kind = type(value)
-        if kind in ATOMS:
+        if kind in CONSTANTS:
             return None
         if kind is FunctionType:
             self.functions.append(value)

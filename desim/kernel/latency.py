@@ -332,8 +332,6 @@ class LatencyMatrix(Value):
             if values is not None:
                 raise ValueError("should have values or a file of values, not both")
             values = matrix_of(resolve_path(file, info))
-        if isinstance(values, np.ndarray):
-            values = values.tolist()
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
             values = [[inf if _is_nan(number) else number for number in row] for row in values]
         return given | {"file": None} | ({} if values is None else {"values": values})
