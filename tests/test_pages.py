@@ -58,7 +58,7 @@ def is_page_with(part):
 def folder(page, tmp_path, monkeypatch):
     """Go to a folder with the scenarios and the files of a page."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
-    for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml"), *blocks(TEXTS[page], "csv")):
+    for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml"), *blocks(TEXTS[page], "text")):
         if name := re.match(r"# (\w+\.(?:py|toml|csv))\n", block):
             (tmp_path / name[1]).write_text(block, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
