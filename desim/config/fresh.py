@@ -7,8 +7,9 @@ variables of enclosing functions, mutable defaults, random generators. What a mo
 
 import pickle
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import _lru_cache_wrapper, lru_cache
+from hashlib import sha256
 from io import BytesIO
 from types import (
     BuiltinFunctionType,
@@ -44,18 +45,19 @@ class StateError(ValueError):
 
 
 @contextmanager
-def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
+def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> Iterator[Model]:
     """Yield a copy of a model in which the objects that may have state are copies; the model itself if it has none.
 
     An object to which the model refers twice is copied once. A collection in a variable of an enclosing function, such
     as a list to which the function appends what it sees, is shared with the caller, who reads it after the run.
 
-    A `StateWarning` names what is not copied and differs at the end of the block: attributes of classes, collections
-    and global variables.
+    If the block is a run, a `StateWarning` names what is not copied and what an earlier run has changed: attributes of
+    classes, collections and global variables.
 
     Args:
         model: the model.
         alone: whether nobody reads collections after the run, so that they are copied, too.
+        is_run: whether the block is a run.
 
     Raises:
         StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
@@ -74,7 +76,7 @@ def fresh_copy(model: Model, *, alone: bool = False) -> Iterator[Model]:
             raise _refusal(users, error) from error
         reader = _Reader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
-    with changes([*kept, *functions, *users.values()], _snapshot):
+    with changes([*kept, *functions, *users.values()], _snapshot) if is_run else nullcontext():
         yield copied
 
 
@@ -167,9 +169,18 @@ def _is_collection(held: Any) -> bool:
         return False
 
 
+LARGE = 10_000
+"""Number of items of a collection from which on its changes are not looked for, because this would take long."""
+
+
 def _snapshot(value: Any) -> Any:
-    """Return what differs if a value has changed; None if that cannot be found out."""
-    if _is_plain(value):
+    """Return what differs if a value has changed; None if that cannot be found out.
+
+    Objects that are shared by all runs count by their identity.
+    """
+    if isinstance(value, COLLECTIONS) and (value.size if isinstance(value, np.ndarray) else len(value)) >= LARGE:
+        return None
+    if _is_plain(value) and not isinstance(value, np.ndarray):
         return [value]
     content = BytesIO()
     copier = _Copier(content)
@@ -177,19 +188,7 @@ def _snapshot(value: Any) -> Any:
         copier.dump(value)
     except Exception:  # code of an object may raise anything
         return None
-    return content.getvalue(), [_Same(item) for item in copier.kept]
-
-
-class _Same:
-    """Is equal to what stands for the same object only."""
-
-    def __init__(self, value: Any):
-        self.value = value
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self.value is other.value
-
-    __hash__ = None  # type: ignore[assignment]
+    return sha256(content.getvalue()).digest(), [id(item) for item in copier.kept]
 
 
 class _Kept:

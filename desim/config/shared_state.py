@@ -10,6 +10,7 @@ from itertools import pairwise
 from types import CellType, CodeType, FunctionType
 from typing import Any
 from warnings import warn
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -23,49 +24,59 @@ _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic",
 
 
 class StateWarning(UserWarning):
-    """Warns of state in a class, a function or a module, where the next run finds it as this run has left it."""
+    """Warns of state in a class, a function, a module or a collection that an earlier run has left."""
+
+
+_runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
+"""By function or class, what its variables were before and after the last run that used it, by name."""
 
 
 @contextmanager
 def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Warn at the end of the block of each variable that runs share and that has changed.
+    """Warn of each variable that an earlier block has changed, and that this block finds as it was left there.
 
     These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the
     global variables that code of a user reads or writes. A collection to which the code only adds may change: it
-    reports to the caller.
+    reports to the caller. A first run is never warned of, nor one before which the caller has reset the variable.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
-    reads = dict(_shared(objects))
-    before = {name: snapshot(read()) for name, read in reads.items()}
-    yield
-    changed = [name for name, read in reads.items() if before[name] is not None and before[name] != snapshot(read())]
-    if changed:
+    reads = list(_shared(objects))
+    before = [snapshot(read()) for _, _, read in reads]
+    carried = set()
+    for (owner, name, _), now in zip(reads, before, strict=True):
+        first, last = _runs.get(owner, {}).get(name, (None, None))
+        if None not in (first, last) and first != last == now:
+            carried.add(name)
+    if carried:
         text = (
-            f"{', '.join(sorted(changed))}: changed during the run, so a second run would start from another state;"
+            f"{', '.join(sorted(carried))}: an earlier run has changed it, so this run starts from another state;"
             " what a model remembers should be in its instance (self), of which each run gets a copy; what it reports"
             " may be appended to a list that it does not read"
         )
         warn(text, StateWarning, stacklevel=6)
+    yield
+    for (owner, name, read), first in zip(reads, before, strict=True):
+        _runs.setdefault(owner, {})[name] = first, snapshot(read())
 
 
-def _shared(objects: Iterable[Any]) -> Iterator[tuple[str, Read]]:
-    """Yield the name of each variable that code of a user may change, with a function that reads it."""
+def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
+    """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
     for item in objects:
         function = getattr(item, "__func__", item)
         if isinstance(function, FunctionType):
-            yield from _items(function.__qualname__, vars(function))
-            yield from _variables(function)
+            yield from ((function, *each) for each in _items(function.__qualname__, vars(function)))
+            yield from ((function, *each) for each in _variables(function))
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
             if _is_foreign(base):
                 continue
             for method in tuple(vars(base).values()):  # pydantic may still complete the class
                 method = getattr(method, "__func__", method)
                 if isinstance(method, FunctionType):
-                    yield from _variables(method)
-            yield from _items(base.__qualname__, vars(base))
+                    yield from ((base, *each) for each in _variables(method))
+            yield from ((base, *each) for each in _items(base.__qualname__, vars(base)))
 
 
 def _is_foreign(definition: Any) -> bool:

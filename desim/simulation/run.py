@@ -167,7 +167,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
     try:
-        with fresh_copy(scenario) as fresh:
+        with fresh_copy(scenario, is_run=True) as fresh:
             _simulate(fresh, seed, env, end, trace)
     finally:
         trace.close()
