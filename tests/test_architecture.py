@@ -30,10 +30,12 @@ LAYERS = [
 TOP = {"desim": set().union(*LAYERS) - {"scenarios"}, "desim.__main__": {"desim.cli"}}
 """What the modules beside the packages import."""
 METHODS = {
-    "desim.scenario.scenario": {"desim.view.widget"},
+    "desim.scenario.scenario": {"desim.view.widget", "desim.scenario.toml"},
     "desim.simulation.run": {"desim.analysis.plots", "desim.view.spacetime", "desim.view.replay"},
 }
-"""What methods of results show, as `result.plot()`: they import it when they are called, from above or in a circle."""
+"""What methods of scenarios and results do, as `scenario.with_()` and `result.plot()`.
+
+They import it when they are called, from above or in a circle."""
 FORBIDDEN = {
     "desim.kernel.events": {"simpy", "networkx"},
     "desim.kernel.trace_file": {"simpy", "networkx"},
@@ -225,6 +227,7 @@ PRIVATE = {
     "desim.cli.program": {"click.echo.__code__"},
     "desim.config.choice": {"SchemaValidator", "__pydantic_core_schema__"},
     "desim.config.data_files": {"_getframe"},
+    "desim.config.fresh": {"_lru_cache_wrapper"},
     "desim.kernel.clock": {"_eid", "_events", "_generator", "_now", "_ok", "_queue", "_value", "simpy.core"},
     "desim.kernel.implicit_complete": {"_adj", "_node", "_pred"},
     "desim.simulation.watchdog": {"PyThreadState_SetAsyncExc", "_current_exceptions"},

@@ -58,7 +58,7 @@ class Dice:
 
     def kind(self, family, but=()):
         """Return the table of one of the kinds of a family of models, the same for all that it may leave to default."""
-        name = self.one([each for each in family.choices() if each not in but])
+        name = self.one([each for each in family.choices() if each not in {*but, "matrix"}])  # has one size
         return {"kind": name} | NEEDED.get(name, {})
 
     def number(self, low, high):

@@ -286,7 +286,7 @@ class PerPair(Value):
 
 def _check_quantiles(base: Any) -> None:
     if LinkTraits.of(base).quantile is None:
-        inherits = " of its own, because the inherited one does not follow" if hasattr(base, "quantile") else ""
+        inherits = " of its own, because the inherited one does not follow" if "quantile" in dir(base) else ""
         raise ValueError(f"base should have a method quantile(u){inherits}, {base!r} has none")
 
 

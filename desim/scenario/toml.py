@@ -66,6 +66,7 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         OSError: if the first file cannot be read.
     """
     source = _parsed(file, allow_import)
+    source = replace(source, tables=_in_folder(source.tables, file.parent))  # a grid is validated later, elsewhere
     seen = {file.resolve()}
     while BASE in source.tables:
         where, given = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
