@@ -832,7 +832,7 @@ def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file,
 
 @pytest.mark.slow
 def test_an_interrupted_command_explains_how_to_continue(file, monkeypatch):
-    def interrupted(*_):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Variants, "carry_out", interrupted)
