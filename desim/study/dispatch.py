@@ -16,6 +16,7 @@ import cloudpickle
 from desim.analysis.metrics import summary
 from desim.config.data_files import identified_run
 from desim.config.fresh import fresh_copy
+from desim.config.own_modules import plain_name
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.simulation.watchdog import OUT_OF_MEMORY, within
@@ -181,7 +182,8 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
         raise
     except BaseException as error:  # SystemExit, too
         _explain(error)
-        text = traceback.format_exc(limit=-INNERMOST)
+        module = type(error).__module__  # with the folder in it, if the module lies beside a scenario file
+        text = traceback.format_exc(limit=-INNERMOST).replace(f"{module}.", f"{plain_name(module)}.")
         return Outcome("error", error=_picklable(error), traceback=text)
 
 
