@@ -100,9 +100,11 @@ class PlayServer(ThreadingHTTPServer):
 
     def next_of_comparison(self, page: str) -> Answer:
         """Return the next answer of the comparison of a page; after the last one, an empty answer."""
-        answer = next(self._comparisons.get(page, iter(())), None)
-        if answer is None:
-            self._comparisons.pop(page, None)
+        answers = self._comparisons.get(page, iter(()))
+        answer = next(answers, None)
+        with self._lock:
+            if answer is None and self._comparisons.get(page) is answers:  # no newer one has begun meanwhile
+                del self._comparisons[page]
         return answer or {}
 
     def page_opened(self) -> None:
