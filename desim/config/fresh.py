@@ -162,11 +162,15 @@ def _is_constant(value: Any) -> bool:
 
 
 def _is_collection(held: Any) -> bool:
-    """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read."""
+    """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read.
+
+    Or a method of one, such as `seen.append`.
+    """
     try:
-        return isinstance(held.cell_contents if type(held) is CellType else held, COLLECTIONS)
+        value = held.cell_contents if type(held) is CellType else held
     except ValueError:  # the variable has no value yet
         return False
+    return isinstance(value.__self__ if type(value) is BuiltinFunctionType else value, COLLECTIONS)
 
 
 LARGE = 10_000

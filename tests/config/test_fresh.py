@@ -326,6 +326,26 @@ def test_a_function_may_report_to_its_caller_as_often_as_it_is_run():
     assert len(SEEN) == len(seen) > 100
 
 
+def test_a_function_with_a_memory_may_report_by_a_method_of_a_list():
+    def reporting_steps(note):
+        steps = 0
+
+        def strategy(state, rng):
+            nonlocal steps
+            steps += 1
+            note(steps)
+            return 1j
+
+        return strategy
+
+    seen = []
+    strategy = reporting_steps(seen.append)
+    for _ in range(2):
+        run(game(strategy), 1)
+    assert len(seen) > 100
+    assert seen == [*range(1, len(seen) // 2 + 1)] * 2
+
+
 def test_a_caller_may_change_what_a_function_reads_between_runs():
     speed = [1.0]
     scenario = game(lambda state, rng: 1j * speed[0])

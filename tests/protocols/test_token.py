@@ -406,9 +406,8 @@ def test_absent_pursuers_are_probed_no_more_often_than_they_could_answer():
 def test_a_partition_has_two_tokens_and_one_after_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
     fault = Partition(start=1.03, end=8.0, groups=((0, 2, 4),))
-    watchers = [Circulation(group) for group in (*groups, range(6))]
-    scenario = frozen(flips(schedule), count=6, latency=0.05, horizon=16.0, faults=(fault,))
     for seed in range(5):
+        scenario = frozen(flips(schedule), count=6, latency=0.05, horizon=16.0, faults=(fault,))
         watchers = [Circulation(group) for group in (*groups, range(6))]
         run(scenario, seed, *watchers)
         assert [watcher.fault(5.0, 8.0) for watcher in watchers[:2]] == [None, None]

@@ -39,23 +39,35 @@ def barrier(ratio, passing):
 
 
 class Dodger:
-    """An evader that dodges at a distance (m) in a direction (rad), and flees straight before and afterwards."""
+    """An evader that dodges at a distance (m) in a direction (rad), and flees straight before and afterwards.
+
+    Attributes:
+        distances: the distance at each step of the last run (m).
+        dodges: the distances at which it dodged (m).
+    """
 
     def __init__(self, distance, direction):
-        self._distance, self._turn = distance, rect(1.0, direction)
-        self._aside, self._last = None, inf
-        self.closest, self.dodges = inf, 0
+        self.distances, self.dodges = [], []
+        self.strategy = self._strategy(distance, rect(1.0, direction), self.distances.append, self.dodges.append)
 
-    def __call__(self, observation, rng):
-        distance = observation.distances.item(0)
-        away = observation.offsets.item(0) / distance
-        approached, self._last = distance < self._last, distance
-        self.closest = min(self.closest, distance)
-        if not approached:
-            self._aside = None
-        elif self._aside is None and distance <= self._distance:
-            self._aside, self.dodges = away * self._turn, self.dodges + 1
-        return away if self._aside is None else self._aside
+    @staticmethod
+    def _strategy(distance, turn, note, note_dodge):
+        aside, last = None, inf
+
+        def strategy(observation, rng):
+            nonlocal aside, last
+            now = observation.distances.item(0)
+            away = observation.offsets.item(0) / now
+            approached, last = now < last, now
+            note(now)
+            if not approached:
+                aside = None
+            elif aside is None and now <= distance:
+                aside = away * turn
+                note_dodge(now)
+            return away if aside is None else aside
+
+        return strategy
 
 
 def chase(me):
@@ -69,7 +81,7 @@ def pursuit(ratio, share, dodger, horizon=60.0):
     scenario = Scenario(
         horizon=horizon,
         team=Team(positions=[(0.0, 0.0)], speeds=1.0, dynamics=TurnRate(limit=1.0, heading=0.0)),
-        evader=Evader(position=(1.5, 0.0), speed=ratio, strategy=dodger),
+        evader=Evader(position=(1.5, 0.0), speed=ratio, strategy=dodger.strategy),
         capture=Capture(radius=share * least_capture_radius(1.0, ratio)),
         motion=Motion(step=0.005),
         protocol=chase,
@@ -101,8 +113,8 @@ def test_below_the_barrier_the_evader_escapes_for_ever(ratio):
     """With 10 % less, it dodges in time at each approach, by 5 % less than the critical radius, to 1 %."""
     dodger = Dodger(*barrier(ratio, 0.95 * least_capture_radius(1.0, ratio)))
     assert pursuit(ratio, 0.9, dodger) == "horizon"
-    assert dodger.dodges >= 2
-    assert dodger.closest == pytest.approx(0.95 * least_capture_radius(1.0, ratio), rel=0.01)
+    assert len(dodger.dodges) >= 2
+    assert min(dodger.distances) == pytest.approx(0.95 * least_capture_radius(1.0, ratio), rel=0.01)
 
 
 @pytest.mark.slow_but_one
@@ -114,7 +126,7 @@ def test_above_the_barrier_the_pursuer_captures_it_at_the_first_dodge(ratio):
     for distance, direction in [*best, *((share * ratio, pi / 2) for share in (0.6, 1.0, 1.2, 1.5))]:
         dodger = Dodger(distance, direction)
         assert pursuit(ratio, 1.1, dodger, 40.0) == "captured"
-        assert dodger.dodges <= 1
+        assert len(dodger.dodges) <= 1
 
 
 @pytest.mark.slow_but_one

@@ -262,7 +262,7 @@ def test_no_runs_and_negative_seeds_are_refused(wrong):
 def test_numbers_of_runs_and_seeds_may_be_numpys(tmp_path):
     found = sweep(BASE, GRID, np.int64(2), seed=np.int64(4), store=tmp_path / "s.sqlite")
     assert found == sweep(BASE, GRID, 2, seed=4, store=tmp_path / "s.sqlite")
-    with pytest.raises(TypeError):
+    with pytest.raises(ValueError, match=re.escape("reps should be an integer (got 2.5)")):
         sweep(BASE, GRID, 2.5)
 
 
