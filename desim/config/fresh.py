@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import COLLECTIONS, changes, defaults_of
+from desim.config.shared_state import ADDING, COLLECTIONS, changes, defaults_of
 from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
@@ -183,6 +183,8 @@ def _snapshot(value: Any) -> Any:
     Objects that are shared by all runs count by their identity.
     """
     if isinstance(value, COLLECTIONS) and (value.size if isinstance(value, np.ndarray) else len(value)) >= LARGE:
+        return None
+    if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # its collection cannot be read by it
         return None
     if _is_plain(value) and not isinstance(value, np.ndarray):
         return [value]
