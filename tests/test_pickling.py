@@ -78,6 +78,13 @@ def held_by_users():
     yield from (late.value, ScenarioError("text"), StateError("text"), StateWarning("text"))
 
 
+def test_a_time_limit_that_is_caught_inside_its_block_can_be_pickled():
+    with pytest.raises(TimedOut, match="too late"), within(0.01), pytest.raises(TimedOut) as inner:  # noqa: PT012
+        while True:
+            pass
+    assert [(type(again), str(again)) for again in copies_of(inner.value)] == [(TimedOut, str(inner.value))] * 2
+
+
 @pytest.mark.slow
 def test_all_that_a_user_may_hold_can_be_pickled_and_copied():
     for held in held_by_users():

@@ -33,6 +33,9 @@ AGAIN = 0.1
 class TimedOut(BaseException):
     """A time limit was exceeded. It is not an `Exception`, so that `except Exception` does not catch it."""
 
+    def __reduce__(self) -> tuple[type["TimedOut"], tuple[Any, ...]]:
+        return TimedOut, self.args  # the class that `within` raises in its block is known to no other process
+
 
 def checked_limit(limit: float) -> float:
     """Return a time limit, s, as a `float`.
