@@ -471,7 +471,7 @@ def test_bodies_that_are_no_announcements_are_not_falsified():
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [SpatialAdaptivePlay, LocalMin])
 def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
-    """40 runs of 12 pursuers: all are captured without it, and at most one in ten with it (p of a share of 0.1: 0.05).
+    """12 runs of 12 pursuers: all are captured without it, and at most one with it.
 
     The control: a liar that says the truth about its action harms nothing.
     """
@@ -488,6 +488,6 @@ def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
             record=Recording(trajectory=0.0),
             fault=fault,
         )
-        shares[name] = np.mean([summary(run(scenario, seed)).captured for seed in range(40)])
+        shares[name] = np.mean([summary(run(scenario, seed)).captured for seed in range(12)])
     assert shares["honest"] == shares["harmless"] == 1.0
-    assert shares["liar"] <= 0.1
+    assert shares["liar"] <= 1 / 12
