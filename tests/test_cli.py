@@ -354,6 +354,7 @@ def test_the_schema_is_strict_json():
     assert strict_json(accepted("schema").stdout)["title"] == "Scenario"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_the_schema_has_every_key_of_the_scenarios(schema, path):
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -628,6 +629,7 @@ def test_without_recorded_positions_there_is_no_picture(file, tmp_path, pictures
     assert result.stderr == f"wrote {tmp_path / 'out'}\n"
 
 
+@pytest.mark.slow
 def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, pictures, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
     result = accepted("run", file(RANDOM), "-o", tmp_path / "out")
@@ -1084,6 +1086,7 @@ def test_a_run_json_that_cannot_be_read_is_written_anew(file, tmp_path, typed):
     assert provenance.read(tmp_path / "out" / "run.json")["argv"][1:] == words
 
 
+@pytest.mark.slow
 def test_runs_are_exported_a_row_each(coins, tmp_path):
     import pandas as pd
 

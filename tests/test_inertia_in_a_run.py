@@ -219,7 +219,7 @@ def test_without_a_course_a_teammate_is_reckoned_as_if_its_motion_were_simple():
 # Every protocol, every strategy.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dynamics", [Acceleration(limit=2.0), TurnRate(limit=2.0)], ids=NAMES)
 def test_every_protocol_captures_an_evader_in_spite_of_inertia(kind, dynamics):
@@ -238,7 +238,7 @@ def test_every_protocol_captures_an_evader_in_spite_of_inertia(kind, dynamics):
     assert result.trace.of(Captured)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 @pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
 @pytest.mark.parametrize("strategy", [each for each in STRATEGIES.choices() if each != "recorded"])
@@ -284,7 +284,7 @@ def test_initial_headings_are_drawn_per_seed_and_player_or_given():
     assert Team(count=2, dynamics=TurnRate(heading=pi / 2)).headings(1) == pytest.approx([1j, 1j])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dynamics", "environment"),
     [
@@ -360,6 +360,7 @@ def test_a_flow_on_all_changes_no_decision_and_nothing_in_hindsight(dynamics, fl
     assert summary(own).regret > 2.0 * error
 
 
+@pytest.mark.slow
 def test_in_hindsight_a_lone_pursuer_makes_no_mistake():
     """It takes its first phi, 8.09091 s; without inertia 4.45455 s. Its regret is 0, whatever its inertia."""
     dynamics = Acceleration(limit=0.5)

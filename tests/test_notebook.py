@@ -109,6 +109,7 @@ def found():
     return explain(base.model_copy(update={"network": base.network.model_copy(update={"range": 5.0})}), runs=4)
 
 
+@pytest.mark.slow
 def test_an_explanation_shows_its_table(found):
     table = Table(found._repr_html_())
     assert table.rows == [[cell.replace("+-", "\N{PLUS-MINUS SIGN}") for cell in row] for row in found.rows()]

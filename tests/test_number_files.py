@@ -85,6 +85,7 @@ def test_every_model_that_reads_a_file_is_here():
     assert models == {model for model, _, _ in READERS.values()} | OTHERS.keys()
 
 
+@pytest.mark.slow
 def test_no_other_module_opens_files():
     """A reader added later uses `config/number_files` or `kernel/csv_tables`, and is in `READERS` above."""
     root, openers = Path(desim.__file__).parent.parent, set()

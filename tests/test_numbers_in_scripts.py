@@ -45,6 +45,7 @@ def test_a_seed_that_is_not_an_integer_is_refused(seed):
             act()
 
 
+@pytest.mark.slow
 def test_a_negative_seed_is_refused_and_a_huge_one_is_not(tmp_path):
     for act in takes_seed(np.int64(-1)):
         with pytest.raises(ValueError, match=r"^the seed should be at least 0, got -1$"):
@@ -68,6 +69,7 @@ def test_a_number_of_runs_or_of_workers_that_is_not_an_integer_is_refused(reps):
         sweep(SHORT, {"horizon": [0.1]}, 1, timeout="2")
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_what_numpy_and_pandas_have():
     grid = {"horizon": np.array([0.1, 0.2]), "team.count": range(3, 5), "network.latency": pd.Series([0, 1])}
     found = sweep(SHORT, grid, reps=np.int8(1), seed=np.uint8(1), executor=np.int64(1), timeout=np.float32(60))
@@ -75,6 +77,7 @@ def test_a_sweep_takes_what_numpy_and_pandas_have():
     assert found.to_frame().equals(sweep(SHORT, plain, reps=1, seed=1).to_frame())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "value", [0.25, np.float32(0.25), np.float16(0.25), Fraction(1, 4), Decimal("0.25"), np.array(0.25)]
 )

@@ -552,7 +552,7 @@ TRACES = [LatencyTrace, LossTrace, SignalTrace]
 NAMED = "t,src,dst,value\n0,a,b,0\n1,a,b,0\n0,b,a,0\n1,b,a,0\n"
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", TRACES)
 def test_a_table_is_described_unless_what_replays_it_is_overridden(kind):
     """By the figure of the measurements, the warning about its end, and the check of its links."""

@@ -65,6 +65,7 @@ def scenario(trust="none", *faults):
     )
 
 
+@pytest.mark.slow
 def test_damage_is_that_of_the_same_seed_without_lies():
     liars = [Liar(node=node, start=0.0, action="chase", phi=0.0, acts="stay") for node in (0, 1)]
     lying, honest = run(scenario("none", *liars), 3), run(scenario(), 3)

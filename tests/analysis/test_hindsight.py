@@ -334,7 +334,7 @@ def negotiated(case, seed, **changes):
     return run(Scenario(**(near | {"protocol": protocol, "network": links} | CASES[case] | changes)), seed)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["pursuit", "crashes"])
 def test_the_timeline_in_parts_is_the_whole_timeline(case, monkeypatch):
     result = negotiated(case, 1)

@@ -17,6 +17,7 @@ ROWS = [f"{t + 0.1 * src},{src},{dst},{'' if src == t else -80 - src}\n" for t i
 MANY = "".join(["t,src,dst,value\n", *ROWS])
 
 
+@pytest.mark.slow
 def test_measured_links_are_golden(monkeypatch):
     """A line is interrupted from a cross on; repetition leads a line that is interpolated back to its first row."""
     monkeypatch.setattr(link_figures, "GRID", 6)

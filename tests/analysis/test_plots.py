@@ -92,6 +92,7 @@ def test_a_picture_drawn_or_saved_twice_is_the_same_bytes_and_that_of_another_ru
         )
 
 
+@pytest.mark.slow
 def test_the_svg_has_no_date_and_its_text_is_text_and_the_png_has_no_time(saved):
     _, vector, raster = saved
     text = vector.read_text(encoding="utf-8")

@@ -58,7 +58,7 @@ def test_the_names_of_examples_and_of_starting_files_are_completed():
     assert completed("exa") == ["examples"]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["run f.toml --set net", "protocols s", "examples r"])
 def test_the_shell_is_answered_without_a_slow_import(words):
     program = (

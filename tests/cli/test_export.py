@@ -43,6 +43,7 @@ def topics_of(file):
         return {channel.topic for _, channel, _ in make_reader(stream).iter_messages()}
 
 
+@pytest.mark.slow
 def test_a_run_is_exported_to_each_format(recorded, tmp_path):
     events = list(run_folder.events(recorded))
     table = list(trace_table.rows(events))

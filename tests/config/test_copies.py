@@ -27,6 +27,7 @@ def outcome(make) -> object:
         return str(error)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.__module__.rpartition('.')[2]}.{model.__name__}")
 def test_a_copy_is_what_the_same_arguments_make_and_is_refused_where_they_are(model):
     original = made(model)

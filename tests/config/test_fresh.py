@@ -421,6 +421,7 @@ def rereading(state, rng):
     return 1j * min(len(SEEN), 1)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("strategy", "name"),
     [
@@ -449,6 +450,7 @@ def with_a_global_on_its_edges(size):
     return graph
 
 
+@pytest.mark.slow
 def test_a_global_model_that_a_graph_function_puts_on_edges_is_warned_of():
     scenario = Scenario(team=Team(count=3), horizon=0.1, network=Links(graph=with_a_global_on_its_edges))
     run(scenario, 1)

@@ -141,6 +141,7 @@ def test_workers_and_other_processes_run_the_code_of_the_folder(folders):
         assert lines(pickle.loads(pickle.dumps(run))(scenario, 1)) == lines(result)
 
 
+@pytest.mark.slow
 def test_recorded_runs_and_play_use_the_folder_of_the_file(folders, tmp_path):
     for number, folder in enumerate(folders, start=1):
         scenario = loaded(folder)
@@ -189,6 +190,7 @@ def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
     assert [pickle.loads(called(call)) for call in calls] == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_base_in_another_folder_runs_its_own_code(folders, tmp_path):
     for number, folder in enumerate(folders, start=1):
         file = tmp_path / f"over{number}" / "s.toml"

@@ -270,6 +270,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("cases", CASES.values(), ids=CASES)
 def test_the_outcome_of_a_message(cases, way):

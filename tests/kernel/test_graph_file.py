@@ -121,6 +121,7 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", WRITERS)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(graph=graphs())
@@ -193,6 +194,7 @@ UNREAD = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", UNREAD)
 @pytest.mark.parametrize("kind", ATTRIBUTED)
 def test_an_attribute_that_is_not_read_is_named(tmp_path, kind, name):

@@ -198,6 +198,7 @@ def generator():
     yield
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("body", "told"),
     [

@@ -86,6 +86,7 @@ def read(folder, content, node=0, **keys):
     return read_mobility(folder / "motion.txt", **keys).track(node)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("name", FORMATS)
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])

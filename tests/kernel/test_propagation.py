@@ -519,6 +519,7 @@ def test_the_comparison_detects_links_that_are_not_put_aside(model, monkeypatch)
     assert found != plain
 
 
+@pytest.mark.slow
 def test_the_comparison_detects_distances_that_are_kept_though_nodes_move(monkeypatch):
     """The control."""
     monkeypatch.setattr(Drifting, "max_speed", 0.0)

@@ -491,6 +491,7 @@ ENDS = [
 GAPS = [" ", "  ", "\t", " \\\n\t"]
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.tuples(

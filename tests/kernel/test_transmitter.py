@@ -286,6 +286,7 @@ def test_a_long_message_is_lost_to_an_earlier_short_transmission():
     assert received_by(net, clock, (1,)) == [[]]
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 15), st.integers(0, 2), st.integers(1, 4)), max_size=15), st.integers(0, 3))
 def test_half_duplex_losses_are_the_overlaps_of_receptions_and_transmissions(traffic, latency):
     """Against all pairs of intervals, without any bookkeeping: [leave, leave + airtime), moved by the latency."""

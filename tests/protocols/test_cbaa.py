@@ -476,6 +476,7 @@ def east(state, rng):
     return 1.0 + 0.0j
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_a_pursuer_whose_bid_exceeds_that_of_the_winner_takes_over(auction, schedule):

@@ -199,6 +199,7 @@ def test_by_intercept_time_the_owner_is_the_first_to_meet_an_evader_on_a_straigh
     assert by_phi.trace.of(Decided)[1].t > switch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flow",
     [

@@ -166,6 +166,7 @@ def test_with_latency_above_the_period_decisions_use_the_round_before_last():
     assert found != [all_respond(phi, known[k + 1]) for k in range(12)]
 
 
+@pytest.mark.slow
 def test_a_share_q_of_the_rounds_of_each_is_a_revision():
     """4 pursuers, 2,000 rounds, q = 0.3: standard error sqrt(q (1 - q) / 8000) = 0.005; chances are independent."""
     made = decisions(Rounds(period=0.01, participation=0.3), 4, 20.005, seed=1)

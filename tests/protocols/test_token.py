@@ -109,7 +109,7 @@ def test_the_ring_decides_in_cyclic_order_every_hold_and_latency(latency):
     assert len({token.body.epoch for token in bodies(result, Token)}) == 1
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_decisions_of_one_instant_are_in_id_order_and_see_each_other_at_zero_lat
     assert [d.active for d in play(protocol, latency=1e-9).trace.of(Decided)] == [True, True, True]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(("between", "said"), [(True, [0.1, 2.0]), (False, [0.1])])
 def test_a_heartbeat_counts_as_the_last_announcement(between, said):
     """Active and so announced at 0.1 s; inactive from 0.2 to 2 s, announced only by a heartbeat; active again at 2 s.

@@ -256,7 +256,7 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact", dynamics=SIMPLE)
     return np.array(rows)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.01, 0.07, 0.5])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
 def test_exact_dead_reckoning_gives_the_position_of_a_chasing_teammate(order, step):
@@ -269,7 +269,7 @@ def test_exact_dead_reckoning_gives_the_position_of_a_chasing_teammate(order, st
     assert dead_reckoning_errors(order, step, 0, "straight_line")[:, 0].max() > 0.01
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamics", [TurnRate(limit=1.3), Acceleration(limit=0.8)], ids=["turn rate", "acceleration"])
 @pytest.mark.parametrize("step", [0.07, 0.5])
 def test_exact_dead_reckoning_follows_turns_and_accelerations(dynamics, step):
@@ -496,6 +496,7 @@ def late_at_first(context, rng):
     return 1.0 if context.now < 0.25 else 0.1
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize("faults", [(), (Crash(node=1, start=9.0),)], ids=["noted at sending", "settled on arrival"])
 def test_an_older_record_neither_replaces_a_newer_one_nor_prolongs_its_memory(payload, faults):

@@ -233,6 +233,7 @@ def test_an_omniscient_assignment_in_wind_is_right_in_hindsight(wind, capturer, 
     assert min(other.misassigned_time, other.potential_gap) > 0.1
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("environment", "tolerance"),
     [
@@ -294,6 +295,7 @@ def test_results_converge_in_the_motion_step():
     assert abs(times[1] - times[2]) < abs(times[0] - times[2]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_flow_of_a_user_is_a_function_of_places_and_time():
     def shear(places, t):
         return 0.05 * places.imag + 0j

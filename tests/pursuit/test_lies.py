@@ -255,6 +255,7 @@ class Relaying:
     records: Any
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make", [Relaying, lambda records: Relaying(list(records)), lambda records: {"records": records}]
 )
@@ -269,6 +270,7 @@ def test_an_equivocating_pursuer_relays_different_records_in_a_body_of_any_type(
     assert set(actions) == {0, 1}
 
 
+@pytest.mark.slow
 def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     """The protocol of pursuer 2 gets no receipt for it, and repeats it; a pursuer that swallows all forwards none."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))
@@ -432,7 +434,7 @@ def test_a_lie_changes_no_other_random_draw():
 # Everywhere.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PROTOCOLS.choices())
 def test_every_protocol_bears_every_lie(kind):
     """Conservation, motion and token watchers hold; the same seed gives the same trace."""

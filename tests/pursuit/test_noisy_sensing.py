@@ -85,6 +85,7 @@ def test_a_filter_is_nearer_to_the_truth_than_single_sightings(estimator, period
     assert np.mean(estimated) < (0.75 if period == 9.0 else 0.55) * np.mean(plain)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "noise",
     [

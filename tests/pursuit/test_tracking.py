@@ -88,6 +88,7 @@ def test_a_covariance_of_rank_one_stays_positive_after_a_measurement_of_rank_one
         assert np.linalg.eigvalsh(np.array(after))[0] > -1e-12 * np.trace(before)
 
 
+@pytest.mark.slow
 def test_ten_thousand_covariances_are_positive():
     for seed in range(125):
         updates(seed, 80)

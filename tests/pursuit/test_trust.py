@@ -300,7 +300,7 @@ def test_evidence_restores_the_capture(rule, trust):
 # Everywhere.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PROTOCOLS.choices())
 def test_every_protocol_runs_with_every_trust(kind):
     """The watchers hold, and an honest team that is at ease decides as without trust, but where claims are trimmed."""

@@ -367,6 +367,7 @@ MISFITS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MISFITS)
 def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path):
     change, told = MISFITS[name]

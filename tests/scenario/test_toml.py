@@ -492,6 +492,7 @@ def test_a_scenario_survives_dumping_and_loading(shelf, scenario):
     assert load(shelf) == scenario
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_the_bundled_scenarios_are_valid_and_survive_a_round_trip(path, shelf):
     scenario = load(path)

@@ -35,6 +35,7 @@ def test_a_scenario_runs_to_its_end(name, run_of):
     assert numbers.captured or numbers.end_time == load(SCENARIOS / name).horizon
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", FILES)
 def test_a_scenario_with_every_default_filled_in_is_the_same_scenario(name, tmp_path):
     scenario = load(SCENARIOS / name)

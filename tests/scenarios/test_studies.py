@@ -412,6 +412,7 @@ def test_the_excess_of_a_handover_is_counted_from_the_last_lone_chase_to_the_nex
     assert bodies_runs.handovers(decided(*joins, *hands_over, *gone, (5.0, 2, 1))) == (1, 0.5)
 
 
+@pytest.mark.slow
 def test_the_handovers_of_the_study_of_bodies_are_those_of_the_metric():
     scenario = bodies_runs.pursuit("one at a time", "simple", 0.25)
     results = [run(scenario, seed) for seed in range(2, 6)]

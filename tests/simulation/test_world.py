@@ -336,7 +336,7 @@ LOST_ON_ARRIVAL = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.own_trace
 @pytest.mark.parametrize("name", LOST_ON_ARRIVAL)
 def test_recording_the_messages_changes_no_decision(name, monkeypatch):

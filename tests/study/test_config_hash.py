@@ -285,6 +285,7 @@ def test_a_copy_has_the_hash_of_its_original():
     assert stable_hash(held) == stable_hash(copy.deepcopy(held))
 
 
+@pytest.mark.slow
 def test_shared_mutable_objects_differ_from_equal_copies():
     shared, number = Plain(1.0), (1.0, 2.0)
     assert stable_hash([shared, shared]) != stable_hash([Plain(1.0), Plain(1.0)])

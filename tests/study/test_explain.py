@@ -567,6 +567,7 @@ def test_runs_that_take_too_long_fail():
         explain(GOOD, runs=2, timeout=-1.0)
 
 
+@pytest.mark.slow
 def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
     """With the seeds from the first bad one on that is followed by a good one."""
     scenario = LATE.model_copy(update={"protocol": fails_late})
@@ -579,7 +580,7 @@ def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
     assert " +- -" in found.table()
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["as it is", "ideal"])
 def test_if_every_seed_fails_the_first_failure_is_reported(where):
     """Also if only those fail in which something is removed."""

@@ -130,6 +130,7 @@ def test_not_every_one_of_many_values_has_a_tick():
 LABELS = {"labels": ["sap", "best_response"], "truths": [True, False], "one number": [3.0], "infinity": [inf]}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("values", LABELS.values(), ids=LABELS)
 def test_values_that_are_not_numeric_are_rows_with_the_first_on_top(values):
     axes, (line,) = drawn({"x": values, "y": ["a", "b"]})

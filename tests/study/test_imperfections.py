@@ -240,6 +240,7 @@ def test_only_the_given_imperfection_is_removed(name):
     assert changes(WORST, removed(WORST, [name])) == CHANGES[name]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("scenario", [WORST, *FILES], ids=lambda each: getattr(each, "stem", "worst"))
 def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
     scenario = without_contention(scenario if isinstance(scenario, Scenario) else load(scenario))

@@ -119,6 +119,7 @@ def test_a_key_on_which_no_run_depends_is_warned_of_by_name():
     ]
 
 
+@pytest.mark.slow
 def test_a_key_without_effect_with_one_value_of_another_is_warned_of_with_that_value():
     """As a protocol that needs no messages, beside one that does."""
     (said,) = of_grid(ON_X | {(1, 1): [1.5, 2.5]}).warnings("active_time")

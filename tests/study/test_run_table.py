@@ -105,6 +105,7 @@ PLAIN = st.fixed_dictionaries(
 SHIFTED = [[Row(k, k, "ok", Summary({"energy": float(k)})) for k in numbers] for numbers in ((0, 1), (1, 2))]
 
 
+@pytest.mark.slow
 @given(runs(PLAIN), runs(PLAIN))
 @example(*SHIFTED)
 def test_pairs_and_estimates_of_groups_are_those_of_the_rows(rows, others):

@@ -187,7 +187,7 @@ def test_a_file_size_limit_is_reported(tmp_path, file, limit):
         assert 0 < len(runs) < 400
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sweep.txt", "means-active_time.svg", "run.json"])
 def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file, name, pictures):
     (tmp_path / name).mkdir()
@@ -296,6 +296,7 @@ def test_of_runs_that_are_added_together_those_before_the_first_that_fails_are_s
         assert store.added == 3
 
 
+@pytest.mark.slow
 def test_a_store_merged_into_itself_stays_as_it_is(tmp_path, good):
     shutil.copytree(good[1], tmp_path / "out")
     path = tmp_path / "out" / "sweep.sqlite"
