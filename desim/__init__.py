@@ -13,8 +13,9 @@ schedules are in the package `protocols`.
 
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from desim.config.html import PICTURES
 from desim.config.packages import check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
@@ -124,7 +125,19 @@ if TYPE_CHECKING:
     from desim.study.explain import explain as explain
     from desim.study.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweep import sweep as sweep
+    from desim.view.replay import replay as replay
+    from desim.view.run_figure import plot as plot
+    from desim.view.widget import play as play
 
+
+def _picture_of_run(result: Any) -> str:
+    """Return the paths of a run as an HTML image for notebooks; see `desim.view.run_figure.html_picture`."""
+    from desim.view.run_figure import html_picture
+
+    return html_picture(result)
+
+
+PICTURES["run"] = _picture_of_run
 explain_hidden_packages()
 _NAMES = {
     "desim.analysis.metrics": ("summary",),
@@ -191,6 +204,9 @@ _NAMES = {
     "desim.study.explain": ("explain",),
     "desim.study.folder": ("open",),
     "desim.study.sweep": ("sweep",),
+    "desim.view.replay": ("replay",),
+    "desim.view.run_figure": ("plot",),
+    "desim.view.widget": ("play",),
 }
 """The public names by module. Each is imported on first access, so that `desim --help` does not load numpy."""
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from desim import load, run
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 
 ROOT = Path(__file__).parent.parent
 TIMES = np.arange(0.2, 4.4, 0.07)
@@ -42,7 +42,9 @@ def main() -> None:
     """Write docs/_static/replay.gif."""
     with TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
-        page.write_text(replay(run(load(ROOT / "scenarios/faults.toml", ["record.messages=true"]))), encoding="utf-8")
+        page.write_text(
+            replay_page(run(load(ROOT / "scenarios/faults.toml", ["record.messages=true"]))), encoding="utf-8"
+        )
         frames = [frame(page, t) for t in TIMES]
     palette = frames[len(frames) // 2].quantize(128)
     first, *others = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]

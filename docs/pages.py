@@ -21,7 +21,7 @@ from desim.config.choice import choices_of
 from desim.config.model import docs_of, fields_of, models_in
 from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 from desim.view.trace_table import COLUMNS, KINDS, columns_of
 
 SCENARIOS = Path(scenarios.__file__).parent
@@ -157,7 +157,7 @@ def gallery(folder: Path) -> None:
         result = run(load(file, ["record.messages=true", "record.trajectory=0.05"]))
         title, text, commands = _comment(file)
         (folder / "thumbnails").mkdir(parents=True, exist_ok=True)
-        _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay(result))
+        _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay_page(result))
         save(trajectory(result), folder / "thumbnails" / f"{file.stem}.png")
         _write(folder / f"{file.stem}.md", _scenario_page(file, title, text, commands))
         cards.append(f":::{{grid-item-card}} {file.stem}\n:img-top: thumbnails/{file.stem}.png\n:link: {file.stem}\n"

@@ -30,12 +30,9 @@ LAYERS = [
 TOP = {"desim": set().union(*LAYERS) - {"scenarios"}, "desim.__main__": {"desim.cli"}}
 """What the modules beside the packages import."""
 METHODS = {
-    "desim.scenario.scenario": {"desim.view.widget", "desim.scenario.toml"},
-    "desim.simulation.run": {"desim.analysis.plots", "desim.view.spacetime", "desim.view.replay"},
+    "desim.scenario.scenario": {"desim.scenario.toml"},
 }
-"""What methods of scenarios and results do, as `scenario.with_()` and `result.plot()`.
-
-They import it when they are called, from above or in a circle."""
+"""What a method imports when it is called, in a circle: `scenario.with_()` reads keys as a scenario file does."""
 FORBIDDEN = {
     "desim.kernel.events": {"simpy", "networkx"},
     "desim.kernel.trace_file": {"simpy", "networkx"},

@@ -11,6 +11,7 @@ from math import isnan, nan
 
 import pytest
 
+import desim
 from desim import Scenario, run, summary
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
@@ -20,7 +21,7 @@ from desim.scenario.scenario import Recording
 from desim.study.explain import explain
 from desim.study.explanation import Explanation
 from desim.study.progress import progress
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 
 HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
 # One pursuer at the place of the evader, which is captured at once; or no capture possible within 0.1 s.
@@ -151,7 +152,7 @@ def test_a_short_text_stands_for_a_run_and_its_metrics():
     assert re.fullmatch(
         r"<Summary of \d+ metrics: seed = 3, captured = False, active_time = .*>", repr(summary(result))
     )
-    assert repr(result.replay()) == f"<Replay of {name}, seed 3>"
+    assert repr(desim.replay(result)) == f"<Replay of {name}, seed 3>"
 
 
 def test_the_metrics_of_a_run_are_a_table_with_units():
@@ -175,12 +176,12 @@ def test_a_scenario_shows_what_differs_from_the_defaults():
 
 def test_a_replay_is_a_frame_that_cannot_reach_the_notebook(tmp_path):
     result = run(AT_ONCE, 5)
-    shown = result.replay()
+    shown = desim.replay(result)
     frame = shown._repr_html_()
     assert frame.count("<") == 2, "nothing of the page is taken for HTML of the notebook"
     (page,) = re.findall(r'srcdoc="([^"]*)" sandbox="allow-scripts allow-downloads"', frame)
-    assert unescape(page) == shown.page == replay(result)
-    assert shown.write(tmp_path / "r.html").read_text(encoding="utf-8") == replay(result)
+    assert unescape(page) == shown.page == replay_page(result)
+    assert shown.write(tmp_path / "r.html").read_text(encoding="utf-8") == replay_page(result)
 
 
 def test_a_notebook_shows_progress_and_a_pipe_does_not(monkeypatch):

@@ -63,7 +63,7 @@ def held_by_users():
     """Yield each kind of object that a public function returns, or that it raises."""
     result = run(small(protocol=chase, evader=Evader(strategy=circling)), 1)
     swept = sweep(small(), {"team.count": [2, 3]}, reps=2)
-    yield from (result, result.trace, result.scenario, summary(result), result.replay(), swept)
+    yield from (result, result.trace, result.scenario, summary(result), desim.replay(result), swept)
     yield from (swept.estimates("end_time"), desim.explain(small(network={"latency": 0.1}), runs=2), desim.examples())
     for broken in (
         lambda: Scenario(team=-1),

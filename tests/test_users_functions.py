@@ -25,7 +25,7 @@ from desim.pursuit.noise import PositionNoise
 from desim.pursuit.trust import Credulous, Judge
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 from tests.test_overrides import FAMILIES, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
@@ -277,4 +277,4 @@ def test_an_unknown_cause_is_read_from_a_folder_and_drawn(tmp_path):
     assert again.trace.of(Lost) == result.trace.of(Lost)
     assert {event.cause for event in again.trace.of(Lost)} == {"fog"}
     assert "fog" in str(summary(again))
-    assert '"fog"' in replay(again)
+    assert '"fog"' in replay_page(again)

@@ -46,7 +46,7 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
         for source, result in zip(sources, results, strict=True):
             for each in single.missing_recordings(result):
                 echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{each}", err=True)
-        page = (single.replay if len(sources) == 1 else pair.side_by_side)(*results).encode()
+        page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results).encode()
     write(page, path)
     runs = "; ".join(f"{single.run_name(each)}: {_size(each)}" for each in results)
     echo(f"{path}: {_size(*results) if len(results) == 1 else runs}, {len(page) / 1000:,.0f} kB")

@@ -199,8 +199,9 @@ def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[
             write(indexed, paths[0])
         else:
             from desim.analysis.plots import save
+            from desim.view.run_figure import plot
 
-            figure = indexed.plot(kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
+            figure = plot(indexed, kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
             for path in paths:
                 save(figure, path, dpi=200)
 

@@ -1,7 +1,18 @@
-"""Tables as HTML, for notebooks; all texts are escaped."""
+"""Tables and pictures as HTML, for notebooks; all texts are escaped."""
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+PICTURES: dict[str, Callable[[Any], str]] = {}
+"""By what is drawn, the function that returns it as an HTML image.
+
+`desim` hands them in, because what draws a run is in a package above the one of the run."""
+
+
+def picture_of(what: str, value: Any) -> str:
+    """Return a value as an HTML image; "" if nothing draws what it is."""
+    return PICTURES[what](value) if what in PICTURES else ""
 
 
 def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:

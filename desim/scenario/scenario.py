@@ -1,7 +1,7 @@
 """A scenario: a complete experiment as one immutable, validated object, from Python or from a file."""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -45,9 +45,6 @@ from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
 from desim.scenario.named_metrics import MetricName
 from desim.scenario.players import Evader, Team
-
-if TYPE_CHECKING:
-    from desim.view.widget import PlayWidget
 from desim.scenario.sweep_table import Sweep
 
 
@@ -183,19 +180,6 @@ class Scenario(Value):
         from desim.scenario.toml import changed
 
         return changed(self, changes)
-
-    def play(self, timeout: float = 30.0) -> "PlayWidget":
-        """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
-
-        Each change of a key runs the scenario again, with the same seed unless the seed is changed. A run that the user
-        pins stays in the replay, drawn faint, for comparison.
-
-        Args:
-            timeout: the wall time after which a run is ended, s.
-        """
-        from desim.view.widget import PlayWidget
-
-        return PlayWidget(self, timeout)
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: the main keys, and all others that differ from their defaults."""

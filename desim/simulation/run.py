@@ -2,11 +2,11 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from desim.config.arrays import Floats, Integers
 from desim.config.fresh import fresh_copy
-from desim.config.html import html_properties
+from desim.config.html import html_properties, picture_of
 from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.clock_sync import synchronise
@@ -20,7 +20,7 @@ from desim.kernel.seeds import seed_of
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announced_action
-from desim.pursuit.events import Captured, Ended, Sampled
+from desim.pursuit.events import Captured, Ended
 from desim.pursuit.evidence import Witness
 from desim.pursuit.lies import draw_lies
 from desim.pursuit.lying import LyingTeam
@@ -40,10 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     import simpy
-    from matplotlib.figure import Figure
 
     from desim.pursuit.trust import Judge
-    from desim.view.replay import Replay
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,52 +51,6 @@ class Result:
     scenario: Scenario
     seed: int
     trace: Trace
-
-    def plot(
-        self,
-        kind: Literal["trajectory", "spacetime"] = "trajectory",
-        *,
-        begin: float | None = None,
-        end: float | None = None,
-        pursuers: "Sequence[int] | None" = None,
-        size: str | None = None,
-    ) -> "Figure":
-        """Draw the run and return the figure; needs matplotlib (the extra `plot`).
-
-        The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
-
-        Args:
-            kind: trajectory: the paths of all players; spacetime: a line per pursuer and an arrow per message.
-            begin: the start of the window of a space-time diagram, s; None = the start of the run.
-            end: the end of the window, s; None = the end of the run, or earlier so that the messages stay legible.
-            pursuers: the pursuers in a space-time diagram, from top to bottom; None = all, or in a large team the six
-                with the most changes of action.
-            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
-
-        Raises:
-            ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
-        """
-        from desim.analysis.plots import trajectory
-        from desim.view.spacetime import spacetime
-
-        if kind == "spacetime":
-            return spacetime(self, begin, end, pursuers, size or "17cm")
-        if kind != "trajectory":
-            raise ValueError(f"kind should be trajectory or spacetime, got {kind!r}")
-        if (begin, end, pursuers) != (None, None, None):
-            raise ValueError("begin, end and pursuers are options of the kind spacetime")
-        return trajectory(self, size)
-
-    def replay(self, ghost: "Result | None" = None) -> "Replay":
-        """Create the replay, a page to show in a notebook or to save with `write`; needs jinja2 (the extra `plot`).
-
-        Args:
-            ghost: another run, drawn faint in the same plane, for example with the same seed and another latency; None
-                = no other run.
-        """
-        from desim.view.replay import Replay
-
-        return Replay.of(self, ghost)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._ended}>"
@@ -115,24 +67,13 @@ class Result:
             "ended": self._ended,
             "events": f"{len(self.trace):,}",
         }
-        return html_properties(rows) + self._picture
+        return html_properties(rows) + picture_of("run", self)
 
     @property
     def _ended(self) -> str:
         """The outcome of the run as text."""
         ends = self.trace.of(Ended)
         return _outcome(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet"
-
-    @property
-    def _picture(self) -> str:
-        """The trajectories as an HTML image; "" if positions were not recorded or matplotlib is missing."""
-        if not self.trace.of(Sampled):
-            return ""
-        try:
-            from desim.analysis.plots import html_image
-        except ImportError:
-            return ""
-        return html_image(self.plot(), "trajectories of the players")
 
 
 def _outcome(end: Ended, captures: int, evaders: int) -> str:

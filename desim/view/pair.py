@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from desim.scenario.key_index import unit_of
 from desim.simulation.run import Result
-from desim.view.replay import replay, run_name
+from desim.view.replay import replay_page, run_name
 
 MAX_DIFFERENCES = 6
 """Maximum number of keys that the header names."""
@@ -51,7 +51,7 @@ def side_by_side(first: Result, second: Result) -> str:
         summary=_summary(found),
         differences=found[:MAX_DIFFERENCES],
         more=max(len(found) - MAX_DIFFERENCES, 0),
-        pages=[replay(first), replay(second)],
+        pages=[replay_page(first), replay_page(second)],
     )
 
 

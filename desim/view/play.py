@@ -34,7 +34,7 @@ from desim.simulation.watchdog import TimedOut, within
 from desim.study.batch import seeds_from
 from desim.study.workers import Workers
 from desim.view.controls import controls
-from desim.view.replay import replay, with_recordings
+from desim.view.replay import replay_page, with_recordings
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -130,7 +130,7 @@ class Playground:
                 return _json(
                     shown
                     | {
-                        "page": replay(result, other if is_other else None),
+                        "page": replay_page(result, other if is_other else None),
                         "metrics": list(_compared(summary(result), None if other is None else summary(other), own)),
                         "seeds": [result.seed, None if other is None else other.seed],
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],

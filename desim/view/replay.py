@@ -14,7 +14,7 @@ from importlib.resources import files
 from itertools import groupby
 from math import atan2, isfinite
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,20 +81,12 @@ ReplayData = dict[str, Any]
 
 @dataclass(frozen=True, repr=False)
 class Replay:
-    """A page that plays a run: `result.replay()` at the end of a cell shows it in a notebook."""
+    """A page that plays a run: `desim.replay(result)` at the end of a cell shows it in a notebook."""
 
     page: str
-    """The page as HTML; see `replay`."""
+    """The page as HTML; see `replay_page`."""
     name: str
     """The name of the run."""
-
-    @classmethod
-    def of(cls, result: Result, ghost: Result | None = None) -> Self:
-        """Return the replay of a run and, if a ghost is given, of the other run to compare it with.
-
-        See `replay`; needs jinja2 (the extra `plot`).
-        """
-        return cls(replay(result, ghost), run_name(result))
 
     def write(self, path: str | Path) -> Path:
         """Write the page to a file, and return its path.
@@ -114,8 +106,19 @@ class Replay:
         return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts allow-downloads" style="{look}"></iframe>'
 
 
-def replay(result: Result, ghost: Result | None = None) -> str:
-    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `Replay`.
+def replay(result: Result, ghost: Result | None = None) -> Replay:
+    """Create the replay of a run, a page to show in a notebook or to save with `write`; needs jinja2 (extra `plot`).
+
+    Args:
+        result: the run.
+        ghost: another run, drawn faint in the same plane, for example with the same seed and another latency; None = no
+            other run.
+    """
+    return Replay(replay_page(result, ghost), run_name(result))
+
+
+def replay_page(result: Result, ghost: Result | None = None) -> str:
+    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `replay`.
 
     Args:
         result: the run.

@@ -1,4 +1,4 @@
-"""The widget of `scenario.play()` in a notebook: the page of `desim play`; needs anywidget (the extra `notebook`)."""
+"""The widget of `desim.play` in a notebook: the page of `desim play`; needs anywidget (the extra `notebook`)."""
 
 import os
 from importlib.resources import files
@@ -94,3 +94,16 @@ class PlayWidget(anywidget.AnyWidget):
             except Exception as error:
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
         self.send({"number": number, "answer": last, "isLast": True})
+
+
+def play(scenario: Scenario, timeout: float = 30.0) -> PlayWidget:
+    """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
+
+    Each change of a key runs the scenario again, with the same seed unless the seed is changed. A run that the user
+    pins stays in the replay, drawn faint, for comparison.
+
+    Args:
+        scenario: the scenario before any change.
+        timeout: the wall time after which a run is ended, s.
+    """
+    return PlayWidget(scenario, timeout)

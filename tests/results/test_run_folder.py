@@ -25,7 +25,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump, load
 from desim.simulation.run import Result, run
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 from desim.view.spacetime import spacetime
 from tests.command import accepted
 from tests.conftest import undraw
@@ -422,7 +422,7 @@ def test_a_body_of_a_user_is_read_whatever_its_fields_mean(make, how, tmp_path):
     again = Result(given, 1, trace)
     assert repr(summary(again)) == repr(summary(result))
     assert knowledge(again).tolist() == knowledge(result).tolist()
-    assert replay(again) == replay(result)
+    assert replay_page(again) == replay_page(result)
     spacetime(again, 0.0, 0.3)
 
 

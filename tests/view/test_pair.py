@@ -21,7 +21,7 @@ from desim.scenario.scenario import Recording
 from desim.scenario.sweep_table import Sweep
 from desim.simulation.run import Result
 from desim.view.pair import MAX_DIFFERENCES, MAX_TEXT, differences, side_by_side
-from desim.view.replay import replay
+from desim.view.replay import replay_page
 from tests.command import accepted, refused
 from tests.view.browser import in_chromium
 from tests.view.by_hand import chase, history, pair
@@ -121,7 +121,10 @@ def test_more_than_six_differences_are_counted():
 @pytest.mark.slow
 def test_the_page_holds_both_replays_and_the_same_bytes_every_time():
     page = side_by_side(history(), pair())
-    assert [unescape(each) for each in re.findall('srcdoc="([^"]*)"', page)] == [replay(history()), replay(pair())]
+    assert [unescape(each) for each in re.findall('srcdoc="([^"]*)"', page)] == [
+        replay_page(history()),
+        replay_page(pair()),
+    ]
     assert page == side_by_side(history(), pair())
 
 

@@ -76,7 +76,7 @@ def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_p
 def test_the_trajectory_is_drawn_by_default_and_as_in_python(made, folder, tmp_path):
     done = CliRunner().invoke(plot, [str(folder), "--size", "8.5cm", "-o", str(tmp_path / "own.svg")])
     assert done.exit_code == 0, done.output
-    save(made[0].plot(size="8.5cm"), tmp_path / "expected.svg")
+    save(desim.plot(made[0], size="8.5cm"), tmp_path / "expected.svg")
     assert (tmp_path / "own.svg").read_bytes() == (tmp_path / "expected.svg").read_bytes()
 
 

@@ -48,6 +48,7 @@ from desim.view.replay import (
     conditions,
     missing_recordings,
     replay,
+    replay_page,
     with_recordings,
 )
 from protocols.sap import SpatialAdaptivePlay
@@ -286,7 +287,7 @@ KINDS |= dict.fromkeys(("src", "dst", "count", "who", "evader", "reader", "sourc
 
 def page_text(result):
     """Return the text of a page, and its data, column by column."""
-    lines = Elements(replay(result)).lines
+    lines = Elements(replay_page(result)).lines
     for part, value in _document(result).items():
         is_table = isinstance(value, dict) and part != "reception"
         for name, each in value.items() if is_table else [("", value)]:
@@ -528,16 +529,16 @@ def test_a_run_and_its_ghost_have_the_same_ticks_which_fit_the_longer_of_them():
 
 @pytest.mark.slow
 def test_a_page_without_a_ghost_does_not_mention_any():
-    page = replay(history())
-    assert page == replay(history(), None) == history().replay().page
+    page = replay_page(history())
+    assert page == replay_page(history(), None) == replay(history()).page
     assert _document(history())["ghost"] is None
     words = ("the other run, faint", "; other run: pair", 'id="other"')
     assert not [each for each in words if each in page]
-    assert not [each for each in words if each not in history().replay(pair()).page]
+    assert not [each for each in words if each not in replay(history(), pair()).page]
 
 
 def test_the_name_of_a_ghost_is_text():
-    found = Elements(replay(history(), run(SHORT_GHOST.model_copy(update={"name": HOSTILE}))))
+    found = Elements(replay_page(history(), run(SHORT_GHOST.model_copy(update={"name": HOSTILE}))))
     assert len(found.scripts) == 2
     assert json.loads(found.scripts[0])["ghost"]["name"].startswith(HOSTILE)
     assert "hurt" not in found.scripts[1]
@@ -547,7 +548,7 @@ def test_a_ghost_without_positions_is_reported():
     ghost = run(SHORT_GHOST.model_copy(update={"record": Recording(trajectory=0.0)}))
     (said,) = missing_recordings(history(), ghost)
     assert said.startswith("Positions of the other run were not recorded")
-    assert said in replay(history(), ghost)
+    assert said in replay_page(history(), ghost)
 
 
 # The page.
@@ -559,24 +560,24 @@ def test_forty_pursuers_and_ten_thousand_messages_take_less_than_a_megabyte():
     result = run(FORTY)
     assert 9_000 < messages(result).sent < 11_000
     assert ended(result).t == 30 * SECOND
-    assert len(replay(result).encode()) / messages(result).sent < 100.0
+    assert len(replay_page(result).encode()) / messages(result).sent < 100.0
 
 
 @pytest.mark.slow
 def test_a_page_is_the_same_bytes_whatever_the_hash_seed(run_of):
     program = (
-        "import sys; from desim import load, run; from desim.view.replay import replay;"
-        f"sys.stdout.buffer.write(replay(run(load({str(SCENARIOS / 'faults.toml')!r}, {[*SHORT]}))).encode())"
+        "import sys; from desim import load, run; from desim.view.replay import replay_page;"
+        f"sys.stdout.buffer.write(replay_page(run(load({str(SCENARIOS / 'faults.toml')!r}, {[*SHORT]}))).encode())"
     )
     environment = os.environ | {"PYTHONHASHSEED": "1"}
     other = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
-    assert other.stdout == replay(run_of("faults.toml", *SHORT)).encode()
+    assert other.stdout == replay_page(run_of("faults.toml", *SHORT)).encode()
     assert len(other.stdout) > 10_000
 
 
 def test_a_hostile_name_is_text():
     """The page has two scripts, its data and its program, whatever the name; the title is the name."""
-    found = Elements(replay(run(FORTY.model_copy(update={"horizon": 0.1}))))
+    found = Elements(replay_page(run(FORTY.model_copy(update={"horizon": 0.1}))))
     assert found.title == HOSTILE
     assert len(found.scripts) == 2
     assert json.loads(found.scripts[0])["active"] == [1] * 40
@@ -585,12 +586,12 @@ def test_a_hostile_name_is_text():
 
 def test_a_page_lists_what_was_not_recorded():
     dull = COLD.model_copy(update={"horizon": 0.6, "record": Recording(trajectory=0.0)})
-    text = replay(run(dull))
+    text = replay_page(run(dull))
     assert "Positions were not recorded" in text
     assert f"Messages were not recorded: neither the {messages(run(dull)).sent:,} messages sent nor" in text
-    assert "were not recorded" not in replay(run(dull.model_copy(update={"record": ALL})))
+    assert "were not recorded" not in replay_page(run(dull.model_copy(update={"record": ALL})))
     frozen = dull.model_copy(update={"motion": Motion(static=True), "record": Recording(trajectory=0, messages=True)})
-    assert "were not recorded" not in replay(run(frozen))
+    assert "were not recorded" not in replay_page(run(frozen))
 
 
 @pytest.mark.parametrize(
@@ -635,7 +636,7 @@ def test_the_header_names_the_conditions_of_the_network(change, said):
 
 def test_the_key_has_only_what_the_run_contains():
     """By hand: a crash and jamming. With two evaders: neither fault nor loss."""
-    one, two = ([line.removeprefix(": ") for line in Elements(replay(each)).lines] for each in (history(), pair()))
+    one, two = ([line.removeprefix(": ") for line in Elements(replay_page(each)).lines] for each in (history(), pair()))
     assert {"crashed pursuer", "jammed area", "lost message", "evader"} <= set(one)
     assert "group of a partition" not in one
     assert not {"crashed pursuer", "jammed area", "lost message", "evader"} & set(two)
@@ -648,7 +649,8 @@ def test_the_key_tells_collisions_from_other_losses():
     lost = Lost(300 * MS, 9, 0, 1, "collision")
     entries = {"lost message", "collision at its receiver"}
     shown = [
-        {line.removeprefix(": ") for line in Elements(replay(each)).lines} for each in (history(), history(sent, lost))
+        {line.removeprefix(": ") for line in Elements(replay_page(each)).lines}
+        for each in (history(), history(sent, lost))
     ]
     assert [entries & each for each in shown] == [{"lost message"}, entries]
 
@@ -663,7 +665,7 @@ def test_a_run_without_messages_lacks_none():
         }
     )
     assert messages(run(mute)).sent == 0
-    assert "were not recorded" not in replay(run(mute))
+    assert "were not recorded" not in replay_page(run(mute))
 
 
 # The command.
@@ -679,7 +681,7 @@ def test_the_page_of_a_folder_is_that_of_the_run(tmp_path, result_of):
     write(result, tmp_path)
     done = invoke(tmp_path)
     assert done.exit_code == 0, done.output
-    assert (tmp_path / "replay.html").read_text(encoding="utf-8") == replay(result)
+    assert (tmp_path / "replay.html").read_text(encoding="utf-8") == replay_page(result)
     assert done.stdout.startswith(f"{tmp_path / 'replay.html'}: 10 pursuers, 10.13 s, ")
     assert not done.stderr
 
@@ -786,7 +788,7 @@ def shown(browser, tmp_path):
     path = tmp_path / "replay.html"
 
     def show(result, ghost=None, **window):
-        path.write_text(replay(result, ghost), encoding="utf-8")
+        path.write_text(replay_page(result, ghost), encoding="utf-8")
         browser.open(path, **window)
         return browser
 

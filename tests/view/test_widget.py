@@ -1,10 +1,11 @@
-"""`scenario.play()` in a notebook: the kernel's answers, and the page that asks."""
+"""`desim.play(scenario)` in a notebook: the kernel's answers, and the page that asks."""
 
 import json
 import time
 
 import pytest
 
+import desim
 from desim import Scenario, Team
 from desim.study.workers import InProcess
 from desim.view.play import Playground
@@ -34,7 +35,7 @@ def until(condition):
 
 
 def test_a_scenario_makes_its_widget():
-    made = SMALL.play()
+    made = desim.play(SMALL)
     assert isinstance(made, PlayWidget)
     assert made.name == "small"
 
