@@ -12,11 +12,12 @@ schedules are in the package `protocols`.
 """
 
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from desim.config.html import PICTURES
-from desim.config.packages import check_visible, explain_hidden_packages
+from desim.config.packages import KINDS_OF, check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary as summary
@@ -137,7 +138,16 @@ def _picture_of_run(result: Any) -> str:
     return html_picture(result)
 
 
+def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
+    """Return `protocols.KINDS`; raise HiddenPackageError if another package hides `protocols`."""
+    check_visible("protocols")
+    from protocols import KINDS
+
+    return KINDS
+
+
 PICTURES["run"] = _picture_of_run
+KINDS_OF["protocols"] = _kinds_of_protocols
 explain_hidden_packages()
 _NAMES = {
     "desim.analysis.metrics": ("summary",),

@@ -25,7 +25,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core
 
 from desim.config.model import markers_of
 from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
-from desim.config.packages import check_visible
+from desim.config.packages import KINDS_OF
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
@@ -56,18 +56,18 @@ IMPORTED = "^[^:]+:[^:]+$"
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    A field accepts `models`, and the models that `protocols.KINDS` and the entry points of other distributions list
+    A field accepts `models`, and the models that `KINDS_OF` and the entry points of other distributions list
     under `group`. A table with a known kind imports only the model of this kind. A table with an unknown kind, or
     without one, imports all models, because the error message lists them.
 
     A callable object is accepted unchanged, so a script can pass its own function or model. A file selects such a
     callable by the kind "module:name"; the module is installed or lies beside the file. Importing a module runs its
-    code, so the file must be trusted (`is_trusted`), unless `protocols.KINDS` or an entry point of a group `desim.*`
+    code, so the file must be trusted (`is_trusted`), unless `KINDS_OF` or an entry point of a group `desim.*`
     refers to the same "module:name".
 
     Args:
         models: the models that are accepted in addition to those of `group`.
-        group: the group in `protocols.KINDS`, and the entry point group.
+        group: the group in `KINDS_OF`, and the entry point group.
         needs: attributes that a callable object must have.
         takes: names of the arguments with which a callable object is called.
         traits: the class that declares and checks the optional attributes of a model or callable object.
@@ -223,7 +223,7 @@ class OneOf:
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
         """Return the function, or create the model, that a table of the kind "module:name" selects.
 
-        A "module:name" that `protocols.KINDS` and the entry points do not list is imported only if the file is trusted.
+        A "module:name" that `KINDS_OF` and the entry points do not list is imported only if the file is trusted.
         A class is instantiated only if its instances are callable.
         """
         kind = table["kind"]
@@ -303,20 +303,14 @@ def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
 
 
 def is_unlisted_import(kind: Any) -> bool:
-    """Return whether a kind is a "module:name" that neither `protocols.KINDS` nor a `desim.*` entry point refers to."""
+    """Return whether a kind is a "module:name" that neither `KINDS_OF` nor a `desim.*` entry point refers to."""
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
 def _builtin_points(group: str) -> list[EntryPoint]:
-    """Create an entry point for each kind of a group in `protocols.KINDS`; no distribution needs to declare these."""
-    return [EntryPoint(kind, definition, group) for kind, definition in _builtin_kinds().get(group, {}).items()]
-
-
-def _builtin_kinds() -> Mapping[str, Mapping[str, str]]:
-    """Return `protocols.KINDS`; raise HiddenPackageError if another package hides `protocols`."""
-    check_visible("protocols")
-    kinds: Mapping[str, Mapping[str, str]] = import_module("protocols").KINDS
-    return kinds
+    """Create an entry point for each kind of a group in `KINDS_OF`; no distribution needs to declare these."""
+    tables = [kinds().get(group, {}) for kinds in KINDS_OF.values()]
+    return [EntryPoint(kind, definition, group) for table in tables for kind, definition in table.items()]
 
 
 def refusal(kind: str) -> str:
@@ -326,8 +320,8 @@ def refusal(kind: str) -> str:
 
 @cache
 def _named_by_entry_points() -> Mapping[str, EntryPoint]:
-    """Return all entry points of groups `desim.*`, those of `protocols.KINDS` included, by "module:name"."""
-    groups = {*entry_points().groups, *_builtin_kinds()}
+    """Return all entry points of groups `desim.*`, those of `KINDS_OF` included, by "module:name"."""
+    groups = set(entry_points().groups).union(*(kinds() for kinds in KINDS_OF.values()))
     points = (
         each
         for group in groups
@@ -340,7 +334,7 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 def load_named(kind: str, folder: Path | None) -> Any:
     """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    An object that `protocols.KINDS` or an entry point of a group `desim.*` lists is loaded as an entry point. A module
+    An object that `KINDS_OF` or an entry point of a group `desim.*` lists is loaded as an entry point. A module
     that lies in `folder` precedes any other of its name, except those of Python and of desim; modules of one name in
     different folders are different modules, and each imports the modules beside it (`desim.config.own_modules`).
 

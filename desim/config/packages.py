@@ -4,12 +4,17 @@ A package or module of the same name that comes earlier in `sys.path`, for examp
 """
 
 import sys
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 _SITE = Path(__file__).parents[2]
 PACKAGES = ("protocols", "scenarios")
+KINDS_OF: dict[str, Callable[[], Mapping[str, Mapping[str, str]]]] = {}
+"""By package, the function that returns its kinds, "module:name" by group and kind.
+
+`desim` hands them in, because the packages with kinds are above this one."""
 
 
 class HiddenPackageError(ImportError):
