@@ -261,7 +261,7 @@ def test_a_replay_that_cannot_be_made_is_reported_in_one_line(file, tmp_path, mo
     def fail(result):
         raise ValueError("no positions were recorded")
 
-    monkeypatch.setattr("desim.view.replay.replay", fail)
+    monkeypatch.setattr("desim.view.replay.replay_page", fail)
     assert refused("replay", file(DUEL), "-o", tmp_path / "x.html") == ["no positions were recorded"]
     assert not (tmp_path / "x.html").exists()
 
