@@ -37,7 +37,9 @@ class SlottedAloha(Value):
     """Slotted ALOHA (Roberts 1975, "ALOHA Packet System with and without Slots and Capture").
 
     A node starts to transmit at the beginning of a slot only. In each slot it transmits a waiting frame with
-    probability p. A frame that is longer than a slot extends into the following slots.
+    probability p. A frame that is longer than a slot extends into the following slots. Nodes read the slots from their
+    own clocks: if half of them are half a slot off, a frame overlaps with two slots of these, and the throughput at a
+    load of one frame per slot is e^(-3/2) instead of e^(-1). A fast clock shortens the slots of its node.
     """
 
     kind: Literal["slotted_aloha"] = "slotted_aloha"

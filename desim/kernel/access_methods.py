@@ -84,13 +84,15 @@ class AccessMethod:
 
 
 class _SlottedAloha(AccessMethod):
-    def __init__(self, model: SlottedAloha, nodes: Contenders, rng: np.random.Generator):
+    def __init__(self, model: SlottedAloha, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]):
         super().__init__(nodes, rng)
-        self._slot, self._p = nanoseconds(model.slot), model.p
+        self._slot, self._p, self._clocks = nanoseconds(model.slot), model.p, clocks
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
-        first = -(-now // self._slot)
-        self._nodes.due[node] = min((first + int(self._rng.geometric(self._p)) - 1) * self._slot, NEVER)
+        clock = self._clocks[node]
+        first = -(-round(clock.at(now) * SECOND) // self._slot)
+        start = (first + int(self._rng.geometric(self._p)) - 1) * self._slot
+        self._nodes.due[node] = min(max(clock.when(seconds(start)), now), NEVER)
 
 
 class _Nonpersistent(AccessMethod):
@@ -244,7 +246,7 @@ def access_method(
         ValueError: if the nodes do not fit the slots of a TDMA.
     """
     if isinstance(model, SlottedAloha):
-        return _SlottedAloha(model, nodes, rng)
+        return _SlottedAloha(model, nodes, rng, clocks)
     if isinstance(model, Csma):
         return (_Nonpersistent if model.persistence == "nonpersistent" else _Persistent)(model, nodes, rng)
     if isinstance(model, CsmaCa):

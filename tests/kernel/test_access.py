@@ -1,6 +1,6 @@
 """Channel access against its theory, and by hand on two or three nodes."""
 
-from itertools import pairwise
+from itertools import cycle, pairwise
 from math import exp, inf, nextafter, sqrt
 from types import SimpleNamespace
 
@@ -79,16 +79,17 @@ def z_score(values, theory):
 # Throughput of random access.
 
 
-def offered(access, nodes, load, frames, seed, *, graph, **medium):
+def offered(access, nodes, load, frames, seed, *, graph, offsets=(0.0,), **medium):
     """Return the share of the messages that are received of Poisson traffic of `nodes` sources.
 
     `frames` frames of 1 ms are sent to node 0, which sends nothing itself, or without such a node (`graph` is None)
-    to all others.
+    to all others. The clocks of the nodes have the offsets, s, in turn.
     """
     clock = Clock()
     sink = graph is not None
     radio = Bitrate(bitrate=800_000.0, access=access, **medium)
-    net = Network(clock, graph if sink else complete_graph(nodes), Links(medium=radio), seed=seed)
+    clocks = [NodeClock(clock, offset) for offset, _ in zip(cycle(offsets), range(nodes + sink), strict=False)]
+    net = Network(clock, graph if sink else complete_graph(nodes), Links(medium=radio), seed=seed, clocks=clocks)
     rng = np.random.default_rng(seed)
     times = np.sort(rng.integers(round(frames * MS / load), size=frames)).tolist()
     sources = (rng.integers(nodes, size=frames) + sink).tolist()
@@ -156,6 +157,32 @@ def test_the_throughput_of_slotted_aloha_with_poisson_traffic_is_roberts_s():
     assert z_score(found, exp(-2.0)) > 3
     pure = throughputs(Aloha(), 400, 1.0, 500, graph=nx.star_graph(400))
     assert z_score(pure, 0.36788) < -3
+
+
+@pytest.mark.slow
+def test_slots_of_clocks_that_differ_overlap():
+    """Half of the nodes half a slot off: a frame overlaps one slot of its own half and two of the other.
+
+    Each half has a load of G/2, so S = G e^(-3G/2), 0.22313 at G = 1. Controls: offsets of whole slots change nothing,
+    and equal clocks give e^-1.
+    """
+    access, graph = SlottedAloha(slot=0.001), nx.star_graph(400)
+    found = throughputs(access, 400, 1.0, 700, graph=graph, offsets=(0.0, 0.0005))
+    assert abs(z_score(found, exp(-1.5))) < 3
+    whole = throughputs(access, 400, 1.0, 700, graph=graph, offsets=(0.0, 0.003, -0.007))
+    assert abs(z_score(whole, exp(-1.0))) < 3
+    assert z_score(whole, exp(-1.5)) > 3
+
+
+def test_a_slot_begins_by_the_clock_of_its_node():
+    """By clocks that are 0.3 ms ahead, and 5 s behind and a tenth too fast, slots of 1.1 ms begin at these times."""
+    clock, net, trace = network(SlottedAloha(slot=0.0011), 3, clocks=[(0.0003, 1.0), (-5.0, 1.1), (0.0, 1.0)])
+    for node in range(3):
+        at(clock, 100.0, net.publish, node, None, size=SIZE)
+    clock.run()
+    first = next(k for k in range(-4600, 0) if (k * 0.0011 + 5.0) / 1.1 >= 1e-4)
+    expected = {0: 800.0, 1: round((first * 0.0011 + 5.0) / 1.1 * 1e6, 3), 2: 1100.0}
+    assert dict(starts(trace)) == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.slow
