@@ -152,6 +152,7 @@ class VoronoiVertex(Fleeing):
 class Diffusion(Value):
     """Move randomly, independently of the pursuers: the initial angle is uniform, and it follows a Brownian motion."""
 
+    turns_at_once: ClassVar[bool] = False
     kind: Literal["diffusion"] = "diffusion"
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
     """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t)."""
@@ -166,6 +167,7 @@ class Diffusion(Value):
 class ConstantHeading(Value):
     """Move straight, independently of the pursuers."""
 
+    turns_at_once: ClassVar[bool] = False
     kind: Literal["constant_heading"] = "constant_heading"
     angle: Annotated[float, Field(ge=-2 * pi, le=2 * pi, strict=True)] | None = None
     """Angle from the x axis, rad; if absent, a uniform random draw per seed."""
@@ -178,6 +180,7 @@ class ConstantHeading(Value):
 class Still(Value):
     """Stand still."""
 
+    turns_at_once: ClassVar[bool] = False
     kind: Literal["still"] = "still"
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:

@@ -1,7 +1,7 @@
 """Noise of the sight of pursuers: the measured position of an evader, and the covariance of its error."""
 
 from cmath import rect
-from math import exp, pi, sqrt
+from math import cosh, exp, pi, sinh, sqrt
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
@@ -45,13 +45,18 @@ class PositionNoise(Value):
         return offset + self.deviation * complex(first, second)
 
     def covariance(self, offset: complex) -> Covariance:
-        """Return the covariance of the error at a measured vector, m."""
+        """Return the covariance of the error at a true vector, m."""
         variance = max(self.deviation, LEAST) ** 2
         return Covariance(variance, 0.0, variance)
 
 
 class RangeBearingNoise(Value):
-    """The range and the bearing have independent normal errors, as with a radar, a sonar or a camera with depth."""
+    """The range and the bearing have independent normal errors, as with a radar, a sonar or a camera with depth.
+
+    A measured range and bearing are converted to a vector without bias: a bearing whose error has the deviation s
+    shortens the mean vector by e^(-s^2/2), so each vector is lengthened by e^(s^2/2) (Mo, Song, Zhou, Sun & Bar-Shalom
+    1998, "Unbiased Converted Measurements for Tracking").
+    """
 
     kind: Literal["range_bearing"] = "range_bearing"
     range: Deviation = 0.2
@@ -63,15 +68,20 @@ class RangeBearingNoise(Value):
         """Return the measured vector to an evader, m, given the true one and two standard normal draws."""
         away = abs(offset)
         along = offset / away if away else 1.0 + 0j
-        return rect(1.0, self.bearing * second) * along * (away + self.range * first)
+        return rect(exp(self.bearing**2 / 2.0), self.bearing * second) * along * (away + self.range * first)
 
     def covariance(self, offset: complex) -> Covariance:
-        """Return the covariance of the error at a measured vector, m, to first order in the errors."""
+        """Return the covariance of the error at a true vector, m.
+
+        With a range r of deviation s_r and a bearing of deviation s it is 2 r^2 sinh(s^2/2)^2 + s_r^2 cosh(s^2) along
+        the vector and (r^2 + s_r^2) sinh(s^2) across it; to first order, s_r^2 and (r s)^2.
+        """
         away = abs(offset)
         c, s = (offset.real / away, offset.imag / away) if away else (1.0, 0.0)
-        deviations = self.range, away * self.bearing
-        least = LEAST * max(*deviations, 1.0)
-        along, across = (max(each, least) ** 2 for each in deviations)
+        bearing, variance = self.bearing**2, self.range**2
+        least = (LEAST * max(self.range, away * self.bearing, 1.0)) ** 2
+        along = max(2.0 * (away * sinh(bearing / 2.0)) ** 2 + variance * cosh(bearing), least)
+        across = max((away * away + variance) * sinh(bearing), least)
         return Covariance(along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c)
 
 

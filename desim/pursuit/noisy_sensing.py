@@ -129,15 +129,15 @@ class NoisySensor:
                             f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
                             f" {self._noise!r}"
                         )
-                    view.measure(evader, complex(measured), self._covariance(complex(measured)))
+                    view.measure(evader, complex(measured), self.covariance_at(complex(measured)))
 
-    def _covariance(self, measured: complex) -> Covariance:
-        """Return the covariance of the error of a measurement.
+    def covariance_at(self, offset: complex) -> Covariance:
+        """Return the covariance of the error of a measurement, given the true vector to the evader, m.
 
         Raises:
             ValueError: if that of a user's noise is not positive definite.
         """
-        given: Any = self._noise.covariance(measured)
+        given: Any = self._noise.covariance(offset)
         if type(given) is Covariance and is_ours(type(self._noise)):
             return given
         try:
@@ -179,6 +179,7 @@ class TrackingView(LimitedView):
         clock: NodeClock,
     ):
         super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+        self._covariance_at = sensor.covariance_at
         self._last: dict[int, Measurement] = {}
         """By evader, the newest sighting of its own."""
         self._newest: dict[int, Measurement] = {}
@@ -196,8 +197,11 @@ class TrackingView(LimitedView):
 
     def measure(self, evader: int, offset: complex, covariance: Covariance) -> None:
         """Process a sighting of its own: the measured vector to an evader, m."""
-        place = self.state.position(self._id) + offset
-        self._last[evader] = Measurement(self._clock.stamp, self._id, place.real, place.imag, covariance)
+        origin = self.state.position(self._id)
+        place = origin + offset
+        self._last[evader] = Measurement(
+            self._clock.stamp, self._id, place.real, place.imag, covariance, origin.real, origin.imag
+        )
         self._add(evader, self._last[evader])
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
@@ -280,7 +284,8 @@ class TrackingView(LimitedView):
         model = self._sensing.estimator
         if not isinstance(model, Unfiltered):
             if evader not in self._filters:
-                self._filters[evader] = Filter(model, nanoseconds(min(self._sensing.track_timeout, 1e9)))
+                window = nanoseconds(min(self._sensing.track_timeout, 1e9))
+                self._filters[evader] = Filter(model, window, self._covariance_at)
             self._filters[evader].add(seen)
 
     def _newest_stamp(self, evader: int) -> int:

@@ -1,29 +1,33 @@
 """Tracking of an evader from noisy sightings: filters for a nearly constant velocity, and the fusion of their tracks.
 
-The state is (x, y, vx, vy), in m and m/s. Between sightings the velocity changes by a random acceleration that is
-constant for the time in between, with a standard deviation per axis (the discrete white noise acceleration of
-Bar-Shalom, Li & Kirubarajan 2001, section 6.3.2).
+The state is (x, y, vx, vy), in m and m/s. Each component of the velocity diffuses, because the acceleration is white
+noise in continuous time (Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2). With the diffusion c, in m/s per sqrt(s),
+position and velocity change by random numbers with the covariance c^2 [t^3/3 t^2/2; t^2/2 t] in a time t. So a
+prediction over a time is the same whether sightings divide this time or not.
 """
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping
 from math import sqrt
 from operator import attrgetter
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.units import SECOND
 from desim.pursuit.noise import LEAST, Covariance
 
-Acceleration = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
+Diffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
 ROUNDING = 1e-14
 """A difference of variances that is at most this share of them is 0 with rounding errors."""
 Matrix = list[list[float]]
 """The rows of a matrix."""
+NO_SPREAD: Matrix = [[0.0, 0.0], [0.0, 0.0]]
+"""The covariance of a position that is taken for exact."""
 Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
 
 
@@ -38,6 +42,50 @@ class Measurement(NamedTuple):
     y: float
     """m"""
     covariance: Covariance
+    """At the measured position."""
+    origin_x: float = 0.0
+    """Position of the observer, m."""
+    origin_y: float = 0.0
+    """m"""
+
+
+CovarianceAt = Callable[[complex], Covariance]
+"""Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""
+
+
+def weighed(seen: Measurement, predicted: "Track | None", covariance_at: CovarianceAt) -> Measurement:
+    """Return a sighting with the covariance that a filter assumes for its error.
+
+    The covariance depends on the true position. It is averaged over where the evader may be: around the predicted
+    position or, where that is less certain, around the measured one. At the measured position alone it would depend on
+    the error: of range and bearing, sightings lie on an arc, their thin ellipses are tangents, and these meet beyond it
+    (Bordonaro, Willett & Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman Filter"). With the
+    average over the predicted position a correction is the best linear one (Zhao, Li & Jilkov 2004, "Best Linear
+    Unbiased Filtering with Nonlinear Measurements for Target Tracking").
+    """
+    origin = complex(seen.origin_x, seen.origin_y)
+    place, spread = complex(seen.x, seen.y), seen.covariance
+    if predicted is not None:
+        (xx, xy, *_), (_, yy, *_) = (predicted.covariance or NO_SPREAD)[:2]
+        if xx + yy < spread.xx + spread.yy:
+            place, spread = predicted.position, Covariance(xx, xy, yy)
+    first, second, third, fourth = (covariance_at(point - origin) for point in _points(place, spread))
+    mean = ((a + b + c + d) / 4.0 for a, b, c, d in zip(first, second, third, fourth, strict=True))
+    return seen._replace(covariance=Covariance(*mean))
+
+
+def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, complex, complex]:
+    """Return four points with a mean and a covariance: their mean of a quadratic function is exact.
+
+    They are the mean plus and minus sqrt(2) times the columns of the Cholesky factor of the covariance (Julier &
+    Uhlmann 1997, "A New Extension of the Kalman Filter to Nonlinear Systems").
+    """
+    xx, xy, yy = covariance
+    width = sqrt(max(xx, 0.0))
+    slope = xy / width if width else 0.0
+    first = sqrt(2.0) * complex(width, slope)
+    second = sqrt(2.0) * complex(0.0, sqrt(max(yy - slope * slope, 0.0)))
+    return mean + first, mean - first, mean + second, mean - second
 
 
 def merged(one: Measurement, other: Measurement) -> Measurement:
@@ -144,15 +192,36 @@ class Unfiltered(Value):
     kind: Literal["none"] = "none"
 
 
-class AlphaBeta(Value):
+class _Diffusing(Value):
+    """A filter for an evader whose velocity diffuses."""
+
+    velocity_diffusion: Diffusion = 0.3
+    """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
+    velocity_diffusion sqrt(t) (standard deviation), however many sightings there were."""
+
+    @classmethod
+    def _check_names(cls, values: Mapping[str, Any]) -> None:
+        if "acceleration" not in values:  # the validator says more of it
+            super()._check_names(values)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_acceleration(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "acceleration" in given:
+            raise ValueError(
+                "acceleration: the filters have a velocity_diffusion instead, in m/s per sqrt(s), which does not depend"
+                " on the interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
+            )
+        return given
+
+
+class AlphaBeta(_Diffusing):
     """A filter with the stationary gains of a Kalman filter for sightings at equal intervals (Kalata 1984).
 
     Without noise the state is the newest position, and the difference quotient of the newest two.
     """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
-    acceleration: Acceleration = 1.0
-    """Standard deviation of the acceleration of the evader per axis, m/s^2."""
 
     def start(self, seen: Measurement) -> Track:
         """Return the track after the first sighting: at rest at the measured position."""
@@ -168,17 +237,15 @@ class AlphaBeta(Value):
         x, y, vx, vy = _moved(track.state, period)
         deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
         is_exact = deviation < 2.0 * LEAST
-        alpha, beta = (1.0, 1.0) if is_exact else gains(period**2 * self.acceleration / deviation)
+        alpha, beta = (1.0, 1.0) if is_exact else gains(period**1.5 * self.velocity_diffusion / deviation)
         dx, dy, rate = seen.x - x, seen.y - y, beta / period
         return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
 
 
-class Kalman(Value):
+class Kalman(_Diffusing):
     """The Kalman filter (Kalman 1960)."""
 
     kind: Literal["kalman"] = "kalman"
-    acceleration: Acceleration = 1.0
-    """Standard deviation of the acceleration of the evader per axis, m/s^2."""
 
     def start(self, seen: Measurement) -> Track:
         """Return the track after the first sighting: of unknown velocity at the measured position."""
@@ -192,7 +259,8 @@ class Kalman(Value):
         assert track.covariance is not None
         (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance  # (u, v): the velocity
         t = (stamp - track.stamp) / SECOND
-        a, b, c = (self.acceleration**2 * each for each in (t**4 / 4.0, t**3 / 2.0, t**2))
+        span = abs(t)  # a track is predicted to an earlier time where clocks differ; it is no surer there
+        a, b, c = (self.velocity_diffusion**2 * each for each in (span**3 / 3.0, t * span / 2.0, span))
         xx, yy = xx + t * (2.0 * xu + t * uu) + a, yy + t * (2.0 * yv + t * vv) + a
         xy = xy + t * (xv + yu + t * uv)
         xu, xv, yu, yv = xu + t * uu + b, xv + t * uv, yu + t * uv, yv + t * vv + b
@@ -212,13 +280,15 @@ ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman, is_closed=True)
 
 
 def gains(index: float) -> tuple[float, float]:
-    """Return the gains (alpha, beta) for a tracking index T^2 s_w / s_v > 0 (Kalata 1984, "The Tracking Index").
+    """Return the gains (alpha, beta) for a tracking index L = c T^(3/2) / s_v > 0.
 
-    T is the time between two sightings, s_w the standard deviation of the acceleration and s_v that of a sighting.
+    T is the time between two sightings, s_v the standard deviation of a sighting and c the diffusion of the velocity.
+    With w^2 = L^2 (1/3 + sqrt(1/12 + 4/L^2)) and s = (sqrt(w^2 + 4) - w) / 2 they are alpha = 1 - s^2 and beta = L s,
+    the stationary gains for a white acceleration (Bar-Shalom, Li & Kirubarajan 2001, section 6.5.3).
     """
-    r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0
-    alpha = 1.0 - r * r
-    return alpha, 2.0 * (2.0 - alpha) - 4.0 * sqrt(1.0 - alpha)
+    w = sqrt(index * (index / 3.0 + sqrt(index * index / 12.0 + 4.0)))
+    rest = 2.0 / (w + sqrt(w * w + 4.0))  # s; nothing cancels
+    return rest * w, index * rest
 
 
 def _moved(state: list[float], t: float) -> list[float]:
@@ -236,10 +306,11 @@ class Filter:
     Args:
         model: the filter.
         window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
+        covariance_at: the covariance of the error of a sighting; None: that which each sighting has.
     """
 
-    def __init__(self, model: Estimator, window: int):
-        self._model, self._window = model, window
+    def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None):
+        self._model, self._window, self._covariance_at = model, window, covariance_at
         self._seen: list[Measurement] = []
         self._merged: list[Measurement] = []
         """Each sighting, merged with those before it of the same time."""
@@ -267,13 +338,18 @@ class Filter:
 
     def _append(self, seen: Measurement) -> None:
         """Process a sighting that is at least as new as all before."""
-        before = len(self._tracks)
-        if self._merged and self._merged[-1].stamp == seen.stamp:
-            before = bisect_left(self._merged, seen.stamp, key=attrgetter("stamp"))
+        is_same_time = bool(self._merged) and self._merged[-1].stamp == seen.stamp
+        stamps = attrgetter("stamp")
+        before = bisect_left(self._merged, seen.stamp, key=stamps) if is_same_time else len(self._tracks)
+        last = self._tracks[before - 1] if before else None
+        if self._covariance_at is not None:
+            # Before the first track, the sightings of the same time are all that is known of the position.
+            known = self._model.predict(last, seen.stamp) if last else self._tracks[-1] if self._tracks else None
+            seen = weighed(seen, known, self._covariance_at)
+        if is_same_time:
             seen = merged(self._merged[-1], seen)
         self._merged.append(seen)
-        track = self._model.update(self._tracks[before - 1], seen) if before else self._model.start(seen)
-        self._tracks.append(track)
+        self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen))
 
     def _is_too_old(self, seen: Measurement) -> bool:
         """Return whether a sighting is older than all that are kept, and these are not all there were."""

@@ -113,3 +113,6 @@ class StrategyTraits(Traits):
     listens: Flag = False
     """Whether the strategy overhears the pursuers' radio. If no strategy in the run does, `state.handover` is
     always False."""
+    turns_at_once: Annotated[Flag, Follows("__call__")] = True
+    """Whether the evader may take an entirely new heading from one instant to the next, unless its dynamics forbid
+    it."""

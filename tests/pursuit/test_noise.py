@@ -1,6 +1,6 @@
 """Noise of sightings: its moments, and the mean distance to a place that is known with errors."""
 
-from math import atan2, hypot, pi, sqrt
+from math import atan2, exp, hypot, pi, sqrt
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ive
 
-from desim.pursuit.noise import PositionNoise, RangeBearingNoise, expected_distance
+from desim.pursuit.noise import LEAST, PositionNoise, RangeBearingNoise, expected_distance
 from desim.pursuit.views import EvaderEstimate
 
 DRAWS = 20_000
@@ -43,14 +43,22 @@ def test_an_estimate_knows_the_mean_distances_from_all_positions():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [PositionNoise(deviation=0.3), RangeBearingNoise(range=0.2, bearing=0.03)])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        PositionNoise(deviation=0.3),
+        RangeBearingNoise(range=0.2, bearing=0.03),
+        RangeBearingNoise(range=0.2, bearing=0.3),
+    ],
+)
 @pytest.mark.parametrize("offset", [6 + 2j, -1 - 7j])
-def test_sightings_have_the_covariance_that_the_noise_states(noise, offset):
+def test_sightings_have_the_mean_and_the_covariance_that_the_noise_states(noise, offset):
     """20,000 draws; a variance has a standard error of sqrt(2/n) = 1 % of itself. The control has 1.1 of the noise."""
     draws = np.random.default_rng(1).standard_normal((DRAWS, 2)).tolist()
     seen = np.array([noise(offset, *pair) - offset for pair in draws])
     xx, xy, yy = noise.covariance(offset)
     found = seen.real.var(), (seen.real * seen.imag).mean(), seen.imag.var()
+    assert abs(seen.mean()) < 4 * sqrt((xx + yy) / DRAWS)
     error = sqrt(2.0 / DRAWS)
     assert abs(found[0] / xx - 1) < 4 * error
     assert abs(found[2] / yy - 1) < 4 * error
@@ -59,10 +67,20 @@ def test_sightings_have_the_covariance_that_the_noise_states(noise, offset):
 
 
 def test_range_and_bearing_err_independently():
-    """One deviation of the range, then of the bearing: along and across the line of sight."""
-    noise = RangeBearingNoise(range=0.5, bearing=0.1)
-    assert noise(3 + 4j, 1.0, 0.0) == pytest.approx((3 + 4j) * 5.5 / 5)
+    """One deviation of the range, then of the bearing; a bearing would shorten the mean vector by e^(-s^2/2)."""
+    noise, longer = RangeBearingNoise(range=0.5, bearing=0.1), exp(0.1**2 / 2)
+    assert noise(3 + 4j, 1.0, 0.0) == pytest.approx((3 + 4j) * 5.5 / 5 * longer)
     turned = noise(3 + 4j, 0.0, 1.0)
-    assert hypot(turned.real, turned.imag) == pytest.approx(5.0)
+    assert hypot(turned.real, turned.imag) == pytest.approx(5.0 * longer)
     assert atan2(turned.imag, turned.real) == pytest.approx(atan2(4.0, 3.0) + 0.1)
-    assert noise(0j, 1.0, 0.0) == pytest.approx(0.5)
+    assert noise(0j, 1.0, 0.0) == pytest.approx(0.5 * longer)
+
+
+@given(st.floats(0.1, 1e3), st.floats(0.0, 10.0), st.floats(0.0, 1e-4))
+def test_the_covariance_of_a_range_and_a_small_bearing_is_that_of_first_order(away, deviation, bearing):
+    noise = RangeBearingNoise(range=deviation, bearing=bearing)
+    least = (LEAST * max(deviation, away * bearing, 1.0)) ** 2
+    xx, xy, yy = noise.covariance(complex(0.0, away))
+    assert xy == pytest.approx(0.0, abs=1e-9 * max(xx, yy))
+    assert yy == pytest.approx(max(deviation**2, least), rel=1e-6, abs=(away * bearing**2) ** 2)
+    assert xx == pytest.approx(max((away * bearing) ** 2, least), rel=1e-6, abs=(deviation * bearing) ** 2 * 1.01)

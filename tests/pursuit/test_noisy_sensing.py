@@ -139,10 +139,10 @@ def test_decisions_count_the_mean_distance():
 
 
 @pytest.mark.parametrize(
-    ("fusion", "kind", "size"), [("by_stamp", Sighted, 16 + 8 * 8), ("naive", Tracked, 16 + 8 * 16)]
+    ("fusion", "kind", "size"), [("by_stamp", Sighted, 16 + 8 * 10), ("naive", Tracked, 16 + 8 * 16)]
 )
 def test_a_report_has_the_bytes_of_what_it_says(fusion, kind, size):
-    """Evader, time, observer, position and 3 numbers of covariance; or evader, time, 4 of state and 10."""
+    """Evader, time, observer, 2 positions and 3 numbers of covariance; or evader, time, 4 of state and 10."""
     sensing = Sensing(noise=NOISE, estimator=Kalman(), fusion=fusion, period=0.1)
     result = run(scenario(sensing), 1, lambda event: event.t > 0.5 * SECOND)
     reports = [event for event in result.trace.of(Sent) if event.body and isinstance(event.body[0], kind)]
@@ -183,7 +183,7 @@ def test_a_pursuer_whose_track_is_too_old_stays_or_searches_from_where_the_track
     """The evader leaves at 0.2 s, so its track ends at 0.7 s; 0.1 s later the search is 0.15 m along its spiral."""
     team = {"team": Team(positions=[(0.0, 0.0)], speeds=1.5, active_at_start=0.0)}
     evader = {"evader": Evader(position=(2.9, 0.0), speed=0.5, strategy={"kind": "constant_heading", "angle": 0.0})}
-    noise, estimator = PositionNoise(deviation=1e-6), Kalman(acceleration=1e-3)
+    noise, estimator = PositionNoise(deviation=1e-6), Kalman(velocity_diffusion=1e-4)
     for on_lost in ("stay", "search"):
         sensing = Sensing(noise=noise, estimator=estimator, radius=3.001, track_timeout=0.5, on_lost=on_lost)
         before, after = looked(sensing, [0.6, 0.8], lambda me: me.evader(), **team, **evader)

@@ -210,7 +210,7 @@ CHANGES = {
         "sensing.noise.kind": "none",
         "sensing.noise.deviation": GONE,
         "sensing.estimator.kind": "none",
-        "sensing.estimator.acceleration": GONE,
+        "sensing.estimator.velocity_diffusion": GONE,
     },
     "inertia": {
         "team.dynamics.kind": "simple",
