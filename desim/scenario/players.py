@@ -285,6 +285,11 @@ class Evader(Value):
         return heading
 
     @property
+    def turns_at_once(self) -> bool:
+        """Whether its velocity may jump."""
+        return not self.has_inertia and self.speed > 0.0 and StrategyTraits.of(self.strategy).turns_at_once
+
+    @property
     def listens(self) -> bool:
         """Whether its strategy overhears the pursuers' radio."""
         return StrategyTraits.of(self.strategy).listens

@@ -1,6 +1,7 @@
 """Warnings: each where it is due and where it just is not, and none for the default."""
 
 from math import inf
+from typing import Literal
 
 import pytest
 
@@ -17,6 +18,7 @@ from desim.kernel.reception import QuasiUnitDisk
 from desim.kernel.transport import Reliable
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.dynamics import Acceleration, TurnRate
+from desim.pursuit.evasion import ConstantHeading
 from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.noise import PositionNoise
 from desim.pursuit.sensing import Sensing
@@ -58,6 +60,35 @@ def warned(**given):
 
 def test_the_default_is_not_warned_of():
     assert warned() == []
+
+
+class Swerve(ConstantHeading):
+    """Turns, whatever the class that it derives from does."""
+
+    kind: Literal["swerve"] = "swerve"
+
+    def __call__(self, state, _):
+        return 1j if state.elapsed > 1.0 else 1.0
+
+
+@pytest.mark.parametrize(
+    ("evader", "diffusion", "is_warned_of"),
+    [
+        ({}, 0.1, True),
+        ({}, 0.3, False),
+        ({"speed": 3.0}, 0.3, True),
+        ({"speed": 0.0}, 0.1, False),
+        ({"strategy": {"kind": "constant_heading"}}, 0.1, False),
+        ({"strategy": Swerve()}, 0.1, True),
+        ({"dynamics": {"kind": "turn_rate", "limit": 1.0}}, 0.1, False),
+    ],
+)
+@pytest.mark.parametrize("estimator", ["alpha_beta", "kalman"])
+def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusion, is_warned_of, estimator):
+    """Turns once in T seconds are a diffusion of v_e / sqrt(T): .9 m/s and .1 m/s per sqrt(s) are 81 s."""
+    sensing = {"noise": 0.5, "estimator": {"kind": estimator, "velocity_diffusion": diffusion}}
+    found = dict(warned(evader=evader, sensing=sensing))
+    assert ("sensing.estimator.velocity_diffusion" in found) == is_warned_of
 
 
 @pytest.mark.parametrize(
