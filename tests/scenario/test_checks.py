@@ -45,6 +45,7 @@ BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 
 FAST = {"kind": "bitrate", "bitrate": 8 * 24e3}
 """An announcement of 24 bytes takes a millisecond."""
+WIND = {"kind": "uniform", "velocity": (0.0, 0.3)}
 RELIABLE = Links(transport=Reliable())
 
 
@@ -60,6 +61,21 @@ def warned(**given):
 
 def test_the_default_is_not_warned_of():
     assert warned() == []
+
+
+@pytest.mark.parametrize(
+    ("on", "flow", "guidance", "is_warned_of"),
+    [
+        ("pursuers", WIND, "pure_pursuit", True),
+        ("pursuers", WIND, "constant_bearing", False),
+        ("pursuers", {"kind": "none"}, "pure_pursuit", False),
+        ("all", WIND, "pure_pursuit", False),
+    ],
+)
+def test_a_wind_on_the_pursuers_needs_a_guidance_that_allows_for_it(on, flow, guidance, is_warned_of):
+    """The times of each guidance are those of `tests/pursuit/test_flow.py`."""
+    environment = {"on": on, "flow": flow}
+    assert ("team.guidance" in dict(warned(environment=environment, team={"guidance": guidance}))) == is_warned_of
 
 
 class Swerve(ConstantHeading):
