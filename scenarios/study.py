@@ -96,7 +96,13 @@ def study(
         @click.command(name=name, help=doc, cls=Program)
         @click.option("--runs", type=click.IntRange(min=1), default=runs, show_default=True, help="Runs per cell.")
         @click.option("--jobs", type=click.IntRange(min=0), default=0, help="Worker processes; 0 = one per core.")
-        @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first run.")
+        @click.option(
+            "--seed",
+            type=click.IntRange(min=0),
+            default=0,
+            show_default=True,
+            help="Root seed: run k has 1,000,000 S + k.",
+        )
         @click.option(
             "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Output folder."
         )

@@ -167,7 +167,9 @@ def test_a_page_of_the_other_command_is_suggested_for_a_folder(file, tmp_path):
     play = "make a page that plays a run: desim replay"
     assert refused("report", run) == [f"{run}: is the folder of a single run, not of a sweep; {play} '{run}'"]
     assert refused("merge", run, "-o", tmp_path / "merged") == [f"{run}: is the folder of a run, not of a sweep"]
-    assert refused("report", runs) == [f"{runs}: is the folder of single runs, not of a sweep; {play} {runs}/seed-7"]
+    assert refused("report", runs) == [
+        f"{runs}: is the folder of single runs, not of a sweep; {play} {runs}/seed-7000000"
+    ]
     (said,) = refused("replay", sweep)
     assert said.startswith(f"{sweep}: is the folder of a sweep or an explanation, which keeps metrics only; ")
     assert f"desim report {sweep};" in said
@@ -504,11 +506,12 @@ def test_json_is_one_document_on_stdout_and_all_else_is_on_stderr(file, tmp_path
 
 
 @pytest.mark.slow
-def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_of_its_seed(file):
+def test_several_runs_have_seeds_of_their_root_seed_and_each_equals_the_single_run_of_its_seed(file):
     path = file(RANDOM)
     runs = strict_json(accepted("run", path, "-n", 3, "--json").stdout)["runs"]
-    assert [run["seed"] for run in runs] == [7, 8, 9]
-    alone = [strict_json(accepted("run", path, "-s", seed, "--json").stdout)["runs"] for seed in (7, 8, 9)]
+    seeds = [7_000_000, 7_000_001, 7_000_002]
+    assert [run["seed"] for run in runs] == seeds
+    alone = [strict_json(accepted("run", path, "-s", seed, "--json").stdout)["runs"] for seed in seeds]
     assert [[run] for run in runs] == alone
     assert len({run["active_time"] for run in runs}) == 3
 
@@ -517,7 +520,7 @@ def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_
 def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
     path = file(RANDOM)
     runs = strict_json(accepted("run", path, "-s", seed, "-n", 2, "--json").stdout)["runs"]
-    assert [run["seed"] for run in runs] == [seed, seed + 1]
+    assert [run["seed"] for run in runs] == [1_000_000 * seed, 1_000_000 * seed + 1]
     changed = strict_json(accepted("run", path, "--set", f"seed={seed}", "-n", 2, "--json").stdout)["runs"]
     assert changed == runs
 
@@ -525,7 +528,7 @@ def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
 def test_the_table_of_several_runs_has_means_with_intervals(file):
     result = accepted("run", file(RANDOM), "-n", 3)
     assert result.stderr == ""
-    assert "seeds 7 to 9" in result.stdout.splitlines()[0]
+    assert "seeds 7000000 to 7000002" in result.stdout.splitlines()[0]
     table = rows(result.stdout)
     for name in ("active time, s", "idle time, s", "crowded time, s", "messages sent", "messages delivered"):
         assert len(table[name].split()) == 5
@@ -595,11 +598,13 @@ def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
 def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
     path = file(RANDOM)
     accepted("run", path, "-n", 2, "-o", tmp_path / "both")
-    accepted("run", path, "-s", 8, "-o", tmp_path / "alone")
-    assert names(tmp_path / "both") == ["run.json", "seed-7", "seed-8"]
-    assert names(tmp_path / "both" / "seed-7") == FILES
+    accepted("run", path, "-s", 7000001, "-o", tmp_path / "alone")
+    assert names(tmp_path / "both") == ["run.json", "seed-7000000", "seed-7000001"]
+    assert names(tmp_path / "both" / "seed-7000000") == FILES
     for name in FILES:
-        assert (tmp_path / "both" / "seed-8" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), name
+        assert (tmp_path / "both" / "seed-7000001" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), (
+            name
+        )
 
 
 @pytest.mark.slow
@@ -609,12 +614,12 @@ def test_messages_that_go_to_a_file_are_in_the_folders_of_all_runs(file, tmp_pat
     path, out = file(RANDOM.replace("messages = true", "trajectory = 0.0")), tmp_path / "file"
     accepted("run", path, "--set", 'record.messages="file"', "-n", 2, "-j", jobs, "-o", out)
     accepted("run", path, "--set", "record.messages=true", "-n", 2, "-o", tmp_path / "kept")
-    for seed in ("seed-7", "seed-8"):
+    for seed in ("seed-7000000", "seed-7000001"):
         assert names(out / seed) == FILES
         assert (out / seed / "trace.jsonl").read_bytes() == (tmp_path / "kept" / seed / "trace.jsonl").read_bytes()
-    accepted("run", "--from", out / "seed-8" / "run.json", "-o", tmp_path / "again")
+    accepted("run", "--from", out / "seed-7000001" / "run.json", "-o", tmp_path / "again")
     for name in FILES[1:]:
-        assert (tmp_path / "again" / name).read_bytes() == (out / "seed-8" / name).read_bytes(), name
+        assert (tmp_path / "again" / name).read_bytes() == (out / "seed-7000001" / name).read_bytes(), name
 
 
 def test_a_trace_that_cannot_be_written_is_reported(file, tmp_path):
@@ -644,7 +649,7 @@ def test_the_default_scenario_needs_no_key_at_all(file):
 
 def test_a_folder_that_cannot_be_created_for_one_of_several_runs_is_reported(file, tmp_path):
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "seed-8").touch()
+    (tmp_path / "out" / "seed-7000001").touch()
     (said,) = refused("run", file(DUEL), "-n", "2", "-o", tmp_path / "out")
     assert said.startswith(f"--out {tmp_path / 'out' / 'seed-8'}: cannot be written")
 
@@ -928,7 +933,10 @@ def test_the_runs_of_a_sweep_have_the_seeds_of_the_option(file, tmp_path):
     accepted("sweep", file(COINS), "-o", tmp_path / "out", "-s", 40, "-n", 2)
     accepted("export", tmp_path / "out", tmp_path / "x.csv")
     assert seeds_of(tmp_path / "x.csv") == [
-        (reach, kind, seed) for reach in ("1.0", "inf") for kind in ("sap", "best_response") for seed in ("40", "41")
+        (reach, kind, seed)
+        for reach in ("1.0", "inf")
+        for kind in ("sap", "best_response")
+        for seed in ("40000000", "40000001")
     ]
 
 

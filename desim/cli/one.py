@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     "-n",
     "--runs",
     type=COUNT,
-    help="Number of runs, with seeds s, s + 1, ...; default: 1, or with --from the recorded number.",
+    help="Number of runs: a single one has the seed s, and run k of several has 1,000,000 s + k; default: 1, or with"
+    " --from the recorded number.",
 )
 @JOBS
 @click.option(

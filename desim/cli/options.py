@@ -68,7 +68,12 @@ GRID = click.option(
     shell_complete=completion.keys,
     help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated.",
 )
-SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
+SEED = click.option(
+    "-s",
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Seed of the run, or root seed of several: run k then has the seed 1,000,000 s + k; default: the file's.",
+)
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
 CLUSTER = click.option(
     "--cluster",

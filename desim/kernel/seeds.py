@@ -29,6 +29,21 @@ def seed_of(value: int) -> int:
     return seed
 
 
+RUNS_PER_SEED = 1_000_000
+"""The number of runs that a root seed has seeds for."""
+
+
+def run_seed(root: int, run: int) -> int:
+    """Return the seed of one of the runs of a root seed, `RUNS_PER_SEED` root + run: no two root seeds share a run.
+
+    Raises:
+        ValueError: if the root seed is no seed, or has no such run.
+    """
+    if not 0 <= run < RUNS_PER_SEED:
+        raise ValueError(f"a seed has the runs 0 to {RUNS_PER_SEED - 1:,}, got {run:,}: take another seed for more")
+    return seed_of(root) * RUNS_PER_SEED + run
+
+
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     """Create a generator, for instance `stream(7, "pursuer", 3)`; equal arguments give equal draws."""
     return np.random.default_rng(_sequence(seed, name, index))

@@ -73,8 +73,8 @@ def document(
     Args:
         what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
         scenario: the scenario of the runs, if there is only one.
-        seed: seed of the first run; for a sweep, an explanation or a merge, the root seed. It replaces the seed in the
-            recorded scenario.
+        seed: seed of the run; of several runs, a sweep, an explanation or a merge, the root seed. It replaces the seed
+            in the recorded scenario.
         runs: number of runs; for an explanation, of runs per variant; for a study, of runs per cell. The runs of
             `desim run` have the seeds `seed`, `seed` + 1, ...
         folder: folder of the scenario file, in which modules and files named by the scenario are looked up.

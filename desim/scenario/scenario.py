@@ -131,7 +131,7 @@ class Scenario(Value):
     name: str = "unnamed"
     """Name in tables and figures."""
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
-    """Seed of every random stream of the run."""
+    """Seed of every random stream of the run; of several runs, run k has the seed 1,000,000 `seed` + k."""
     horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
     """Time t_f at which the pursuit ends at the latest, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"

@@ -45,7 +45,7 @@ class Sweep(Value):
     reps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 30
     """Number of runs of each configuration."""
     seeds: Literal["common", "independent"] = "common"
-    """common: run k of every configuration has the seed of the first run plus k (common random numbers), so that
+    """common: run k of every configuration has the seed 1,000,000 `seed` + k (common random numbers), so that
     configurations are compared on equal seeds; independent: every run has its own seed."""
     grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
     """Dotted keys of the scenario as in --set, each with the list of its values; every combination is a

@@ -5,6 +5,7 @@ from contextlib import closing
 from typing import Any, TypeVar
 
 from desim.analysis.metrics import summary
+from desim.kernel.seeds import run_seed
 from desim.simulation.run import Result, run
 from desim.study.dispatch import Simulate, Task, drive
 from desim.study.progress import progress
@@ -14,8 +15,14 @@ Measured = TypeVar("Measured")
 
 
 def seeds_from(seed: int, runs: int) -> range:
-    """Return the seeds of several runs: run k has the seed `seed` + k, so each run can be repeated alone."""
-    return range(seed, seed + runs)
+    """Return the seeds of several runs of a root seed; see `desim.kernel.seeds.run_seed`.
+
+    Each run can be repeated alone, by its own seed.
+
+    Raises:
+        ValueError: if there are more runs than seeds of one root seed.
+    """
+    return range(run_seed(seed, 0), run_seed(seed, runs - 1) + 1) if runs > 0 else range(0)
 
 
 def run_many(

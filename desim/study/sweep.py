@@ -14,7 +14,7 @@ from typing import Any, Self
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
 from desim.config.python_numbers import real, whole
-from desim.kernel.seeds import seed_of
+from desim.kernel.seeds import run_seed, seed_of
 from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
@@ -56,8 +56,8 @@ class SweepPlan:
     reps: int
     """The number of runs of each configuration."""
     root: int
-    """The root seed. With common seeds, the seed of run k is root + k; otherwise the seed of each run is a hash of the
-    root seed, the configuration and the number of the run."""
+    """The root seed. With common seeds, the seed of run k is 1,000,000 root + k; otherwise the seed of each run is a
+    hash of the root seed, the configuration and the number of the run."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
     metrics: UsersMetrics = ()
@@ -90,7 +90,7 @@ class SweepPlan:
     def __post_init__(self) -> None:
         if self.reps < 1:
             raise ValueError(f"there should be at least one run of each configuration, got {self.reps}")
-        seed_of(self.root)
+        run_seed(self.root, self.reps - 1)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -123,9 +123,9 @@ class SweepPlan:
         return len(self.configurations) * self.reps
 
     def seed(self, configuration: Configuration, replication: int) -> int:
-        """Return the seed of a run: `root` plus its number, or a hash if the configurations do not share seeds."""
+        """Return the seed of a run, see `run_seed`; a hash if the configurations do not share seeds."""
         if self.common:
-            return self.root + replication
+            return run_seed(self.root, replication)
         text = f"{self.root}/{configuration.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 

@@ -280,7 +280,7 @@ class Session:
     def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
         """Run both scenarios with equal seeds, and yield after each pair of runs what is known of the differences.
 
-        The first seed is that of the scenario with the changes `now`, and each later one is greater by 1. An earlier
+        The seeds are those of several runs of the scenario with the changes `now`, see `seeds_from`. An earlier
         comparison of the same page is cancelled.
 
         Raises:

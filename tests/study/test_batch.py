@@ -1,8 +1,11 @@
 """Many runs: the same list, in the same order, from any number of workers."""
 
 import os
+from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from desim.analysis.metrics import active_time, summary
 from desim.kernel.links import Links
@@ -38,9 +41,27 @@ def broken_protocol(me):
 BROKEN = SMALL.model_copy(update={"protocol": broken_protocol})
 
 
-def test_run_k_of_seed_s_has_seed_s_plus_k():
-    assert list(seeds_from(7, 3)) == [7, 8, 9]
-    assert list(seeds_from(0, 0)) == []
+def test_run_k_of_the_root_seed_s_has_the_seed_s_million_and_k():
+    assert list(seeds_from(0, 3)) == [0, 1, 2]
+    assert list(seeds_from(7, 3)) == [7_000_000, 7_000_001, 7_000_002]
+    assert list(seeds_from(7, 0)) == []
+    assert seeds_from(2, 1_000_000)[-1] < seeds_from(3, 1)[0]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2**70), st.integers(1, 1_000_000)), min_size=2, unique_by=lambda each: each[0])
+)
+def test_two_root_seeds_share_no_run(batches):
+    """Control: with the seeds s + k, the root seeds 0 and 1 share 29 of 30."""
+    ranges = sorted((seeds_from(*each) for each in batches), key=lambda each: each[0])
+    assert all(one[-1] < other[0] for one, other in pairwise(ranges))
+    assert len({*range(30)} & {*range(1, 31)}) == 29
+
+
+@pytest.mark.parametrize(("seed", "runs"), [(0, 1_000_001), (-1, 1)])
+def test_a_root_seed_without_such_a_run_is_refused(seed, runs):
+    with pytest.raises(ValueError, match="seed"):
+        seeds_from(seed, runs)
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import read
 from desim.study import sweep as module
-from desim.study.batch import run_many
+from desim.study.batch import run_many, seeds_from
 from desim.study.result import SweepResult
 from desim.study.store import Store
 from desim.study.store_file import StoreError
@@ -60,17 +60,21 @@ def by_hand(seeds, **change):
 
 
 @pytest.mark.slow
-def test_run_k_of_every_configuration_has_the_seed_of_the_first_plus_k():
+def test_run_k_of_every_configuration_has_the_same_seed():
     found = sweep(BASE, GRID, 3)
-    assert [[row.seed for row in group.rows] for group in found.groups] == [[5, 6, 7]] * 4
-    assert [[row.seed for row in group.rows] for group in sweep(BASE, GRID, 2, seed=40).groups] == [[40, 41]] * 4
+    assert [[row.seed for row in group.rows] for group in found.groups] == [[5_000_000, 5_000_001, 5_000_002]] * 4
+    assert [[row.seed for row in group.rows] for group in sweep(BASE, GRID, 2, seed=40).groups] == [
+        [40_000_000, 40_000_001]
+    ] * 4
 
 
 @pytest.mark.slow
 def test_every_run_is_that_which_one_would_do_by_hand():
     found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 3)
     for value, group in zip([0.0, 0.2], found.groups, strict=True):
-        assert [row.summary for row in group.rows] == by_hand([5, 6, 7], network=Links(latency=Constant(value=value)))
+        assert [row.summary for row in group.rows] == by_hand(
+            seeds_from(5, 3), network=Links(latency=Constant(value=value))
+        )
 
 
 @pytest.mark.slow
@@ -78,7 +82,7 @@ def test_paired_differences_are_those_of_runs_by_hand():
     metric = "active_time"
     found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 8).differences(metric)
     without, with_latency = (
-        [getattr(each, metric) for each in by_hand(range(5, 13), network=Links(latency=Constant(value=value)))]
+        [getattr(each, metric) for each in by_hand(seeds_from(5, 8), network=Links(latency=Constant(value=value)))]
         for value in (0.0, 0.2)
     )
     assert found[1] == paired(with_latency, without)
@@ -278,7 +282,7 @@ def test_a_run_that_raises_is_a_row_and_ends_nothing():
     found = sweep(BASE, {"protocol": [Moody(), BASE.protocol]}, 4)
     assert [[row.status for row in group.rows] for group in found.groups] == [["ok", "error", "ok", "ok"], ["ok"] * 4]
     (row,) = found.failed
-    assert (row.seed, row.error, row.summary) == (6, "ValueError: not today", None)
+    assert (row.seed, row.error, row.summary) == (5_000_001, "ValueError: not today", None)
 
 
 def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
@@ -292,7 +296,7 @@ def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(Moody, "actions", lambda self, me: iter(lambda: 1, None))
     after = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
-    assert [seed for _, seed in done] == [6, 9]
+    assert [seed for _, seed in done] == [5_000_001, 5_000_004]
     assert after.failed == []
     (old,), (new,) = before.groups, after.groups
     assert [row for row in new.rows if row.seed % 3] == [row for row in old.rows if row.ok]
@@ -300,7 +304,7 @@ def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
 
 def test_the_first_failure_ends_the_sweep_if_it_should(tmp_path):
     scenario = BASE.model_copy(update={"protocol": Moody()})
-    with pytest.raises(RunError, match=r"(?s)capture\.radius = 0\.1 with seed 6 failed \(error\).*not today"):
+    with pytest.raises(RunError, match=r"(?s)capture\.radius = 0\.1 with seed 5000001 failed \(error\).*not today"):
         sweep(scenario, {"capture.radius": [0.1]}, 9, store=tmp_path / "s.sqlite", fail_fast=True)
 
 
