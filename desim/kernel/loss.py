@@ -55,6 +55,10 @@ class GilbertElliott(Value):
     transition probabilities (or rates) p from good to bad and r from bad to good, the share of bad time is
     s = p / (p + r) and the mean bad period is 1 / r. A link starts in its stationary distribution. The share of lost
     messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the messages sent in the bad state are lost.
+
+    If the state advances with messages, as in netem, an idle link keeps it. A sender that waits before it repeats a
+    message then outlasts no burst, and alone on a link it takes 1 / (1 - s) attempts, as without bursts. Where messages
+    are repeated, let the state advance with time.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
@@ -63,7 +67,7 @@ class GilbertElliott(Value):
     burst: Positive = 5.0
     """Mean duration of a bad period, in messages of the link, or in s if the state advances with time."""
     advance: Literal["message", "time"] = "message"
-    """Whether the state of a link advances with every message on it, or with time."""
+    """Whether the state of a link advances with every message on it, or with time, whether it is used or not."""
     loss_good: Probability = 0.0
     """Probability of loss in the good state, in [0, 1]."""
     loss_bad: Probability = 1.0
