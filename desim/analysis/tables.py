@@ -17,6 +17,8 @@ With one evader they repeat `captured` and `capture_time`.
 """
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
+ALL_EQUAL = "all equal"
+"""Stands for the half width of values that are all equal, of which the t interval has no width."""
 
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
@@ -54,9 +56,11 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
+    is_equal = any(ALL_EQUAL in row for row in rows)
+    others = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
     return (
         _heading(scenario, seeds)
-        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval\n"
+        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval{others}\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
@@ -71,12 +75,16 @@ def number(value: float, digits: int = 3) -> str:
 def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
-    Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a positive mean, too.
+    If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
+    another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
+    positive mean, too.
     """
     if not found.count:
         return "-"
     digits = 3 if abs(found.mean) < 100.0 else 1
     few = f" ({found.count})" if found.count != runs else ""
+    if found.others is not None:
+        return f"{found.mean:{sign},.{digits}f} in all, others < {found.others:.1%}{few}"
     return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{few}"
 
 
@@ -151,7 +159,8 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
     found = estimate(values)
-    return (name, *(number(x) for x in (found.mean, found.half_width, min(values), max(values))), str(len(values)))
+    width = number(found.half_width) if found.others is None else ALL_EQUAL
+    return (name, number(found.mean), width, number(min(values)), number(max(values)), str(len(values)))
 
 
 def _heading(scenario: Scenario, what: str) -> str:

@@ -86,7 +86,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option(
     "--until",
     type=Precision(),
-    help="Run until the 95 % interval of a metric has this half width; at least 30 runs. MODULE:FUNCTION:HALFWIDTH"
+    help="Run until the 95 % interval of a metric has this half width; at least 100 runs. MODULE:FUNCTION:HALFWIDTH"
     " implies --metric MODULE:FUNCTION.",
 )
 @click.option(

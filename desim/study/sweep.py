@@ -215,7 +215,7 @@ def sweep(
         store: the file to which each batch of runs is added as it ends; successful runs in it are not repeated; None =
             no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
-            has at most this half width. The interval is first checked when 30 runs have a value of the metric. `reps`
+            has at most this half width. The interval is first checked when 100 runs have a value of the metric. `reps`
             (10,000 if None) is the maximum number of runs of a configuration. None = each configuration has `reps`
             runs.
         fail_fast: whether the first run that fails ends the sweep.

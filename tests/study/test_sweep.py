@@ -174,7 +174,7 @@ def test_at_most_as_many_runs_as_are_asked_for_are_done():
 
 @pytest.mark.slow
 def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
-    """The first round has 30 runs, the second three more."""
+    """The first round has 100 runs, the second three more."""
     rounds, calls, perform = [], [], module._run
 
     def performed(jobs, *args):
@@ -183,17 +183,17 @@ def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
 
     monkeypatch.setattr(module, "_run", performed)
     short = BASE.model_copy(update={"horizon": 0.1, "record": Recording(trajectory=0.0)})
-    plan = SweepPlan.of(short, {"capture.radius": [0.2]}, 33)
+    plan = SweepPlan.of(short, {"capture.radius": [0.2]}, 103)
     with Store() as store, workers_for(1) as workers:
         plan.register(store)
         target = ("active_time", 1e-9)
         module.carry_out(plan, store, workers, until=target, on_start=lambda: calls.append(len(rounds)))
-    assert (rounds, calls) == ([30, 3], [0])
+    assert (rounds, calls) == ([100, 3], [0])
 
 
 @pytest.mark.slow
 def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interruption(tmp_path, monkeypatch):
-    grid, target = {"capture.radius": [0.05, 0.2]}, {"reps": 60, "until": ("active_time", 0.045)}
+    grid, target = {"capture.radius": [0.05, 0.2]}, {"reps": 150, "until": ("active_time", 0.0194)}
     whole = sweep(BASE, grid, **target)
     assert len({len(group.rows) for group in whole.groups}) > 1
     assert sweep(BASE, grid, executor=2, **target) == whole
@@ -216,25 +216,25 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
 
 @pytest.mark.slow
 def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
-    """Of 50 runs ten are lost: 10 are there in order, so that there should be 30 before the first look."""
+    """Of 50 runs ten are lost: 10 are there in order, so that there should be 100 before the first look."""
     path, grid = tmp_path / "s.sqlite", {"capture.radius": [0.2]}
     short = BASE.model_copy(update={"horizon": 0.1})
     sweep(short, grid, 50, store=path)
     with closing(sqlite3.connect(path)) as database, database:
         database.execute("DELETE FROM runs WHERE replication BETWEEN 10 AND 19")
     with Store(path) as store:
-        assert len(module._wanted(SweepPlan.of(short, grid, 100), store, "active_time", 1e-6, ())) == 30
+        assert len(module._wanted(SweepPlan.of(short, grid, 200), store, "active_time", 1e-6, ())) == 100
 
 
 @pytest.mark.slow
 def test_failed_runs_count_as_runs_but_not_towards_the_mean():
-    """A third of the seeds fail: to have 30 values takes more than 40 runs."""
+    """A third of the seeds fail: to have 100 values takes more than 140 runs."""
     scenario = BASE.model_copy(update={"protocol": Moody()})
-    (group,) = sweep(scenario, {"capture.radius": [0.1]}, 200, until=("active_time", 10.0)).groups
+    (group,) = sweep(scenario, {"capture.radius": [0.1]}, 300, until=("active_time", 10.0), seed=1).groups
     values = [None if row.summary is None else row.summary.active_time for row in group.rows]
     assert [row.ok for row in group.rows] == [row.seed % 3 != 0 for row in group.rows]
-    assert len(values) == runs_needed(values, 10.0, at_most=200) > 40
-    assert len([each for each in values if each is not None]) >= 30
+    assert len(values) == runs_needed(values, 10.0, at_most=300) > 140
+    assert len([each for each in values if each is not None]) >= 100
 
 
 @pytest.mark.parametrize(
