@@ -93,7 +93,11 @@ class Misbehaviour(Window):
 
 
 class ClockSkew(Value):
-    """The clock of a node shows offset + (1 + drift) t at the time t."""
+    """The clock of a node shows offset + (1 + drift) t + x(t) at the time t, where x is a random walk.
+
+    Without a walk the error is a straight line, which a protocol could fit once and for all. The variance of x is
+    offset_walk^2 t + drift_walk^2 t^3 / 3; see `desim.kernel.wandering_clock`.
+    """
 
     kind: Literal["clock_skew"] = "clock_skew"
     node: Node | None = None
@@ -103,6 +107,11 @@ class ClockSkew(Value):
     """s"""
     drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
     """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99."""
+    offset_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
+    """Random walk of the offset, s per sqrt(s), from white noise of the frequency: after a time t its standard
+    deviation is offset_walk sqrt(t). Each node has a walk of its own."""
+    drift_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
+    """Random walk of the drift, 1 per sqrt(s): after a time t its standard deviation is drift_walk sqrt(t)."""
 
 
 Fault = Crash | Partition | Jamming

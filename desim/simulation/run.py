@@ -13,11 +13,12 @@ from desim.kernel.clock_sync import synchronise
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, clock_errors, draw_faults
+from desim.kernel.faults import Crash, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.kernel.seeds import seed_of
 from desim.kernel.units import nanoseconds, seconds
+from desim.kernel.wandering_clock import node_clocks
 from desim.pursuit.agent import Agent, repeat
 from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Captured, Ended
@@ -121,7 +122,7 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = _PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
-    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(skews, state.size, seed)]
+    clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
     network = Network(
         env,
         scenario.network.make_graph(state.size),

@@ -1,0 +1,148 @@
+"""Clocks whose error is no straight line: the phase and the frequency of an oscillator walk randomly.
+
+The model has two states, the error x of the clock (s) and the error y of its rate, with dx = y dt + a dW1 and
+dy = b dW2 (Zucca & Tavella 2005, "The Clock Model and Its Relationship with the Allan and Related Variances"). White
+noise of the frequency makes the phase walk, with a variance a^2 t. A walk of the frequency adds b^2 t^3 / 3.
+
+The states are drawn exactly at multiples of `TICK`; in between the error of the clock is a straight line.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterable
+from math import sqrt
+
+import numpy as np
+
+from desim.kernel.clock import Clock, NodeClock
+from desim.kernel.faults import MIN_DRIFT, ClockSkew, clock_errors
+from desim.kernel.portable_math import portable_sum
+from desim.kernel.seeds import stream
+from desim.kernel.units import SECOND, nanoseconds, seconds
+
+TICK = nanoseconds(0.01)
+"""Time between two states of a walk, ns."""
+BLOCK = 256
+"""Number of states that are drawn at once."""
+
+
+class ClockWalk:
+    """The random part of the error of a clock at multiples of `TICK`, drawn as it is needed.
+
+    Args:
+        offset_walk: a, s per sqrt(s).
+        drift_walk: b, 1 per sqrt(s).
+        rate: the mean rate of the clock; the walk never lets it run slower than at 1 + `MIN_DRIFT`.
+        until: time, ns, from which the error stays as it is, since nobody reads the clock any more.
+        rng: the random stream.
+    """
+
+    def __init__(self, offset_walk: float, drift_walk: float, rate: float, until: int, rng: np.random.Generator):
+        self._rate, self._rng, self._last = rate, rng, -(-until // TICK)
+        tick = seconds(TICK)
+        self._drift_step = drift_walk * sqrt(tick)
+        self._offset_step = sqrt(offset_walk**2 * tick + drift_walk**2 * tick**3 / 12.0)  # given the step of the drift
+        self._drift = 0.0
+        self._errors = [0.0]
+        self._shown = [0.0]
+        """By tick: what a clock without an offset shows, s."""
+
+    def error(self, true: int) -> float:
+        """Return the error, s, at a true time, ns; 0 before the time 0."""
+        k, rest = divmod(max(true, 0), TICK)
+        if k >= self._last:
+            return self._until(self._last)
+        self._until(k + 1)
+        return self._errors[k] + rest / TICK * (self._errors[k + 1] - self._errors[k])
+
+    def when(self, time: float) -> float:
+        """Return the true time, s, at which a clock without an offset shows a time, s."""
+        while self._shown[-1] < time and len(self._shown) <= self._last:
+            self._until(len(self._shown))
+        k = bisect_right(self._shown, time)
+        if k in (0, len(self._shown)):
+            return (time - self._errors[k - 1 if k else 0]) / self._rate
+        share = (time - self._shown[k - 1]) / (self._shown[k] - self._shown[k - 1])
+        return (k - 1 + share) * seconds(TICK)
+
+    def _until(self, tick: int) -> float:
+        """Draw the states up to a tick, and return the error there."""
+        length, slowest = seconds(TICK), (1.0 + MIN_DRIFT - self._rate) * seconds(TICK)
+        while len(self._errors) <= tick:
+            for first, second in self._rng.standard_normal((BLOCK, 2)).tolist():
+                if len(self._errors) > self._last:
+                    break
+                change = self._drift_step * first
+                step = length * (self._drift + change / 2.0) + self._offset_step * second
+                self._drift += change
+                self._errors.append(self._errors[-1] + max(step, slowest))
+                self._shown.append(self._rate * (len(self._errors) - 1) * length + self._errors[-1])
+        return self._errors[tick]
+
+
+class WanderingClock(NodeClock):
+    """The local clock of a node whose error also has a random part.
+
+    Args:
+        env: the clock of the simulation.
+        offset: s.
+        rate: the mean rate.
+        walk: the random part of the error.
+    """
+
+    def __init__(self, env: Clock, offset: float, rate: float, walk: ClockWalk):
+        super().__init__(env, offset, rate)
+        self._walk = walk
+
+    @property
+    def now(self) -> float:
+        """The local time, s."""
+        return self.at(self.true)
+
+    @property
+    def stamp(self) -> int:
+        """The local time, ns."""
+        return round(self.now * SECOND)
+
+    @property
+    def uncorrected(self) -> int:
+        """The local time without the correction, ns."""
+        return round((self.now - self.correction) * SECOND)
+
+    def at(self, true: int) -> float:
+        """Return the local time (s) at a true time (ns), with the present correction."""
+        return super().at(true) + self._walk.error(true)
+
+    def when(self, time: float) -> int:
+        """Return the true time (ns) at a local time (s), with the present correction."""
+        return round(self._walk.when(time - self._offset) * SECOND)
+
+    def span(self, duration: float) -> int:
+        """Return the true duration (ns) from now of a local duration (s)."""
+        return max(self.when(self.now + duration) - self.true, 0)
+
+
+def node_clocks(env: Clock, given: Iterable[object], size: int, seed: int, until: int) -> list[NodeClock]:
+    """Return the clocks of all nodes, with the errors of all `ClockSkew` in `given`; variances of walks are added.
+
+    Args:
+        env: the clock of the simulation.
+        given: the faults.
+        size: the number of nodes.
+        seed: the seed of the run.
+        until: the time, ns, up to which the clocks may be read.
+    """
+    faults = list(given)
+    clocks: list[NodeClock] = []
+    for node, (offset, drift) in enumerate(clock_errors(faults, size, seed)):
+        skews = [each for each in faults if isinstance(each, ClockSkew) and each.node in (None, node)]
+        walks = [(each.offset_walk, each.drift_walk) for each in skews if each.offset_walk or each.drift_walk]
+        if walks:
+            offset_walk, drift_walk = (
+                sqrt(portable_sum(part * part for part in parts)) for parts in zip(*walks, strict=True)
+            )
+            rng = stream(seed, "clock walk", node)
+            walk = ClockWalk(offset_walk, drift_walk, 1.0 + drift, until, rng)
+            clocks.append(WanderingClock(env, offset, 1.0 + drift, walk))
+        else:
+            clocks.append(NodeClock(env, offset, 1.0 + drift))
+    return clocks
