@@ -32,6 +32,8 @@ class EvaderController:
         radius: capture radius, m.
         sensing_range: range up to which the evader senses pursuers, m.
         reaction_delay: delay, s, with which the evader perceives the positions and actions of pursuers.
+        motion_interval: time, s, between two looks from which the evader infers who chases; 0: it knows.
+        motion_error: standard deviation, m, of each coordinate of the positions at these looks.
     """
 
     def __init__(
@@ -44,10 +46,14 @@ class EvaderController:
         radius: float,
         sensing_range: float = inf,
         reaction_delay: float = 0.0,
+        motion_interval: float = 0.0,
+        motion_error: float = 0.0,
     ):
         self._strategy, self._rng = strategy, rng
         self._speed, self._speeds, self._radius, self._sensing_range = speed, speeds, radius, sensing_range
         self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
+        period = nanoseconds(motion_interval)
+        self._inference = InferredActivity(period, motion_error, speeds, rng.spawn(1)[0]) if period else None
         flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
         self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None
         self._heading = 0j
@@ -65,8 +71,11 @@ class EvaderController:
         """
         if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
             return away(state)
+        perceived = self._memory(state) if self._memory else state
+        if self._inference is not None:
+            perceived = self._inference(perceived)
         observation = EvaderObservation(
-            self._memory(state) if self._memory else state,
+            perceived,
             self._speeds,
             self._speed,
             self._radius,
@@ -107,6 +116,44 @@ class DelayedState:
             share = (then - seen[0].stamp) / (seen[1].stamp - seen[0].stamp)
             pursuers = pursuers + share * (seen[1].pursuers - pursuers)
         return State(state.stamp, pursuers, state.evader, seen[0].active)
+
+
+class InferredActivity:
+    """Activity that is inferred from motion: a call returns a state in which those chase that seem to move.
+
+    The pursuers are looked at in intervals. One that seems to have moved, from one look to the next, by more than half
+    of what its speed allows counts as active until the next look. So the evader notices a change after half an interval
+    to one and a half. With errors of deviation s, a pursuer of speed v that stands still counts as active after a look
+    with the probability exp(-(v T / 4 s)^2), where T is the interval: the difference of two positions has the deviation
+    sqrt(2) s per coordinate, and its length is distributed by Rayleigh's law. Before the second look, all count as
+    active.
+
+    Args:
+        interval: T, ns; a look is at the first state that is at least as late.
+        error: s, m.
+        speeds: (N,) the speeds of the pursuers, m/s.
+        rng: the random stream of the errors.
+    """
+
+    def __init__(self, interval: int, error: float, speeds: Floats, rng: np.random.Generator):
+        self._interval, self._error, self._speeds, self._rng = interval, error, speeds, rng
+        self._last: tuple[int, Points] | None = None
+        self._active: NDArray[np.bool_] = np.ones(len(speeds), dtype=bool)
+
+    def __call__(self, state: State) -> State:
+        """Return a state, not earlier than the last, with the inferred activity."""
+        if self._last is None or state.stamp >= self._last[0] + self._interval:
+            self._look(state)
+        return State(state.stamp, state.pursuers, state.evader, self._active)
+
+    def _look(self, state: State) -> None:
+        """Look at the pursuers, and compare their positions with those of the last look."""
+        across, along = self._rng.standard_normal((2, len(self._speeds)))
+        seen = state.pursuers + self._error * (across + 1j * along)
+        if self._last is not None:
+            then, before = self._last
+            self._active = lengths(seen - before) > 0.5 * self._speeds * seconds(state.stamp - then)
+        self._last = state.stamp, seen
 
 
 MAX_SCALAR_SIZE = 16

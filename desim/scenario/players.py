@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from desim.config.choice import OneOf
-from desim.config.model import Box, FirstError, Limit, Probability, Speed, Time, Value
+from desim.config.model import MAX_COORDINATE, Box, FirstError, Limit, Probability, Speed, Time, Value
 from desim.config.python_numbers import as_python
 from desim.kernel.seeds import stream
 from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple, headings_with
@@ -238,6 +238,11 @@ class Evader(Value):
     """Distance up to which it senses pursuers, m."""
     reaction_delay: Time = 0.0
     """Delay of its observations of the pursuers' positions and actions, s."""
+    motion_interval: Time = 0.0
+    """Time between two looks from which it infers which pursuers chase, s; 0: it knows their actions, at any distance.
+    A pursuer counts as active if it seems to have moved by more than half of what its speed allows."""
+    motion_error: Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)] = 0.0
+    """Standard deviation of each coordinate of the pursuers' positions at these looks, m."""
     dynamics: Annotated[Dynamics, DYNAMICS] = Simple()
     """How it follows the velocity that its strategy chooses."""
 
@@ -248,6 +253,13 @@ class Evader(Value):
             raise ValueError("has no effect, because the record determines the motion")
         if not given.is_simple and info.data.get("speed") == 0.0:
             raise ValueError("has no effect, because the speed is 0")
+        return given
+
+    @field_validator("motion_error")
+    @classmethod
+    def _has_looks(cls, given: float, info: ValidationInfo) -> float:
+        if given > 0.0 and info.data.get("motion_interval") == 0.0:
+            raise ValueError("has no effect without a motion_interval: the evader knows who chases")
         return given
 
     @field_validator("strategy")
@@ -310,4 +322,6 @@ class Evader(Value):
             radius=radius,
             sensing_range=self.sensing_range,
             reaction_delay=self.reaction_delay,
+            motion_interval=self.motion_interval,
+            motion_error=self.motion_error,
         )

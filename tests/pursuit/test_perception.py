@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import ncx2
 
 from desim import Scenario, run, summary
 from desim.kernel.graphs import Edges, Link
@@ -15,7 +16,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import DelayedState
+from desim.pursuit.evader import DelayedState, InferredActivity
 from desim.pursuit.evasion import (
     ConstantHeading,
     Diffusion,
@@ -118,6 +119,64 @@ def test_a_heading_of_more_than_1_is_refused(heading):
 
     with pytest.raises(ValueError, match=r"a heading should have length at most 1, got .* from <function"):
         controller(wrong).heading(state(0))
+
+
+# By motion.
+
+
+def inferred(interval, error, times, *, seed=1, speeds=SPEEDS, moving=DRIFT):
+    """Return the inferred activity of pursuers that move at constant velocities from 1 s on, by time, ms."""
+    look = InferredActivity(interval * MS, error, speeds, np.random.default_rng(seed))
+    team = np.zeros(len(speeds), dtype=complex)
+    return {t: look(State(t * MS, team + max(t / 1e3 - 1.0, 0.0) * moving, 9j, speeds > 0)).active for t in times}
+
+
+def test_activity_is_inferred_from_what_a_pursuer_has_moved_since_the_last_look():
+    """At 1, 0.5 and 1.4 m/s of 1, 1.5 and 2: the second is too slow. The change of 1 s is seen at the look of 1.2 s.
+
+    At first all count; at the look of 1 s no pursuer has moved, and one at 1.2 s tells of the whole interval.
+    """
+    found = inferred(200, 0.0, range(0, 1500, 10))
+    still, moving = [False] * 3, [True, False, True]
+    assert [found[t].tolist() for t in (0, 190)] == [[True] * 3] * 2
+    assert [found[t].tolist() for t in (200, 1000, 1190)] == [still] * 3
+    assert [found[t].tolist() for t in (1200, 1400)] == [moving] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.3, 0.6, 1.2])
+def test_a_pursuer_that_stands_still_counts_as_active_as_often_as_the_errors_say(ratio):
+    """exp(-(v T / 4 s)^2), by Rayleigh's law; and a chaser by Rice's. Control: errors of deviation s, not sqrt(2) s."""
+    n, error = 4000, 0.2 / (4 * ratio)
+    speeds = np.full(n, 1.0)
+    for moving, share in (
+        (0.0, np.exp(-(ratio**2))),
+        (1.0, 1.0 - ncx2.cdf(0.01 / (2 * error**2), 2, 0.04 / (2 * error**2))),
+    ):
+        found = inferred(200, error, (1000, 1200), speeds=speeds, moving=np.full(n, moving + 0j))[1200].mean()
+        assert abs(found - share) < 4.0 * np.sqrt(share * (1.0 - share) / n)
+        if not moving:
+            assert abs(found - np.exp(-2 * ratio**2)) > 4.0 * np.sqrt(share * (1.0 - share) / n)
+
+
+def test_an_evader_that_flees_who_seems_to_chase_does_so():
+    """The nearest stands still, so it is fled only as long as nothing is known."""
+    evader = Evader(strategy=PureEvasion(flees_from="active"), motion_interval=0.1)
+    made = evader.controller(np.random.default_rng(1), SPEEDS, 0.1)
+    team = np.array([-1 + 0j, 3j, 5 + 5j])
+    headings = [made.heading(State(t * MS, team - 1j * t / 1e3 * (TEAM == 3j), 0j, SPEEDS > 9)) for t in (0, 50, 100)]
+    assert headings == [1 + 0j, 1 + 0j, -1j]
+    known = Evader(strategy=PureEvasion(flees_from="active")).controller(np.random.default_rng(1), SPEEDS, 0.1)
+    assert known.heading(State(0, team, 0j, SPEEDS > 9)) == 0j
+
+
+def test_errors_of_looks_change_no_draw_of_the_strategy_and_need_looks():
+    rngs = [np.random.default_rng(3) for _ in range(2)]
+    for rng, settings_ in zip(rngs, ({}, {"motion_interval": 0.1, "motion_error": 0.5}), strict=True):
+        Evader(strategy=Diffusion(), **settings_).controller(rng, SPEEDS, 0.1).heading(state(0))
+    assert rngs[0].random() == rngs[1].random()
+    with pytest.raises(ValueError, match="has no effect without a motion_interval"):
+        Evader(motion_error=0.1)
 
 
 # Late.
