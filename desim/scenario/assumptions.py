@@ -41,7 +41,7 @@ def connected(scenario: "Scenario") -> str | None:
     """Every pursuer is connected to every other in both directions, over any number of hops."""
     if parted := undivided(scenario):
         return parted
-    graph = _initial_graph(scenario)
+    graph = initial_graph(scenario)
     if not is_complete(graph) and not nx.is_strongly_connected(graph):
         return "some pursuers cannot reach all others at the start"
     return None
@@ -49,9 +49,9 @@ def connected(scenario: "Scenario") -> str | None:
 
 def everyone_heard(scenario: "Scenario") -> str | None:
     """Announcements of every pursuer reach all others, directly or relayed."""
-    if _is_relayed(scenario):
+    if is_relayed(scenario):
         return connected(scenario) or _out_of_hops(scenario)
-    graph, size = _initial_graph(scenario), scenario.team.count
+    graph, size = initial_graph(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
         return f"not all pursuers hear each other at the start, and {NOT_FORWARDED}"
     return undivided(scenario)
@@ -59,8 +59,8 @@ def everyone_heard(scenario: "Scenario") -> str | None:
 
 def component_heard(scenario: "Scenario") -> str | None:
     """Announcements of every pursuer reach all others in its network component, directly or relayed."""
-    graph = _initial_graph(scenario)
-    if _is_relayed(scenario):
+    graph = initial_graph(scenario)
+    if is_relayed(scenario):
         return _out_of_hops(scenario)
     if is_complete(graph):
         return None
@@ -135,7 +135,7 @@ def host_in_range(scenario: "Scenario") -> str | None:
     host, size = scenario.protocol_traits.host or 0, scenario.team.count
     if parted := undivided(scenario):
         return parted
-    graph = _initial_graph(scenario)
+    graph = initial_graph(scenario)
     far = [j for j in range(size) if j != host and not (graph.has_edge(j, host) and graph.has_edge(host, j))]
     return f"{len(far)} of {size - 1} are out of reach of pursuer {host} at the start" if far else None
 
@@ -228,7 +228,7 @@ def _reached_by_schedule(scenario: "Scenario") -> str | None:
     return scenario.schedule_traits.spreads_to
 
 
-def _is_relayed(scenario: "Scenario") -> bool:
+def is_relayed(scenario: "Scenario") -> bool:
     """Return whether announcements are relayed over several hops, or messages of the schedule carry actions to all."""
     return DisseminationTraits.of(scenario.announce.dissemination).relays or _reached_by_schedule(scenario) == "all"
 
@@ -238,7 +238,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     hops = DisseminationTraits.of(scenario.announce.dissemination).hops
     if hops == inf or _reached_by_schedule(scenario) == "all":
         return None
-    graph = _initial_graph(scenario)
+    graph = initial_graph(scenario)
     if is_complete(graph):
         return None
     lengths = nx.all_pairs_shortest_path_length(graph)
@@ -250,7 +250,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     )
 
 
-def _initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
+def initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
     """Return the directed graph of the links at the start of the run with the seed of the scenario."""
     network, start = scenario.network, scenario.team.start(scenario.seed)
     topology = Topology(

@@ -31,7 +31,7 @@ from desim.pursuit.sensing import Sensing
 from desim.pursuit.tracking import Estimator
 from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
-from desim.scenario.assumptions import violations
+from desim.scenario.assumptions import initial_graph, is_relayed, violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
 
 SAMPLE_SIZE = 130
@@ -389,10 +389,31 @@ def _trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 "announce.trust.liars",
                 f"a complete graph of {count} pursuers is robust against {tolerated_liars(count)} liars",
             )
+        elif trust.liars and not is_relayed(scenario) and not _tells_nothing(scenario):
+            yield from _sparse_warnings(scenario, trust.liars)
         return
     is_slow_to_trust = isinstance(trust, Reputation) and trust.threshold > INITIAL_REPUTATION
     if scenario.motion.static and TRUSTS.holds(trust) and not (is_accused or is_slow_to_trust):
         yield "announce.trust", "it has no effect: no pursuer moves, so no motion refutes an announcement"
+
+
+def _sparse_warnings(scenario: Scenario, liars: int) -> Iterator[tuple[str, str]]:
+    """Yield a warning if a pursuer has too few neighbours for F liars among them.
+
+    The rule needs a (2F + 1)-robust graph (LeBlanc et al. 2013, theorem 2). Of a single node and all others, one set
+    has a node with 2F + 1 neighbours outside of its set. It is the single node, because all others have one neighbour
+    there. So each has at least 2F + 1 neighbours. This is necessary and not sufficient; whether a graph is robust takes
+    a time that is exponential in its size.
+    """
+    neighbours = dict(initial_graph(scenario).in_degree())
+    pursuer = min(neighbours, key=lambda node: (neighbours[node], node), default=0)
+    needed = 2 * liars + 1
+    if neighbours.get(pursuer, 0) < needed:
+        yield (
+            "announce.trust.liars",
+            f"to tolerate {liars} among its neighbours, each pursuer needs at least 2 F + 1 = {needed} of them, and"
+            f" pursuer {pursuer} hears {neighbours.get(pursuer, 0)} at the start",
+        )
 
 
 def _is_built_in(scenario: Scenario) -> bool:

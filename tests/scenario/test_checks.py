@@ -3,6 +3,7 @@
 from math import inf
 from typing import Literal
 
+import networkx as nx
 import pytest
 
 from desim import Scenario, run
@@ -61,6 +62,26 @@ def warned(**given):
 
 def test_the_default_is_not_warned_of():
     assert warned() == []
+
+
+@pytest.mark.parametrize(
+    ("network", "liars", "heard"),
+    [
+        ({"graph": {"kind": "ring"}}, 1, "needs at least 2 F + 1 = 3 of them, and pursuer 0 hears 2"),
+        ({"graph": {"kind": "ring"}}, 0, None),
+        ({"graph": nx.circulant_graph(20, [1, 2])}, 1, None),
+        ({"graph": nx.circulant_graph(20, [1, 2])}, 2, "= 5 of them, and pursuer 0 hears 4"),
+        ({"range": 0.01}, 1, "hears 0 at the start"),
+        ({}, 3, None),
+    ],
+)
+def test_trimming_needs_enough_neighbours(network, liars, heard):
+    """A ring has degree 2, its square 4; a (2F + 1)-robust graph has at least 2F + 1. Flooded claims reach all."""
+    trust = {"trust": Trimmed(liars=liars)}
+    found = dict(warned(network=network, announce=trust)).get("announce.trust.liars")
+    assert (found is None) if heard is None else heard in found
+    flooded = trust | {"dissemination": "flooding"}
+    assert "announce.trust.liars" not in dict(warned(network=network, announce=flooded))
 
 
 @pytest.mark.parametrize(
