@@ -72,20 +72,20 @@ def number(value: float, digits: int = 3) -> str:
     return "-" if isnan(value) else f"{value:,.{digits}f}"
 
 
-def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
+def with_half_width(found: Estimate, runs: int, sign: str = "", unit: str = "") -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
     If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
     another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
-    positive mean, too.
+    positive mean, too. `unit` follows the number.
     """
     if not found.count:
         return "-"
-    digits = 3 if abs(found.mean) < 100.0 else 1
+    digits, unit = 3 if abs(found.mean) < 100.0 else 1, f" {unit}".rstrip()
     few = f" ({found.count})" if found.count != runs else ""
     if found.others is not None:
-        return f"{found.mean:{sign},.{digits}f} in all, others < {found.others:.1%}{few}"
-    return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{few}"
+        return f"{found.mean:{sign},.{digits}f}{unit} in all, others < {found.others:.1%}{few}"
+    return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{unit}{few}"
 
 
 def as_json(found: Estimate) -> dict[str, Any]:

@@ -228,7 +228,7 @@ def _excludes_0(found: Estimate, count: int) -> bool:
 
 
 def _size(found: Estimate, unit: str) -> str:
-    size = f"{with_half_width(found, found.count, '+')} {unit}".rstrip()
+    size = with_half_width(found, found.count, "+", unit)
     return f"{size} (95 % interval, {found.count} pairs of runs with the same seed)"
 
 

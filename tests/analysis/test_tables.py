@@ -109,6 +109,14 @@ def test_a_mean_has_its_half_width_and_how_many_values_it_is_of_if_not_one_per_r
     assert with_half_width(Estimate(nan, nan, 0), 2) == "-"
 
 
+def test_equal_values_have_a_bound_on_all_others_instead_of_a_width():
+    """By Wilson's interval of 0 in 30 and in 2. One value has no width and no bound, as before."""
+    assert with_half_width(estimate([0.0] * 30), 30, "+", "s") == "+0.000 s in all, others < 11.4%"
+    assert with_half_width(estimate([4.6] * 2), 3) == "4.600 in all, others < 65.8% (2)"
+    assert with_half_width(estimate([4.6]), 1) == "4.600 +- -"
+    assert with_half_width(estimate([0.0] * 29 + [1e-9]), 30) == "0.000 +- 0.000"
+
+
 def test_a_user_protocol_is_shown_by_its_name():
     def daydream(me):
         yield me.at(0.0)
