@@ -51,7 +51,7 @@ CAUSES = ("loss", "out_of_range", "partition", "jamming", "crash", "queue", "acc
 
 
 class Queued(NamedTuple):
-    """A transmission waits for a busy transmitter, or contends for the channel.
+    """A transmission waits at its host, for a busy transmitter, or contends for the channel.
 
     `MessageCounts` counts its messages as in flight from here on.
     """

@@ -24,7 +24,7 @@ from desim.kernel.link_traces import LatencyTrace
 from desim.kernel.measurements import PER_SECOND, Unit
 from desim.kernel.netem import Netem
 from desim.kernel.portable_math import exp
-from desim.kernel.seeds import ROOM
+from desim.kernel.seeds import ROOM, stream
 from desim.kernel.traits import LinkTraits, model_of_run
 
 
@@ -414,6 +414,15 @@ def mean_latency(model: Latency) -> float | None:
         return None if found is None else float(found)
     except (TypeError, ValueError) as error:
         raise ValueError(f"mean_latency of {model!r} should return a number, s, or None, got {found!r}") from error
+
+
+def mean_of(model: Latency, seed: int) -> float:
+    """Return the mean latency, s, of a model that does not depend on links, or an estimate by a thousand draws."""
+    if (mean := mean_latency(model)) is not None:
+        return mean
+    rng, of_run = stream(seed, "typical processing"), model_of_run(model, 1)
+    draws = (as_seconds(of_run(LinkContext(0, np.zeros(1, dtype=np.intp)), rng)).item() for _ in range(1000))
+    return fsum(draws) / 1000
 
 
 LATENCIES = OneOf(

@@ -1,6 +1,7 @@
-"""The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
+"""The link layer: the steps of a transmission, from its sender's host to its arrival or loss.
 
-A transmission waits until its transmitter is free. When it starts, its losses are drawn (`desim.kernel.departure`) and
+A transmission reaches the queue of its transmitter after the processing delay of its sender (`desim.kernel.hosts`). It
+waits until its transmitter is free. When it starts, its losses are drawn (`desim.kernel.departure`) and
 its arrivals scheduled (`desim.kernel.delivery`). If nodes contend, its arrivals are scheduled when its frame ends.
 """
 
@@ -11,6 +12,7 @@ from desim.kernel.contention import Callbacks, Contention
 from desim.kernel.delivery import Delivery
 from desim.kernel.departure import Departure
 from desim.kernel.events import LOST, Cause, MessageCounts, Trace
+from desim.kernel.hosts import Hosts
 from desim.kernel.inbox import Message
 from desim.kernel.links import Links
 from desim.kernel.medium import Radio, Unlimited
@@ -48,6 +50,7 @@ class LinkLayer:
         checks_range = links.range_check != "delivery"
         self._departure = Departure(state, sampler, checks_range=checks_range)
         medium = links.medium
+        wait: Callable[[Transmission], None] = _is_waiting_already if links.delays_start else self._log.queue
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
         if isinstance(medium, Radio) and medium.contends:
             callbacks = Callbacks(
@@ -56,13 +59,13 @@ class LinkLayer:
                 land=self._land,
                 attempt=self._departure.attempt,
                 succeed=self._succeed,
-                wait=self._log.queue,
+                wait=wait,
                 lose=self._log.give_up,
             )
             self._transmitter = Contention(state, medium, seed, callbacks)
         elif type(medium) is not Unlimited:
             self._transmitter = Transmitter(
-                env, medium, state.topology.size, self._leave, self._log.queue, self._log.give_up, sampler.processing
+                env, medium, state.topology.size, self._leave, wait, self._log.give_up, sampler.processing
             )
         self._receivers = self._departure.receivers
         self._contends = isinstance(self._transmitter, Contention)
@@ -79,10 +82,21 @@ class LinkLayer:
         )
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
-        self._may_lose = state.fault_state is not None or not sampler.lossless or self._transmitter is not None
+        self._may_lose = (
+            state.fault_state is not None
+            or not sampler.lossless
+            or self._transmitter is not None
+            or links.delays_start
+        )
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
-        self._enqueue = self._leave if self._transmitter is None else self._transmitter.enqueue
-        """Starts a transmission, or queues it if the transmitter is busy."""
+        self._enqueue: Callable[[Transmission], None] = (
+            self._leave if self._transmitter is None else self._transmitter.enqueue
+        )
+        """Starts a transmission, or queues it if the transmitter is busy; after a delay if its sender needs time."""
+        self._hosts: Hosts[Transmission] | None = None
+        if links.delays_start:
+            self._hosts = Hosts(env, links.processing.sender, state.topology.size, seed, self._enqueue)
+            self._enqueue = self._process
         self._duplicates = sampler.duplicates_messages
         self._listeners: list[Listener] = []
         self._numbers = count()
@@ -97,7 +111,9 @@ class LinkLayer:
         A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
         """
         self.delivery.arrivals.crash(node)
-        for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
+        taken = self._transmitter.flush(node) if self._transmitter is not None else []
+        taken += self._hosts.flush(node) if self._hosts is not None else []
+        for transmission in taken:
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
             self._log.lose(transmission, dict.fromkeys(reached, "crash"))
 
@@ -105,6 +121,8 @@ class LinkLayer:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         now, busy = self._env.now, 0.0
         in_flight = self.delivery.in_flight()
+        if self._hosts is not None:
+            in_flight += sum(len(transmission.receivers) for transmission in self._hosts.waiting())
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
@@ -122,7 +140,7 @@ class LinkLayer:
         port: str = "",
         only: Collection[int] | None = None,
     ) -> None:
-        """Start a new transmission, or queue it if the transmitter is busy; do nothing if the sender's radio is down.
+        """Start a new transmission, at once or after it has waited; do nothing if the sender's radio is down.
 
         See `Network.send`.
 
@@ -154,6 +172,12 @@ class LinkLayer:
         if twice:
             self._log.sent += len(twice)
             self._enqueue(transmission._replace(number=next(self._numbers), receivers=twice))
+
+    def _process(self, transmission: Transmission) -> None:
+        """Let the host of a sender process a transmission, which waits from now on."""
+        assert self._hosts is not None
+        self._log.queue(transmission)
+        self._hosts.process(transmission)
 
     def _succeed(self, transmission: Transmission) -> None:
         self._leave(transmission, draws=False)
@@ -204,6 +228,10 @@ class LinkLayer:
             self._log.lose(transmission, lost)
             drawn = {**drawn, **lost}
         self.delivery.schedule(transmission, reached, arrival, drawn, 0)
+
+
+def _is_waiting_already(_: Transmission) -> None:
+    """Record nothing: the transmission has waited since its host began to process it."""
 
 
 def _without(lost: Collection[int], nodes: list[int], arrival: Arrival) -> tuple[list[int], Arrival]:

@@ -10,13 +10,14 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
 from desim.kernel.graphs import GRAPHS, Complete, Edge, Edges, GraphModel, Link, Order, graph_of, is_networkx
-from desim.kernel.latency import LATENCIES, Constant, Latency
+from desim.kernel.latency import JITTERS, LATENCIES, Constant, Latency
 from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 from desim.kernel.transport import TRANSPORTS, BestEffort, Transport
+from desim.kernel.units import nanoseconds
 
 EdgeLike = TypeVar("EdgeLike", bound=Edge)
 
@@ -24,8 +25,10 @@ EdgeLike = TypeVar("EdgeLike", bound=Edge)
 class Processing(Value):
     """Processing delays of a message, in addition to its latency."""
 
-    sender: Time = 0.0
-    """Processing delay at the sender, s."""
+    sender: Annotated[Latency, JITTERS] = Constant()
+    """Processing delay at the sender, s, drawn for each transmission; the kinds are those of `latency` that do not
+    depend on the receiver. A message reaches the queue of its transmitter after this delay, in the order of its
+    sender. A random delay separates messages that several nodes create at one instant."""
     receiver: Time = 0.0
     """Processing delay at the receiver, s."""
 
@@ -35,7 +38,8 @@ def _completed(given: Any, table: dict[str, Any]) -> Any:
 
     `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
     """
-    if not isinstance(given, dict) or given.get("kind", table["kind"]) != table["kind"]:
+    kind = table.get("kind")
+    if not isinstance(given, dict) or given.get("kind", kind) != kind:
         return given
     return table | given | _tables_completed(given, table)
 
@@ -102,6 +106,17 @@ class Links(Value):
     messages, unless `announce.dissemination` sends them as messages."""
     link: tuple[Link, ...] = ()
     """Links with their own models."""
+
+    @property
+    def delays_start(self) -> bool:
+        """Whether transmissions start after the processing delay of their sender, which is drawn or precedes a queue.
+
+        Else the delay is constant, and added to that of the receiver.
+        """
+        sender = self.processing.sender
+        if type(sender) is not Constant:
+            return True
+        return nanoseconds(sender.value) > 0 and type(self.medium) is not Unlimited
 
     @property
     def node_names(self) -> tuple[str, ...]:

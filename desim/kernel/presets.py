@@ -7,8 +7,10 @@ from typing import Any
 
 # IEEE 802.11g, frames without protection at 6 Mbit/s, the rate of broadcasts.
 _WIFI: dict[str, Any] = {
-    # A guess: the time that the operating systems of sender and receiver take.
-    "latency": {"kind": "shifted_exponential", "offset": 0.0005, "mean": 0.0005},
+    # A guess: the times that the operating systems of sender and receiver take, 1 ms in all. That of the sender comes
+    # before its queue, so frames of one instant, as in rounds, do not start at the same nanosecond.
+    "processing": {"sender": {"kind": "shifted_exponential", "offset": 0.00025, "mean": 0.00025}},
+    "latency": {"kind": "shifted_exponential", "offset": 0.00025, "mean": 0.00025},
     "medium": {
         "kind": "bitrate",
         "bitrate": 6e6,

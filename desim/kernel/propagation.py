@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from desim.kernel.events import Cause
-from desim.kernel.latency import Constant
+from desim.kernel.latency import Constant, mean_of
 from desim.kernel.link_checks import link_misfits
 from desim.kernel.link_context import LinkContext
 from desim.kernel.link_draws import as_booleans, as_nanoseconds, booleans_of, buffered, times_of
@@ -57,8 +57,10 @@ class LinkSampler:
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
-        self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
-        """Processing delay of a message at sender and receiver together, ns."""
+        sender = links.processing.sender
+        before = nanoseconds(sender.value) if type(sender) is Constant and not links.delays_start else 0
+        self.processing = before + nanoseconds(links.processing.receiver)
+        """Processing delay of a message after its transmission, ns, with that at the sender if it delays no start."""
         self._latency, self._loss = model_of_run(links.latency, size), model_of_run(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
@@ -190,8 +192,11 @@ class LinkSampler:
         Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
         If latencies depend on time, the draws are spread over their `time_span`.
         """
+        if not self._graph.number_of_edges():
+            return 0.0
+        before = mean_of(self._links.processing.sender, self._seed) if self._links.delays_start else 0.0
         if self._constant is not None:
-            return (self.processing + self._constant) / SECOND if self._graph.number_of_edges() else 0.0
+            return (self.processing + self._constant) / SECOND + before
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
@@ -203,7 +208,7 @@ class LinkSampler:
             found += [time - now for time in per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))]
             if len(found) > 10_000:
                 break
-        return portable_sum(found) / len(found) / SECOND if found else 0.0
+        return portable_sum(found) / len(found) / SECOND + before if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""

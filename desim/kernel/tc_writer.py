@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from desim.kernel.graphs import Complete
-from desim.kernel.latency import Constant, Uniform
+from desim.kernel.latency import Constant, Uniform, mean_of
 from desim.kernel.link_overrides import link_overrides
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, Correlated, FourState, GilbertElliott
@@ -69,7 +69,7 @@ class _Writer:
 
     def __init__(self, links: Links):
         self._medium, self._duplicate = links.medium, links.duplicate
-        self._processing = links.processing.sender + links.processing.receiver
+        self._processing = mean_of(links.processing.sender, 0) + links.processing.receiver
         self.tables: dict[str, tuple[int, ...]] = {}
         self.missing: list[tuple[str, str]] = []
 
@@ -184,6 +184,8 @@ def _missing(links: Links) -> Iterator[tuple[str, str]]:
         yield "network.medium", "netem has only a bit rate"
     if isinstance(medium, Radio) and medium.contends:
         yield "network.medium.access", "netem has no contention: each device has a channel of its own"
+    if type(links.processing.sender) is not Constant:
+        yield "network.processing.sender", "netem has one delay: only the mean of this one is added to it"
     if medium.shared:
         yield "network.medium.shared", "netem has a rate for each device"
     if medium.half_duplex:

@@ -234,7 +234,8 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
         mean_latency(as_model("latency", own["latency"])) for own in _edge_attributes(scenario) if "latency" in own
     ]
     yield "network.graph", max((mean for mean in means if mean is not None), default=0.0)
-    yield "network.processing", network.processing.sender + network.processing.receiver
+    if (before := mean_latency(network.processing.sender)) is not None:
+        yield "network.processing", before + network.processing.receiver
 
 
 def _edge_attributes(scenario: Scenario) -> Iterator[dict[str, Any]]:

@@ -35,13 +35,15 @@ def without_latency(scenario: Scenario) -> Scenario:
 
     Nodes no longer wait for a channel. No message is dropped from a queue, or missed because its receiver transmits.
     Delays that a dissemination model adds on purpose before forwarding remain. If nodes contend for the channel, the
-    channel remains, too; see `without_contention`.
+    channel remains, too, and so do random processing delays of senders: without them all frames of one instant would
+    collide. See `without_contention`.
     """
-    medium = scenario.network.medium
+    medium, sender = scenario.network.medium, scenario.network.processing.sender
+    separates = _contends(medium) and type(sender) is not Constant
     return _with_network(
         scenario,
         latency=Constant(),
-        processing=Processing(),
+        processing=Processing(sender=sender) if separates else Processing(),
         medium=medium if _contends(medium) else Unlimited(),
         graph=_graph_without(scenario, "latency"),
         link=_links_without(scenario.network, "latency"),
@@ -51,14 +53,18 @@ def without_latency(scenario: Scenario) -> Scenario:
 def without_contention(scenario: Scenario) -> Scenario:
     """Return the scenario in which the channel is an ideal queue: no back-off, collision or duty cycle.
 
-    Messages still have an airtime, and wait for the channel.
+    Messages still have an airtime, and wait for the channel. The random processing delays of senders that
+    `without_latency` keeps are removed, too, where they are the only latency.
     """
     medium = scenario.network.medium
     if not _contends(medium):
         return scenario
     own = {"spreading_factors": None, "frequencies": None} if isinstance(medium, LoRa) else {}
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
-    return _with_network(scenario, medium=medium.model_copy(update=ideal | own))
+    network = scenario.network
+    is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own(scenario, "latency")
+    processing = Processing() if is_only else network.processing
+    return _with_network(scenario, medium=medium.model_copy(update=ideal | own), processing=processing)
 
 
 def without_loss(scenario: Scenario) -> Scenario:
@@ -202,6 +208,13 @@ def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     others = {"latency", "loss", "order"} - {key}
     kept = [link for link in network.link if any(getattr(link, name) is not None for name in others)]
     return tuple(link.model_copy(update={key: None}) for link in kept)
+
+
+def _has_own(scenario: Scenario, key: str) -> bool:
+    """Return whether a link or an edge of the graph has a model `key` of its own."""
+    return any(getattr(link, key) is not None for link in scenario.network.link) or (
+        _graph_without(scenario, key) is not scenario.network.graph
+    )
 
 
 def _graph_without(scenario: Scenario, key: str) -> Any:

@@ -452,7 +452,7 @@ SHORT = [
         "network.link.0.latency.scale",
         {"network": {"link": [{"src": 0, "dst": 1, "latency": {"kind": "gamma", "scale": 0.5e-9}}]}},
     ),
-    ("network.processing.sender", {"network": {"processing": {"sender": 0.5e-9}}}),
+    ("network.processing.sender.value", {"network": {"processing": {"sender": 0.5e-9}}}),
     ("announce.belief_timeout", {"announce": {"belief_timeout": 0.5e-9}}),
     ("evader.reaction_delay", {"evader": {"reaction_delay": 0.5e-9}}),
 ]

@@ -145,7 +145,7 @@ CHANGES = {
         "network.latency.kind": "constant",
         "network.latency.value": 0.0,
         **below("network.latency", "mean", "cv", "offset"),
-        "network.processing.sender": 0.0,
+        "network.processing.sender.value": 0.0,
         "network.processing.receiver": 0.0,
         **{
             f"network.{where}.{key}": each
