@@ -49,6 +49,8 @@ class Geometric(Value):
 
     announces: ClassVar[Literal["unseen"]] = "unseen"
     """Announcements are needed only where positions are not sensed."""
+    at_once: ClassVar[bool] = True
+    """All pursuers decide at the same instants."""
     slot: Period = 0.01
     """Time between two decisions, s."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0

@@ -83,10 +83,7 @@ class LinkLayer:
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
         self._may_lose = (
-            state.fault_state is not None
-            or not sampler.lossless
-            or self._transmitter is not None
-            or links.delays_start
+            state.fault_state is not None or not sampler.lossless or self._transmitter is not None or links.delays_start
         )
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._enqueue: Callable[[Transmission], None] = (

@@ -52,6 +52,8 @@ class ProtocolTraits(Assuming):
     claim_size: Callable[[int, int], int] | None = None
     """`claim_size(pursuers, evaders)` returns the size of an announcement, bytes, given the numbers of both; None: the
     size of `announce.payload`."""
+    at_once: Flag = False
+    """Whether pursuers decide at the same instants, for a protocol without a schedule."""
     host: Annotated[int | None, Parameter(int)] = None
     """The pursuer that hosts the server of the protocol; a scenario without this pursuer is invalid."""
     slot: Annotated[float | None, Parameter(int, float)] = None

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from desim.config.choice import choices_of
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.config.traits import inherits
-from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.access import Csma, SlottedAloha, Tdma
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.faults import ClockSkew, Fault
 from desim.kernel.graph_attributes import unread_attributes
@@ -33,6 +33,7 @@ from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
 from desim.scenario.assumptions import initial_graph, is_relayed, violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.scenario.simultaneous import simultaneous_warnings
 
 SAMPLE_SIZE = 130
 """The memory that the recorded position of a player takes, bytes."""
@@ -330,6 +331,7 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _trust_warnings(scenario)
     yield from _trace_warnings(scenario)
     yield from _channel_warnings(scenario)
+    yield from simultaneous_warnings(scenario)
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
@@ -511,12 +513,6 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "announce.heartbeat",
             f"a heartbeat of {heartbeat:g} s is shorter than the time for which {size} bytes keep a pursuer from"
             f" sending again, {interval:.3g} s, because of {why}: heartbeats are delayed or dropped",
-        )
-    if isinstance(access, Aloha | SlottedAloha) and _has_heartbeats(scenario) and scenario.announce.jitter == 0.0:
-        yield (
-            "announce.jitter",
-            "without jitter, heartbeats of two pursuers that overlap once on this channel overlap each time: give it"
-            " some jitter",
         )
     if isinstance(access, Csma):
         default, unused = dict(Csma()), CSMA_UNUSED[access.persistence]
