@@ -85,8 +85,13 @@ class CsmaCa(CarrierSensing):
     A node transmits after the channel has been idle for DIFS and a random number of slots. While it senses a frame, it
     keeps the number of slots that are left. After each frame it draws a new number. Broadcasts are not acknowledged.
     Messages to one node are acknowledged. If such a frame is lost, the node doubles its window, draws a new back-off
-    and transmits the frame again. Acknowledgements are always received. Not modelled: EIFS, NAV, RTS/CTS and the
-    time-out of acknowledgements.
+    and transmits the frame again. Not modelled: RTS/CTS.
+
+    By default acknowledgements are always received, and a sender knows of a loss at the end of its frame. With
+    `ack_timeout`, an acknowledgement is a frame that can collide, fade or be lost as any other. A sender that misses it
+    transmits the frame again, which its receiver delivers once. A node that receives a frame for another one is silent
+    until the end of its acknowledgement (network allocation vector). With `eifs`, a node that senses a frame without
+    receiving it is silent for so long that it does not disturb its acknowledgement.
 
     The default times are those of 802.11g without protection.
     """
@@ -106,6 +111,13 @@ class CsmaCa(CarrierSensing):
     """Number of times that an unacknowledged frame is transmitted again before it is dropped."""
     ack: Time = 34e-6
     """Airtime of an acknowledgement, s; the default is that of 14 bytes at 24 Mbit/s."""
+    ack_timeout: Time | None = None
+    """Time after its frame at which a sender without an acknowledgement transmits again, s; at least `sifs` + `ack`. If
+    None, acknowledgements are always received."""
+    eifs: Time | None = None
+    """Extended interframe space, s, at least `difs`: time for which the channel must be idle after a frame that the node
+    senses, and does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. Losses by `network.loss` do not
+    count."""
 
     @model_validator(mode="after")
     def _has_order(self) -> Self:
@@ -116,6 +128,13 @@ class CsmaCa(CarrierSensing):
             raise ValueError(
                 f"sensing_delay should be less than slot and difs, {shortest:g} s (got {self.sensing_delay:g})"
             )
+        least = nanoseconds(self.sifs) + nanoseconds(self.ack)
+        if self.ack_timeout is not None and nanoseconds(self.ack_timeout) < least:
+            raise ValueError(
+                f"ack_timeout should be at least sifs + ack, {self.sifs + self.ack:g} s (got {self.ack_timeout:g})"
+            )
+        if self.eifs is not None and self.eifs < self.difs:
+            raise ValueError(f"eifs should be at least difs, {self.difs:g} s (got {self.eifs:g})")
         longest = (self.window << self.doublings) * self.slot
         if longest > MAX_TIME:
             raise ValueError(

@@ -74,8 +74,11 @@ class AccessMethod:
     def sense_idle(self, nodes: Integers, now: int) -> None:
         """Plan the actions of nodes that sense now (ns) that the channel has become idle."""
 
+    def note(self, nodes: Integers, received: Bools) -> None:
+        """Note which of the nodes that sense a frame have received it, at its end."""
+
     def transmitted(self, node: int, *, acknowledged: bool) -> bool:
-        """Note the end of a frame of a node; return whether a frame without acknowledgement is transmitted again."""
+        """Note the end of a frame of a node, or of its wait for an acknowledgement; return whether a frame without acknowledgement is transmitted again."""
         return False
 
     def reset(self, node: int) -> None:
@@ -152,6 +155,9 @@ class _CsmaCa(AccessMethod):
         """Number of failed attempts to transmit the present frame of each node."""
         self._immediate = np.zeros(len(nodes.due), dtype=bool)
         """Whether each node waits for DIFS without a back-off, because its frame came while the channel was idle."""
+        self._extension = 0 if model.eifs is None else nanoseconds(model.eifs) - self._difs
+        self._extensions: Integers | None = None if model.eifs is None else np.zeros(len(nodes.due), dtype=np.int64)
+        """By how much the present interframe space of each node exceeds DIFS, ns; None: it never does."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         nodes = self._nodes
@@ -165,7 +171,7 @@ class _CsmaCa(AccessMethod):
 
     def sense_busy(self, nodes: Integers, now: int) -> None:
         left = self._left[nodes]
-        elapsed = (now - self._nodes.idle_since[nodes] - self._difs) // self._slot
+        elapsed = (now - self._idle_from(nodes)) // self._slot
         self._left[nodes] = left - np.minimum(np.maximum(elapsed, 0), left)
         ready = nodes[self._nodes.ready[nodes]]
         if len(ready):
@@ -188,8 +194,17 @@ class _CsmaCa(AccessMethod):
         return bool(again)
 
     def _start(self, nodes: Integers | int) -> Integers:
-        start: Integers = self._nodes.idle_since[nodes] + self._difs + self._left[nodes] * self._slot
+        start: Integers = self._idle_from(nodes) + self._left[nodes] * self._slot
         return start
+
+    def _idle_from(self, nodes: Integers | int) -> Integers:
+        """Return the time from which nodes count slots, ns."""
+        since: Integers = self._nodes.idle_since[nodes] + self._difs
+        return since if self._extensions is None else since + self._extensions[nodes]
+
+    def note(self, nodes: Integers, received: Bools) -> None:
+        if self._extensions is not None:
+            self._extensions[nodes] = np.where(received, 0, self._extension)
 
     def reset(self, node: int) -> None:
         super().reset(node)

@@ -54,8 +54,9 @@ class Air:
             other.overlapping.append(frame)
             if frame.locked is not None and other.locked is not None:
                 frame.locked[other.src] = other.locked[frame.src] = False
-                if other.begin < now:
-                    frame.locked &= ~(other.locked & self._audible(other, self._all))
+                first, second = (other, frame) if other.begin < frame.begin else (frame, other)
+                if first.begin < second.begin and first.locked is not None and second.locked is not None:
+                    second.locked &= ~(first.locked & self._audible(first, self._all))
         if not self._frames:
             self._busy_since = now
         self._frames.append(frame)
@@ -68,6 +69,13 @@ class Air:
         causes = self._judge(frame, receivers)
         frame.overlapping = []  # the frames refer to each other
         return causes
+
+    def received(self, frame: Frame, nodes: Integers) -> Bools:
+        """Return (k,) which of some nodes receive a frame that ends now and is still on the air."""
+        found = self._audible(frame, nodes)
+        lost = self._judge(frame, nodes[found].tolist())
+        found[found] = [node not in lost for node in nodes[found].tolist()]
+        return found
 
     def busy_time(self) -> int:
         """Return the total time, ns, for which there have been frames; SIFS before acknowledgements counts, too."""

@@ -86,6 +86,14 @@ class CarrierSense:
         else:
             self._count(frame.sensed_by, change)
 
+    def hold(self, nodes: Integers) -> None:
+        """Let nodes take the channel as busy from now on, as if they sensed one more frame."""
+        self._count(nodes, 1)
+
+    def release(self, nodes: Integers) -> None:
+        """End what `hold` has begun."""
+        self._count(nodes, -1)
+
     def _count(self, nodes: Integers, change: int) -> None:
         """Change the number of frames that some nodes sense, by 1 or -1."""
         state, now = self._nodes, self._env.now

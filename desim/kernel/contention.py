@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Generic, TypeVar
 
+import numpy as np
+
 from desim.kernel.access import CsmaCa
 from desim.kernel.access_methods import Contenders, access_method
 from desim.kernel.air import Air
@@ -47,11 +49,26 @@ class Callbacks(Generic[Item]):
     """Called with a transmission that needs an acknowledgement at the end of each attempt, and the number of the draws
     of the attempt; draws the losses, and returns the cause, or None."""
     succeed: Callable[[Item], None]
-    """Called with a transmission that needs an acknowledgement at the end of the attempt that succeeds."""
+    """Called with a transmission that needs an acknowledgement at the end of the first attempt that succeeds."""
+    acknowledge: Callable[[Item, int], Cause | None]
+    """Called with a transmission at the end of an acknowledgement that can be lost, and the number of the draws of the
+    acknowledgement; draws its losses, and returns the cause, or None."""
     wait: Callable[[Item], None]
     """Called with each transmission, because it may have to wait."""
     lose: Callable[[Item, Cause], None]
     """Called with a transmission that is given up, and the cause."""
+
+
+@dataclass
+class _Awaited(Generic[Item]):
+    """An acknowledgement for which a sender waits."""
+
+    frame: Frame
+    """The frame to be acknowledged."""
+    item: Item | None
+    """The transmission; None: its sender has crashed, so it has no outcome."""
+    cause: Cause
+    """The cause of the failure if no acknowledgement comes."""
 
 
 class Contention(Generic[Item]):
@@ -86,6 +103,17 @@ class Contention(Generic[Item]):
         """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
+        timeout, eifs = (access.ack_timeout, access.eifs) if isinstance(access, CsmaCa) else (None, None)
+        self._timeout = None if timeout is None else nanoseconds(timeout)
+        """Time for which a sender waits for an acknowledgement, ns; None: none is lost."""
+        self._notes = timeout is not None or eifs is not None
+        """Whether it matters which nodes that sense a frame receive it."""
+        self._awaiting: dict[int, _Awaited[Item]] = {}
+        """The acknowledgement for which each node waits."""
+        self._acknowledged: dict[int, Item] = {}
+        """By the number of its draws: the transmission of each acknowledgement that is on the air and can be lost."""
+        self._received: set[int] = set()
+        """The numbers of the transmissions that were received, and whose sender does not know it."""
         self._silent_until = [0] * topology.size
         """The time until which each node does not transmit because of the duty cycle, ns."""
         self._wake: int = NEVER
@@ -119,14 +147,22 @@ class Contention(Generic[Item]):
         if item is not None:
             self._sending[src] = None
             taken.append(item)
-        self._repeated.difference_update(each.number for each in taken)
+        awaited = self._awaiting.get(src)
+        if awaited is not None and awaited.item is not None:
+            taken.append(awaited.item)
+            awaited.item = None
+        numbers = {each.number for each in taken}
+        taken = [each for each in taken if each.number not in self._received]
+        self._repeated -= numbers
+        self._received -= numbers
         return taken
 
     def waiting(self) -> Iterator[Item]:
-        """Yield the transmissions that wait, and those on the air that are to be acknowledged."""
-        for queue in self._queues:
-            yield from queue
-        yield from (item for item in self._sending.values() if item is not None and self._needs_ack(item))
+        """Yield the transmissions that wait, and those on the air that are to be acknowledged and not yet received."""
+        items = [item for queue in self._queues for item in queue]
+        items += [item for item in self._sending.values() if item is not None and self._needs_ack(item)]
+        items += [awaited.item for awaited in self._awaiting.values() if awaited.item is not None]
+        yield from (item for item in items if item.number not in self._received)
 
     def busy_time(self) -> int:
         """Return the total time, ns, for which there have been frames on the air."""
@@ -141,7 +177,7 @@ class Contention(Generic[Item]):
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
         """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
         # At the end of its silence, another action of this instant may have come first.
-        is_idle = node not in self._sending and not self._nodes.ready[node]
+        is_idle = node not in self._sending and node not in self._awaiting and not self._nodes.ready[node]
         if is_idle and self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
             self._access.prepare(node, self._env.now, arrived=arrived)
@@ -192,9 +228,10 @@ class Contention(Generic[Item]):
 
     def _end(self, frame: Frame) -> None:
         """Take a frame from the air, and decide at which receivers it is lost."""
+        if self._notes:
+            self._note(frame)
         if frame.number == ACKNOWLEDGEMENT:
-            self._air.remove(frame, [])
-            self._carrier.sense(frame, -1)
+            self._end_acknowledgement(frame)
             return
         item, cause = self._sending.pop(frame.src), None
         causes = self._air.remove(frame, item.receivers if item is not None else [])
@@ -203,8 +240,12 @@ class Contention(Generic[Item]):
         elif item is not None:
             cause = causes.get(item.receivers[0]) or self._callbacks.attempt(item, frame.draw)
             self._repeated.discard(item.number)
-            if cause is None:
+            if cause is None and item.number not in self._received:
                 self._callbacks.succeed(item)
+            if self._timeout is not None:
+                self._await(frame, item, cause)
+                return
+            if cause is None:
                 self._acknowledge(item.receivers[0])
         is_repeated = self._access.transmitted(frame.src, acknowledged=cause is None)
         if item is not None and cause is not None:
@@ -225,10 +266,80 @@ class Contention(Generic[Item]):
         self._silent_until[node] = frame.begin + round(airtime / self._medium.duty_cycle)
         Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
 
-    def _acknowledge(self, node: int) -> None:
+    def _acknowledge(self, node: int) -> Frame:
         """Let a node transmit an acknowledgement after SIFS; in that time, too, the channel is sensed as busy."""
         assert isinstance(self._medium.access, CsmaCa)
         begin = self._env.now + nanoseconds(self._medium.access.sifs)
         airtime = nanoseconds(self._medium.access.ack)
-        self._carrier.sense(self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws)), 1)
+        frame = self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws))
+        self._carrier.sense(frame, 1)
         self._nodes.due[node] = NEVER
+        return frame
+
+    # Acknowledgements that can be lost.
+
+    def _note(self, frame: Frame) -> None:
+        """Let the nodes that sense a frame that ends now note whether they receive it.
+
+        Those that receive a frame to be acknowledged by another node are silent until the end of the acknowledgement.
+        """
+        nodes = frame.sensed_by
+        received = self._air.received(frame, nodes)
+        self._access.note(nodes, received | (nodes == frame.src))
+        item = self._sending.get(frame.src) if frame.number != ACKNOWLEDGEMENT else None
+        if self._timeout is None or item is None or not self._needs_ack(item):
+            return
+        assert isinstance(self._medium.access, CsmaCa)
+        silent = nodes[received & (nodes != item.receivers[0])]
+        end = self._env.now + nanoseconds(self._medium.access.sifs) + nanoseconds(self._medium.access.ack)
+        self._carrier.hold(silent)
+        Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.release(silent))
+
+    def _await(self, frame: Frame, item: Item, cause: Cause | None) -> None:
+        """Let a sender wait for the acknowledgement of its frame, which ends now and was lost by a cause, or received.
+
+        Until then it takes the channel as busy.
+        """
+        assert self._timeout is not None
+        src = frame.src
+        self._awaiting[src] = awaited = _Awaited(frame, item, cause or "loss")
+        self._carrier.hold(np.array([src]))
+        if cause is None:
+            self._received.add(item.number)
+            self._acknowledged[self._acknowledge(item.receivers[0]).draw] = item
+        self._carrier.sense(frame, -1)
+        self._rest(frame)
+
+        def time_out(_: object) -> None:
+            if self._awaiting.get(src) is awaited:
+                self._settle(src, acknowledged=False)
+
+        Instant(self._env, self._env.now + self._timeout, Phase.DELIVERY).callbacks.append(time_out)
+
+    def _end_acknowledgement(self, frame: Frame) -> None:
+        """Take an acknowledgement from the air, and let the sender that waits for it know, unless it is lost."""
+        item = self._acknowledged.pop(frame.draw, None)
+        causes = self._air.remove(frame, [item.src] if item is not None else [])
+        self._carrier.sense(frame, -1)
+        awaited = self._awaiting.get(item.src) if item is not None else None
+        if item is None or awaited is None or awaited.item is not item:
+            return
+        cause = causes.get(item.src) or self._callbacks.acknowledge(item, frame.draw)
+        if cause is None:
+            self._settle(item.src, acknowledged=True)
+        else:
+            awaited.cause = cause
+
+    def _settle(self, src: int, *, acknowledged: bool) -> None:
+        """End the wait of a sender for an acknowledgement: its transmission is done, repeated or given up."""
+        awaited = self._awaiting.pop(src)
+        item, is_repeated = awaited.item, self._access.transmitted(src, acknowledged=acknowledged)
+        if item is not None and is_repeated:
+            self._queues[src].appendleft(item)
+            self._repeated.add(item.number)
+        elif item is not None:
+            if item.number not in self._received:
+                self._callbacks.lose(item, awaited.cause)
+            self._received.discard(item.number)
+        self._carrier.release(np.array([src]))
+        self._prepare(src)

@@ -11,6 +11,9 @@ from desim.kernel.transmission import Transmission
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+ACKNOWLEDGEMENT_SIZE = 14
+"""Size of an acknowledgement of IEEE 802.11, bytes; its airtime is `CsmaCa.ack`."""
+
 
 class Departure:
     """Draws the losses of the transmissions that start.
@@ -49,7 +52,7 @@ class Departure:
     def attempt(self, transmission: Transmission, draw: int) -> Cause | None:
         """Draw the losses of an attempt to transmit to one node, which ends now; return the cause, or None."""
         (node,), faults = transmission.receivers, self._fault_state
-        if faults is not None and faults.down(node):
+        if faults is not None and (faults.down(node) or faults.down(transmission.src)):
             return "crash"
         if faults is not None and (jammed := faults.jammed([node], self._env.now)) is not None and jammed[0]:
             return jammed[0]
@@ -57,6 +60,12 @@ class Departure:
         if not (topology.are_linked(src, node) and topology.reaches(src, [node], draw)[0]):
             return "out_of_range"
         return self._drawn(transmission).get(node)
+
+    def acknowledgement(self, transmission: Transmission, draw: int) -> Cause | None:
+        """Draw the losses of an acknowledgement of a transmission to one node; return the cause, or None."""
+        (node,) = transmission.receivers
+        answer = transmission._replace(src=node, receivers=[transmission.src], size=ACKNOWLEDGEMENT_SIZE)
+        return self.attempt(answer, draw)
 
     def _drawn(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses by chance, and add those by partitions; return the cause of each loss by receiver."""

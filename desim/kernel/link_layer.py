@@ -59,6 +59,7 @@ class LinkLayer:
                 land=self._land,
                 attempt=self._departure.attempt,
                 succeed=self._succeed,
+                acknowledge=self._departure.acknowledgement,
                 wait=wait,
                 lose=self._log.give_up,
             )

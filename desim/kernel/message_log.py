@@ -26,7 +26,7 @@ class MessageLog:
         self._lost: Counter[Cause] = Counter()
 
     def queue(self, transmission: Transmission) -> None:
-        """Record that a transmission waits: at its host, for its transmitter, or because it contends for the channel."""
+        """Record that a transmission waits at its host, for its transmitter, or for the channel."""
         if self._trace is not None:
             number, src, _, size, receivers, *_ = transmission
             self._trace.append_message(Queued(self._env.now, number, src, tuple(receivers), size))
