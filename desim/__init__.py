@@ -68,7 +68,9 @@ if TYPE_CHECKING:
     from desim.kernel.netem import Netem as Netem
     from desim.kernel.reception import Disk as Disk
     from desim.kernel.reception import LogDistance as LogDistance
+    from desim.kernel.reception import Nakagami as Nakagami
     from desim.kernel.reception import QuasiUnitDisk as QuasiUnitDisk
+    from desim.kernel.reception import Rice as Rice
     from desim.kernel.trace_file import TraceFile as TraceFile
     from desim.kernel.transport import BestEffort as BestEffort
     from desim.kernel.transport import Coded as Coded
@@ -173,7 +175,7 @@ _NAMES = {
     "desim.kernel.loss": ("Bernoulli", "ByDistance", "Correlated", "FourState", "GilbertElliott"),
     "desim.kernel.medium": ("Bitrate", "LoRa"),
     "desim.kernel.netem": ("Netem",),
-    "desim.kernel.reception": ("Disk", "LogDistance", "QuasiUnitDisk"),
+    "desim.kernel.reception": ("Disk", "LogDistance", "Nakagami", "QuasiUnitDisk", "Rice"),
     "desim.kernel.trace_file": ("TraceFile",),
     "desim.kernel.transport": ("BestEffort", "Coded", "Reliable"),
     "desim.pursuit.announcements": ("Announcements",),

@@ -115,9 +115,9 @@ class CsmaCa(CarrierSensing):
     """Time after its frame at which a sender without an acknowledgement transmits again, s; at least `sifs` + `ack`. If
     None, acknowledgements are always received."""
     eifs: Time | None = None
-    """Extended interframe space, s, at least `difs`: time for which the channel must be idle after a frame that the node
-    senses, and does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. Losses by `network.loss` do not
-    count."""
+    """Extended interframe space, s, at least `difs`: time for which the channel must be idle after a frame that the
+    node senses, and does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. Losses by `network.loss`
+    do not count."""
 
     @model_validator(mode="after")
     def _has_order(self) -> Self:

@@ -78,7 +78,10 @@ class AccessMethod:
         """Note which of the nodes that sense a frame have received it, at its end."""
 
     def transmitted(self, node: int, *, acknowledged: bool) -> bool:
-        """Note the end of a frame of a node, or of its wait for an acknowledgement; return whether a frame without acknowledgement is transmitted again."""
+        """Note the end of a frame of a node, or of its wait for an acknowledgement.
+
+        Return whether a frame without acknowledgement is transmitted again.
+        """
         return False
 
     def reset(self, node: int) -> None:

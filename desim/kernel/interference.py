@@ -15,6 +15,7 @@ from pydantic import Field
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.choice import OneOf
 from desim.config.model import RESOLUTION, Flag, Positive, Value
+from desim.kernel.fading import RiceFactor, Shape, nakagami_quantiles, rice_quantiles
 from desim.kernel.portable_math import exp, log
 from desim.kernel.traits import InterferenceTraits
 
@@ -121,6 +122,33 @@ class Interference(Protocol):
     def __call__(self, overlap: Overlap) -> Bools: ...  # noqa: D102
 
 
+class Faded(Value):
+    """The fields of models of interference in which the power of a frame at a receiver may fade.
+
+    The power is multiplied by a random variable of mean 1, drawn for each frame and receiver.
+    """
+
+    fading: Literal["none", "rayleigh", "nakagami", "rice"] = "none"
+    """Fading of the power of each frame at each receiver, see `desim.kernel.fading`."""
+    m: Shape = 1.0
+    """Shape m of Nakagami fading, at least 0.5: 1 is Rayleigh fading."""
+    k: RiceFactor = 3.0
+    """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
+
+    def gains(self, uniforms: Floats) -> Floats:
+        """Return the (k,) factors by which (k,) powers fade, given uniform draws in (0, 1)."""
+        if self.fading == "rayleigh":
+            return -log(uniforms)
+        if self.fading == "nakagami":
+            return nakagami_quantiles(self.m, uniforms)
+        return rice_quantiles(self.k, uniforms) if self.fading == "rice" else np.ones(len(uniforms))
+
+    def level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
+        """Return (k,) the power of a frame at the receivers, dB, relative to that at 1 m without fading."""
+        level = _relative_power(overlap.distances(frame), exponent)
+        return level if self.fading == "none" else level + log(self.gains(overlap.uniforms(frame))) * (10.0 / LN_10)
+
+
 class Collision(Value):
     """Frames that overlap at a receiver are all lost there."""
 
@@ -136,7 +164,7 @@ class Collision(Value):
         return found
 
 
-class CaptureEffect(Value):
+class CaptureEffect(Faded):
     """A frame is received if it is stronger than each frame that overlaps it by a threshold.
 
     The power of a frame decreases with distance d as d^-exponent (log-distance path loss). All nodes transmit with the
@@ -156,20 +184,19 @@ class CaptureEffect(Value):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
-        power = _relative_power(overlap.distances(overlap.frame), self.exponent)
+        power = self.level(overlap, overlap.frame, self.exponent)
         found = np.ones(len(power), dtype=bool)
         for other in overlap.others:
-            weaker = _relative_power(overlap.distances(other), self.exponent) + self.threshold <= power
+            weaker = self.level(overlap, other, self.exponent) + self.threshold <= power
             found &= weaker | ~overlap.audible(other)
         return found
 
 
-class Sinr(Value):
+class Sinr(Faded):
     """A frame is received if its power is above noise and the sum of all interference by a threshold at all times.
 
     The sum is the largest of those of the frames that are on the air at one instant. The power of a frame at distance d
-    is power * d^-exponent. With Rayleigh fading it is multiplied by an exponential variable of mean 1 for each frame
-    and receiver. Interference has no range: all overlapping frames count.
+    is power * d^-exponent, and fades. Interference has no range: all overlapping frames count.
     """
 
     needs_positions: ClassVar[bool] = True
@@ -178,8 +205,8 @@ class Sinr(Value):
     """Smallest ratio of the power of a frame and the sum of the powers of all others and noise, dB."""
     exponent: Exponent = 3.0
     """Path loss exponent: 2 in free space, 3 to 4 over ground."""
-    fading: Literal["none", "rayleigh"] = "rayleigh"
-    """Fading of the power of each frame at each receiver."""
+    fading: Literal["none", "rayleigh", "nakagami", "rice"] = "rayleigh"
+    """Fading of the power of each frame at each receiver, see `desim.kernel.fading`."""
     power: Positive = 1.0
     """Power at a distance of 1 m, in any unit."""
     noise: Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)] = 0.0
@@ -206,10 +233,10 @@ class Sinr(Value):
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
         power: Floats = self.power * exp(-self.exponent * log(_at_least_nearest(overlap.distances(frame))))
-        return power * -log(overlap.uniforms(frame)) if self.fading == "rayleigh" else power
+        return power if self.fading == "none" else power * self.gains(overlap.uniforms(frame))
 
 
-class LoRaInterference(Value):
+class LoRaInterference(Faded):
     """LoRa frames with capture (Bor, Roedig, Voigt & Alonso 2016, "Do LoRa Low-Power Wide-Area Networks Scale?").
 
     Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
@@ -236,13 +263,13 @@ class LoRaInterference(Value):
         own = overlap.signal(overlap.frame)
         symbol = 2**own.spreading_factor / own.bandwidth / RESOLUTION
         critical = overlap.frame.begin + round((own.preamble - 5) * symbol)
-        power = _relative_power(overlap.distances(overlap.frame), self.exponent)
+        power = self.level(overlap, overlap.frame, self.exponent)
         found = np.ones(len(power), dtype=bool)
         for other in overlap.others:
             signal = overlap.signal(other)
             if abs(signal.frequency - own.frequency) > SEPARATION * own.bandwidth or other.end <= critical:
                 continue
-            advantage = power - _relative_power(overlap.distances(other), self.exponent)
+            advantage = power - self.level(overlap, other, self.exponent)
             if signal.spreading_factor == own.spreading_factor:
                 found &= (advantage >= self.threshold) | ~overlap.audible(other)
             elif self.isolation != "orthogonal":

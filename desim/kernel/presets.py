@@ -28,6 +28,8 @@ _WIFI: dict[str, Any] = {
             "doublings": 6,  # up to 1023 slots
             "retries": 7,  # default of dot11ShortRetryLimit
             "ack": 50e-6,  # 14 bytes at 6 Mbit/s
+            "ack_timeout": 69e-6,  # SIFS, acknowledgement and a slot
+            "eifs": 88e-6,  # SIFS, acknowledgement at the lowest rate and DIFS
             "sensing_delay": 4e-6,  # limit of the time of a clear channel assessment, clause 17
         },
         # A guess: the ratio at which a receiver gets the stronger of two frames depends on the radio.

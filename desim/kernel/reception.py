@@ -4,7 +4,7 @@ The range is the only parameter with a unit of length, so any model is scaled by
 and R the range, m.
 """
 
-from math import inf, log
+from math import inf, log, sqrt
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from pydantic import Field
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Probability, Value
+from desim.kernel.fading import RiceFactor, Shape, nakagami_quantiles, nakagami_survival, rice_survival
 from desim.kernel.traits import ReceptionTraits
 
 
@@ -89,10 +90,71 @@ class LogDistance(Value):
         return ranges * range
 
 
+LEAST = 5e-17
+"""A probability that is less than any draw of `pair_uniform`."""
+
+
+class Nakagami(Value):
+    """Log-distance path loss with Nakagami fading; at the range the mean power is just enough to receive.
+
+    P(d) = Q(m, m (d / R)^n), with the regularised upper incomplete gamma function Q. With m = 1 it is Rayleigh fading,
+    P(d) = exp(-(d / R)^n), so 37 % of the messages are received at the range.
+    """
+
+    kind: Literal["nakagami"] = "nakagami"
+    m: Shape = 1.0
+    """Shape m, at least 0.5: 1 is Rayleigh fading, and the larger m, the less the power varies."""
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        return nakagami_survival(self.m, _threshold(distances, range, self.exponent))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return a distance, m, beyond which no message is received: there P(d) < 5e-17."""
+        ratio = float(nakagami_quantiles(self.m, np.array([LEAST]))[0])
+        return float(range * min(ratio, 1e300) ** (1.0 / self.exponent))
+
+
+class Rice(Value):
+    """Log-distance path loss with Rice fading; at the range the mean power is just enough to receive.
+
+    P(d) = Q_1(sqrt(2 K), sqrt(2 (K + 1) (d / R)^n)), with Marcum's function Q_1. A receiver in line of sight gets one
+    strong path and many weak ones. With K = 0 it is Rayleigh fading, see `nakagami`.
+    """
+
+    kind: Literal["rice"] = "rice"
+    k: RiceFactor = 3.0
+    """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading."""
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        return rice_survival(self.k, _threshold(distances, range, self.exponent))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return a distance, m, beyond which no message is received.
+
+        There P(d) < 5e-17, because Q_1(a, b) <= exp(-(b - a)^2 / 2) for b > a (Simon & Alouini 2000).
+        """
+        b = sqrt(2.0 * self.k) + sqrt(-2.0 * log(LEAST))
+        return float(range * (b**2 / (2.0 * (self.k + 1.0))) ** (1.0 / self.exponent))
+
+
+def _threshold(distances: Floats, range: float, exponent: float) -> Floats:  # noqa: A002
+    """Return the least power that is received in units of the mean power at (k,) distances: (d / R)^n."""
+    with np.errstate(over="ignore"):
+        return np.array([min(ratio, 1e15) ** exponent for ratio in (distances / range).tolist()])
+
+
 def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
     """Return the distance, m, beyond which no message is ever received; inf if the model has no bound."""
     ends = ReceptionTraits.of(reception).bound
     return inf if ends is None else float(ends(range))
 
 
-RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance, takes=("distances", "range"), traits=ReceptionTraits)
+RECEPTION_MODELS = OneOf(
+    Disk, QuasiUnitDisk, LogDistance, Nakagami, Rice, takes=("distances", "range"), traits=ReceptionTraits
+)

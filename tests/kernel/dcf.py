@@ -51,8 +51,6 @@ def saturated(hears, flows, horizon, seed, timing):
     arrived = [False] * size  # whether the present frame has been delivered already
     air, delivered, attempts, lost_acks = [], dict.fromkeys(flows, 0), 0, 0
     was_busy = [False] * size
-    for k in flows:
-        left[k] = rng.randrange(timing.window)
 
     def is_busy(k, now):
         sensed = any(f.src == k or f.src in hears[k] for f in air)
@@ -70,7 +68,6 @@ def saturated(hears, flows, horizon, seed, timing):
 
     def finish(k, success):
         waiting[k] = None
-        nonlocal lost_acks
         if success or stage[k] == timing.retries:
             stage[k], arrived[k] = 0, False
         else:
@@ -123,9 +120,7 @@ def saturated(hears, flows, horizon, seed, timing):
                 idle_since[k] = now
             elif busy[k] and not was_busy[k]:
                 _count_down(k, now, left, idle_since, space, timing)
-        starting = [
-            k for k in flows if not busy[k] and idle_since[k] + space[k] + left[k] * timing.slot <= now
-        ]
+        starting = [k for k in flows if not busy[k] and idle_since[k] + space[k] + left[k] * timing.slot <= now]
         # A station that was idle until now, and whose back-off ends now, starts although another starts as well.
         starting += [
             k for k in flows

@@ -7,6 +7,8 @@ import networkx as nx
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.integrate import quad
+from scipy.stats import chi2, f, gamma, ncx2
 
 from desim.kernel.access import Aloha, Csma, CsmaCa
 from desim.kernel.clock import Clock, Instant, Phase
@@ -203,6 +205,72 @@ def test_receivers_can_lock_under_a_model_of_a_user():
     at(clock, 0, net.publish, 1, None, size=SIZE)
     clock.run()
     assert received(trace) == {(1, 2)}
+
+
+# Fading.
+
+
+def shares(model, ratio, frames=20_000, **given):
+    """Return the share of frames that one interferer, farther away by a factor, does not destroy, and its error."""
+    received = judged(model, [np.full(frames, 10.0), np.full(frames, 10.0 * ratio)], 5, **given)
+    return received.mean(), sqrt(received.mean() * (1.0 - received.mean()) / frames)
+
+
+@pytest.mark.parametrize("kind", [CaptureEffect, Sinr])
+@pytest.mark.parametrize("m", [0.5, 1.0, 4.0])
+def test_two_nakagami_powers_have_a_ratio_of_fishers_distribution(kind, m):
+    """P(S / I > th) = 1 - F(th; 2m, 2m), with th = 6 dB less the 9.03 dB of twice the distance; the control is 2m."""
+    model = kind(fading="nakagami", m=m)
+    found, error = shares(model, 2.0)
+    assert abs(found - f.sf(10**0.6 / 8.0, 2 * m, 2 * m)) < 4 * error
+    assert abs(found - f.sf(10**0.6 / 8.0, 4 * m, 4 * m)) > 4 * error
+
+
+@pytest.mark.parametrize("kind", [CaptureEffect, Sinr])
+@pytest.mark.parametrize("k", [0.0, 1.0, 8.0])
+def test_two_rician_powers_are_compared_as_their_distributions_say(kind, k):
+    """The integral of the density of the interferer and the survival of the frame; the control is 2 K + 1."""
+
+    def theory(k):
+        scale = 1.0 / (2.0 * (k + 1.0))
+        power = ncx2(2, 2 * k, scale=scale) if k else chi2(2, scale=scale)
+        return quad(lambda x: power.pdf(x) * power.sf(10**0.6 / 8.0 * x), 0.0, 40.0, limit=200, points=[0.5, 1.0, 2.0])[
+            0
+        ]
+
+    found, error = shares(kind(fading="rice", k=k), 2.0)
+    assert abs(found - theory(k)) < 4 * error
+    assert abs(found - theory(2 * k + 1)) > 4 * error
+
+
+@pytest.mark.parametrize(
+    ("fading", "survival"),
+    [
+        ({"fading": "none"}, lambda x: float(x <= 1.0)),
+        ({"fading": "rayleigh"}, lambda x: exp(-x)),
+        ({"fading": "nakagami", "m": 3.0}, lambda x: gamma.sf(x, 3.0, scale=1 / 3)),
+        ({"fading": "rice", "k": 3.0}, lambda x: ncx2.sf(8.0 * x, 2, 6.0)),
+    ],
+)
+def test_with_noise_alone_a_frame_is_received_if_its_power_is_above_the_threshold(fading, survival):
+    """th N d^a / P = 1/2; the control is twice as much noise."""
+    th, frames = 10**0.6, 20_000
+    model = Sinr(noise=0.5 / (th * 1000.0), **fading)
+    found = judged(model, [np.full(frames, 10.0)], 7).mean()
+    error = sqrt(0.25 / frames)
+    assert abs(found - survival(0.5)) < 4 * error
+    assert (
+        abs(judged(model.model_copy(update={"noise": 1.05 / (th * 1000.0)}), [np.full(frames, 10.0)], 7).mean() - found)
+        > 0.1
+    )
+
+
+def test_lora_frames_fade_too():
+    """One of two frames at one place is 6 dB stronger with probability 1 / (1 + 10^0.6) if both fade, and else never."""
+    alike = {"signals": [LoRaSignal(7, 125e3, 0.0, 8)] * 2, "times": [(0, 100 * MS)] * 2}
+    assert not judged(LoRaInterference(), [np.full(9, 10.0), np.full(9, 10.0)], **alike).any()
+    found, error = shares(LoRaInterference(fading="rayleigh"), 1.0, **alike)
+    assert abs(found - 1.0 / (1.0 + 10**0.6)) < 4 * error
 
 
 # Signal to interference and noise.

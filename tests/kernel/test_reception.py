@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.spatial import cKDTree
+from scipy.special import i0e
+from scipy.stats import gamma
 
-from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk, bound
+from desim.kernel.reception import Disk, LogDistance, Nakagami, QuasiUnitDisk, Rice, bound
 from desim.kernel.topology import Topology
 
 SEEDS = range(5)
-MODELS = [Disk(), QuasiUnitDisk(), LogDistance()]
+MODELS = [Disk(), QuasiUnitDisk(), LogDistance(), Nakagami(), Nakagami(m=4.0), Rice(), Rice(k=30.0)]
 
 
 def chance(apart, reach=10.0, exponent=3.0, shadowing=6.0):
@@ -51,6 +54,42 @@ def test_log_distance_is_its_formula(exponent, shadowing):
 def test_log_distance_reaches_half_at_the_range_and_all_at_no_distance():
     """Twice the range loses 30 log10 2 = 9.03 dB: Phi(-9.03 / 6) = 0.0661."""
     assert LogDistance()(np.array([0.0, 10.0, 20.0]), 10.0).tolist() == pytest.approx([1.0, 0.5, 0.0661], abs=1e-4)
+
+
+X = np.array([0.0, 1.0, 5.0, 9.0, 10.0, 12.0, 15.0, 18.0])
+
+
+@pytest.mark.parametrize(("m", "exponent"), [(0.5, 2.0), (1.0, 3.0), (2.5, 3.0), (40.0, 4.0)])
+def test_nakagami_is_the_share_of_a_gamma_distribution_above_the_threshold(m, exponent):
+    """The least power is (d / R)^n times the mean; the control is another m."""
+    theory = gamma.sf((X / 10.0) ** exponent, m, scale=1.0 / m)
+    np.testing.assert_allclose(Nakagami(m=m, exponent=exponent)(X, 10.0), theory, rtol=1e-12, atol=1e-300)
+    assert abs(Nakagami(m=1.5 * m, exponent=exponent)(X, 10.0) - theory).max() > 0.003
+
+
+@pytest.mark.parametrize(("k", "exponent"), [(0.0, 2.0), (0.3, 3.0), (3.0, 3.0), (30.0, 4.0), (1000.0, 3.0)])
+def test_rice_is_marcums_function(k, exponent):
+    """Q_1(a, b) is the integral of x exp(-(x^2 + a^2) / 2) I_0(a x) above b; the control is another K."""
+    a = sqrt(2.0 * k)
+
+    def marcum(b):
+        return quad(
+            lambda x: x * np.exp(-((x - a) ** 2) / 2) * i0e(a * x), b, max(a, b) + 40.0, limit=200, points=[max(a, b)]
+        )[0]
+
+    theory = [marcum(sqrt(2.0 * (k + 1.0) * (each / 10.0) ** exponent)) for each in X]
+    np.testing.assert_allclose(Rice(k=k, exponent=exponent)(X, 10.0), theory, rtol=1e-8, atol=1e-16)
+    assert abs(Rice(k=min(1.5 * k + 1.0, 500.0), exponent=exponent)(X, 10.0) - theory).max() > 1e-5
+
+
+def test_both_are_rayleigh_fading_at_one_end_and_none_at_the_other():
+    """exp(-(d / R)^n), and a disk of the range."""
+    rayleigh = np.exp(-((X / 10.0) ** 3.0))
+    for model in (Nakagami(m=1.0), Rice(k=0.0)):
+        np.testing.assert_allclose(model(X, 10.0), rayleigh, rtol=1e-13)
+    near = np.array([8.5, 11.5])
+    for model in (Nakagami(m=1000.0), Rice(k=1000.0)):
+        assert model(near, 10.0).tolist() == pytest.approx([1.0, 0.0], abs=1e-9)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -1,0 +1,79 @@
+"""Fading: the distribution of the power of a frame about its mean, from the paths over which a wave arrives.
+
+Nakagami (1960, "The m-Distribution"): the power divided by its mean is gamma distributed with shape m and mean 1.
+Rice: one path of constant power and many others. K is the ratio of the power of the one and that of all others. m = 1
+and K = 0 are Rayleigh fading; for large m and K there is none.
+"""
+
+import math
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Floats
+
+Shape = Annotated[float, Field(ge=0.5, le=1000, strict=True)]
+"""A parameter m of Nakagami fading."""
+RiceFactor = Annotated[float, Field(ge=0, le=1000, strict=True)]
+"""A factor K of Rice fading, not in dB."""
+
+
+def nakagami_survival(m: float, ratios: Floats) -> Floats:
+    """Return (k,) the probability that the power exceeds its mean times each of (k,) ratios: Q(m, m x).
+
+    Q is the regularised upper incomplete gamma function.
+    """
+    from scipy.special import gammaincc
+
+    found: Floats = gammaincc(m, m * ratios)
+    return found
+
+
+def rice_survival(k: float, ratios: Floats) -> Floats:
+    """Return (k,) the probability that the power exceeds its mean times each of (k,) ratios.
+
+    It is Marcum's Q_1(sqrt(2 K), sqrt(2 (K + 1) x)). Small probabilities, which are no differences from 1, are summed
+    over the Poisson distribution of a chi-squared mixture, of which all terms are positive.
+    """
+    from scipy.special import chndtr
+
+    found: Floats = np.maximum(1.0 - chndtr(2.0 * (k + 1.0) * ratios, 2.0, 2.0 * k), 0.0)
+    small = found < 1e-3
+    if small.any():
+        found[small] = _rice_tail(k, ratios[small])
+    return found
+
+
+def _rice_tail(k: float, ratios: Floats) -> Floats:
+    from scipy.special import gammaincc
+
+    numbers, weights = _poisson(k)
+    tail: Floats = np.add.reduce(weights * gammaincc(numbers + 1.0, (k + 1.0) * ratios), axis=0)  # row by row
+    return tail
+
+
+@lru_cache(maxsize=16)
+def _poisson(mean: float) -> tuple[Floats, Floats]:
+    """Return (n, 1) numbers and their Poisson probabilities, without those that do not matter."""
+    reach = 9.0 * math.sqrt(mean) + 20.0
+    numbers = range(max(math.floor(mean - reach), 0), math.ceil(mean + reach))
+    weights = [math.exp(n * math.log(mean) - mean - math.lgamma(n + 1)) if mean else float(n == 0) for n in numbers]
+    return np.array(numbers, dtype=float)[:, np.newaxis], np.array(weights)[:, np.newaxis]
+
+
+def nakagami_quantiles(m: float, survival: Floats) -> Floats:
+    """Return (k,) powers, in units of their mean, that are exceeded with (k,) probabilities."""
+    from scipy.special import gammainccinv
+
+    found: Floats = gammainccinv(m, survival) / m
+    return found
+
+
+def rice_quantiles(k: float, u: Floats) -> Floats:
+    """Return the (k,) u-quantiles of the power, in units of its mean."""
+    from scipy.special import chndtrix
+
+    found: Floats = chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0))
+    return found
