@@ -161,17 +161,20 @@ def excess_time(result: Result) -> float:
 
 
 def energy(result: Result) -> float:
-    """Return the energy of the chase, m^2/s: int sum_i v_i^2 a_i dt with a_i = 1{i is active}.
+    """Return the energy of the chase, (m/s)^p s: int sum_i v_i^p a_i dt with a_i = 1{i is active}.
 
-    v_i is the speed of pursuer i. In a static game, where no pursuer moves, the result is the energy that pursuers with
-    the same actions would need to move.
+    v_i is the speed of pursuer i through its medium, and p is `team.power_exponent`. A drive that needs the force
+    c v^(p-1) at the speed v spends c times as much, J: p = 1 is dry friction, 2 viscous friction, 3 the drag of air or
+    water. Not counted are what a robot consumes at rest and what accelerating takes. In a static game, where no pursuer
+    moves, the result is the energy that pursuers with the same actions would need to move.
     """
     end = ended(result).t
     own = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
     for change, before in changes_with_previous(result):
         own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
-    squares = [speed**2 for speed in started(result).speeds]
-    return inner_product(squares, own) / SECOND
+    exponent = result.scenario.team.power_exponent
+    powers = [speed**2 if exponent == 2.0 else speed**exponent for speed in started(result).speeds]
+    return inner_product(powers, own) / SECOND
 
 
 def switches(result: Result) -> int:

@@ -276,7 +276,9 @@ class Summary(Mapping[str, Any]):
         given=positions_known,
         more_is="worse",
     )
-    energy: float = entry(energy, "m^2/s", "v^2 summed over active pursuers, integrated over time", more_is="worse")
+    energy: float = entry(
+        energy, "(m/s)^p s", "v^p of active pursuers, p = 2 or `team.power_exponent`", more_is="worse"
+    )
     decisions: int = entry(
         lambda result: len(decisions(result)), note=lambda run: f"{run['switches']:,} of them changed an action"
     )

@@ -26,6 +26,9 @@ class Air:
         positions: the current positions of the nodes; None: unknown.
         seed: the seed of the run.
 
+    Attributes:
+        hears: returns which nodes are tuned to the frames of a node; None: all are.
+
     Raises:
         ValueError: if the model of interference needs positions and there are none, or the nodes do not fit the medium.
     """
@@ -36,6 +39,7 @@ class Air:
         traits = InterferenceTraits.of(medium.reception)
         self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
         self._all = np.arange(topology.size)
+        self.hears = medium.hears if isinstance(medium, LoRa) and medium.is_tuned else None
         self._frames: list[Frame] = []
         self._busy = self._busy_since = 0
         medium.check(topology.size)
@@ -56,7 +60,7 @@ class Air:
                 frame.locked[other.src] = other.locked[frame.src] = False
                 first, second = (other, frame) if other.begin < frame.begin else (frame, other)
                 if first.begin < second.begin and first.locked is not None and second.locked is not None:
-                    second.locked &= ~(first.locked & self._audible(first, self._all))
+                    second.locked &= ~(first.locked & self._tuned(first) & self._audible(first, self._all))
         if not self._frames:
             self._busy_since = now
         self._frames.append(frame)
@@ -83,7 +87,7 @@ class Air:
 
     def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
         """Return the causes of the losses of a frame that ends now, by receiver."""
-        if not receivers or not (frame.overlapping or self._has_noise):
+        if not receivers or not (frame.overlapping or self._has_noise or self.hears is not None):
             return {}
         nodes = np.array(receivers)
         overlap = Overlap(
@@ -105,8 +109,14 @@ class Air:
             received = received & frame.locked[nodes]
         cause: Cause = self._cause if frame.overlapping else "loss"
         lost = dict.fromkeys(nodes[~received].tolist(), cause)
+        if self.hears is not None:
+            lost |= dict.fromkeys(nodes[~self.hears(frame.src, nodes)].tolist(), "tuning")
         deaf = {each.src for each in frame.overlapping}
         return lost | {node: "half_duplex" for node in receivers if node in deaf}
+
+    def _tuned(self, frame: Frame) -> Bools:
+        """Return (n,) which nodes are tuned to a frame."""
+        return np.ones(len(self._all), dtype=bool) if self.hears is None else self.hears(frame.src, self._all)
 
     def _audible(self, frame: Frame, nodes: Integers) -> Bools:
         """Return (k,) whether nodes are linked to the sender of a frame, and within range."""

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from desim.config.arrays import Integers
+from desim.config.arrays import Bools, Integers
 from desim.kernel.access import Access, CarrierSensing
 from desim.kernel.access_methods import AccessMethod, Contenders
 from desim.kernel.clock import Clock, Instant, Phase
@@ -25,6 +25,7 @@ class CarrierSense:
         nodes: the state of the nodes.
         topology: the links of the graph, and which of them are within range.
         positions: the current positions of the nodes; None: unknown.
+        hears: returns which nodes are tuned to the frames of a node; None: all are.
         plan: called after nodes have planned actions because the channel has become idle for them.
 
     Raises:
@@ -39,10 +40,11 @@ class CarrierSense:
         nodes: Contenders,
         topology: Topology,
         positions: PositionSource | None,
+        hears: Callable[[int, Integers], Bools] | None,
         plan: Callable[[], None],
     ):
         self._env, self._method, self._nodes, self._plan = env, method, nodes, plan
-        self._topology, self._positions = topology, positions
+        self._topology, self._positions, self._hears = topology, positions, hears
         model = access if isinstance(access, CarrierSensing) else CarrierSensing()
         self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
         self._known: dict[int, Integers] = {}
@@ -60,6 +62,8 @@ class CarrierSense:
         found = self._known.get(node)
         if found is None:
             found = self._near(node)
+            if self._hears is not None:
+                found = found[self._hears(node, found)]
             if not self._delay:
                 found = np.append(found, node)
             if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(found) <= ROOM:

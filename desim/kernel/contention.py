@@ -95,7 +95,9 @@ class Contention(Generic[Item]):
         self._air = Air(env, medium, topology, positions, seed)
         self._nodes = Contenders(topology.size)
         self._access = access_method(access, self._nodes, stream(seed, "access"), state.clocks)
-        self._carrier = CarrierSense(env, access, self._access, self._nodes, topology, positions, self._plan)
+        self._carrier = CarrierSense(
+            env, access, self._access, self._nodes, topology, positions, self._air.hears, self._plan
+        )
         self._acknowledges = isinstance(access, CsmaCa)
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]

@@ -243,8 +243,8 @@ class LoRaInterference(Faded):
     a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
     received only if the other ends before the last five symbols of its preamble. In LoRaSim, the simulator of Bor et
     al., the earlier of two frames is then received, too; here its end is lost unless it is stronger. Frames of
-    different spreading factors interfere if the other is stronger by the isolation between the two. Receivers hear all
-    spreading factors and frequencies, as gateways do.
+    different spreading factors interfere if the other is stronger by the isolation between the two. Which frames a
+    receiver is tuned to is a matter of the medium (`gateways`).
     """
 
     needs_positions: ClassVar[bool] = True

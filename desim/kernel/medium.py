@@ -4,14 +4,19 @@ from collections.abc import Callable
 from math import ceil, inf
 from typing import Annotated, Any, ClassVar, Literal, Protocol
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
-from desim.kernel.access import ACCESSES, Access, Ideal, Tdma
+from desim.kernel.access import ACCESSES, Access, Ideal, Owner, Tdma
 from desim.kernel.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.traits import MediumTraits
 
+TUNING = 0.25
+"""Largest difference of the frequencies of a LoRa frame and a radio that receives it, in bandwidths (SX1276 datasheet,
+4.1.5)."""
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
 Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
@@ -159,6 +164,10 @@ class LoRa(Radio):
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
     frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
+    gateways: Annotated[tuple[Owner, ...], FirstError()] | None = None
+    """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
+    hears frames with the spreading factor and, up to a quarter of the bandwidth, the frequency that it transmits with,
+    and loses others ("tuning"). If None, all nodes are gateways."""
     bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
@@ -170,7 +179,7 @@ class LoRa(Radio):
     implicit_header: Flag = False
     """Whether the header is omitted."""
 
-    @field_validator("spreading_factors", "frequencies")
+    @field_validator("spreading_factors", "frequencies", "gateways")
     @classmethod
     def _differ_only_if_they_contend(cls, given: Any, info: ValidationInfo) -> Any:
         if given is not None and isinstance(info.data.get("access"), Ideal):
@@ -186,6 +195,30 @@ class LoRa(Radio):
         for name in ("spreading_factors", "frequencies"):
             if (given := vars(self)[name]) is not None and len(given) != size:
                 raise ValueError(f"network.medium.{name}: should have one for each of {size} nodes (got {len(given)})")
+
+        if unknown := sorted({*(self.gateways or ())}.difference(range(size))):
+            raise ValueError(f"network.medium.gateways: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
+
+    @property
+    def is_tuned(self) -> bool:
+        """Whether the radios of some nodes do not hear all frames."""
+        return self.gateways is not None and not (self.spreading_factors is None and self.frequencies is None)
+
+    def hears(self, src: int, nodes: Integers) -> Bools:
+        """Return (k,) whether the radios of some nodes are tuned to the frames of a node."""
+        own, gateways = self.signal(src), self.gateways or ()
+        signals = [(node, self.signal(node)) for node in nodes.tolist()]
+        return np.array(
+            [
+                node in gateways
+                or (
+                    each.spreading_factor == own.spreading_factor
+                    and abs(each.frequency - own.frequency) <= TUNING * own.bandwidth
+                )
+                for node, each in signals
+            ],
+            dtype=bool,
+        )
 
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""

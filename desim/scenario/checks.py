@@ -15,11 +15,11 @@ from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.faults import ClockSkew, Fault
 from desim.kernel.graph_attributes import unread_attributes
 from desim.kernel.graphs import Complete, Edges, as_model, links_with_attributes
-from desim.kernel.interference import Collision
+from desim.kernel.interference import Collision, Faded
 from desim.kernel.latency import mean_latency
 from desim.kernel.link_trace_base import LinkTrace
 from desim.kernel.links import Links
-from desim.kernel.medium import Radio
+from desim.kernel.medium import LoRa, Radio
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.kernel.transport import BestEffort, Coded, Reliable
@@ -501,6 +501,17 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         if medium.reception != Collision():
             yield "network.medium.reception", "it has no effect, because no frames overlap with access.kind 'ideal'"
         return
+    if isinstance(medium, LoRa) and medium.gateways is not None and not medium.is_tuned:
+        yield (
+            "network.medium.gateways",
+            "it has no effect: without `spreading_factors` and `frequencies` all nodes are tuned to each other",
+        )
+    reception = medium.reception
+    if isinstance(reception, Faded):
+        usual = dict(type(reception)())
+        for key, kind in (("m", "nakagami"), ("k", "rice")):
+            if reception.fading != kind and dict(reception)[key] != usual[key]:
+                yield f"network.medium.reception.{key}", f"it has no effect with fading {reception.fading!r}"
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
     access, airtime = medium.access, scenario.announcement_airtime

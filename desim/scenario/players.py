@@ -86,6 +86,9 @@ class Team(Value):
     """Guidance law of active pursuers."""
     dynamics: Annotated[Dynamics, DYNAMICS] = Simple()
     """How a pursuer follows the velocity that the guidance commands."""
+    power_exponent: Annotated[float, Field(ge=0, le=10, strict=True)] = 2.0
+    """Exponent p of the power that a drive needs at a speed v, v^p, for the metric `energy`: 1 against dry friction, as
+    of wheels; 2 against viscous friction; 3 against the drag of air or water."""
     relay: tuple[RelayNode, ...] = ()
     """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
 

@@ -59,7 +59,7 @@ def without_contention(scenario: Scenario) -> Scenario:
     medium = scenario.network.medium
     if not _contends(medium):
         return scenario
-    own = {"spreading_factors": None, "frequencies": None} if isinstance(medium, LoRa) else {}
+    own = {"spreading_factors": None, "frequencies": None, "gateways": None} if isinstance(medium, LoRa) else {}
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
     is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own(scenario, "latency")

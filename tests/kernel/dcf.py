@@ -141,3 +141,36 @@ def saturated(hears, flows, horizon, seed, timing):
 def _count_down(k, now, left, idle_since, space, timing):
     passed = max(0, (now - idle_since[k] - space[k]) // timing.slot)
     left[k] -= min(passed, left[k])
+
+
+def one_round(arrivals, rng, timing, sensing_delay):
+    """Return how many of the broadcasts of stations that all hear each other overlap with none.
+
+    Each station has one frame, which comes to its queue at its time of `arrivals`, us. All waits are real numbers.
+    """
+    waits = {k: (t, None) for k, t in enumerate(arrivals)}  # the time from which a station waits, and its slots
+    idle_since, alone, space = float("-inf"), 0, timing.difs
+    while waits:
+        starts = {}
+        for k, (since, slots) in waits.items():
+            if slots is None:  # it found an idle channel, or has not come yet
+                starts[k] = max(since, idle_since + space)
+            else:
+                starts[k] = idle_since + space + slots * timing.slot
+        first = min(starts.values())
+        sending = [k for k, t in starts.items() if t <= first + sensing_delay]
+        end = max(starts[k] for k in sending) + timing.airtime
+        alone += len(sending) == 1
+        for k in sending:
+            del waits[k]
+        for k, (since, slots) in list(waits.items()):
+            if since >= end + sensing_delay:
+                continue
+            if slots is None:
+                waits[k] = since, rng.randrange(timing.window)
+            else:
+                passed = max(0, int((first + sensing_delay - idle_since - space) // timing.slot))
+                waits[k] = since, max(0, slots - passed)
+        idle_since = end + sensing_delay
+        space = timing.difs if len(sending) == 1 else timing.eifs
+    return alone

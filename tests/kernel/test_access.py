@@ -1,5 +1,6 @@
 """Channel access against its theory, and by hand on two or three nodes."""
 
+import random
 from itertools import cycle, pairwise
 from math import exp, inf, nextafter, sqrt
 from types import SimpleNamespace
@@ -22,12 +23,14 @@ from desim.kernel.faults import Jamming, Partition
 from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.interference import CaptureEffect, Collision, LoRaInterference, Sinr
 from desim.kernel.invariants import Conservation, OneFrame
-from desim.kernel.links import Links
+from desim.kernel.latency import ShiftedExponential
+from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, LoRa
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.kernel.units import SECOND
+from tests.kernel.dcf import Timing, one_round
 
 MS, US = 1_000_000, 1000
 """Nanoseconds in a millisecond and a microsecond."""
@@ -374,6 +377,35 @@ def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
     spread = sqrt(error**2 + np.var(throughput, ddof=1) / len(throughput))
     assert abs(np.mean(throughput) - found.mean()) < 3 * spread
     assert abs(np.mean(throughput) - bianchi(nodes, 128)) > 3 * spread
+
+
+@pytest.mark.parametrize("mean", [0.00025, 0.002])
+def test_broadcasts_of_one_instant_survive_as_often_as_in_a_loop_over_the_stations(mean):
+    """Eight hosts pass a frame of 300 us on after an exponential time: as a round over the preset wifi.
+
+    500 rounds in desim and 3000 in the loop, which knows no events. The controls: without the random time all frames
+    overlap, and a window of 64 instead of 16 is far off.
+    """
+    timing, rounds = Timing(), 500
+
+    def lone(processing, window=16):
+        model = CsmaCa(sensing_delay=4e-6, window=window, eifs=88e-6)
+        clock = Clock()
+        links = Links(medium=Bitrate(bitrate=8e6, access=model), processing=processing)
+        net = Network(clock, complete_graph(8), links, seed=SEED)
+        for k in range(rounds):
+            for node in range(8):
+                at(clock, 50_000 * k, net.publish, node, None, size=300)
+        clock.run()
+        return net.message_counts().delivered / 7 / rounds
+
+    rng = random.Random(SEED)
+    loop = [one_round([rng.expovariate(1e-6 / mean) for _ in range(8)], rng, timing, 4) for _ in range(3000)]
+    found, theory = lone(Processing(sender=ShiftedExponential(mean=mean))), np.mean(loop)
+    error = np.std(loop) * sqrt(1 / rounds + 1 / 3000)
+    assert abs(found - theory) < 4 * error
+    assert lone(Processing(sender=mean)) == 0.0
+    assert mean > 0.001 or abs(lone(Processing(sender=ShiftedExponential(mean=mean)), 64) - theory) > 4 * error
 
 
 # By hand: the distributed coordination function.

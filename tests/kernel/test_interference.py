@@ -266,7 +266,7 @@ def test_with_noise_alone_a_frame_is_received_if_its_power_is_above_the_threshol
 
 
 def test_lora_frames_fade_too():
-    """One of two frames at one place is 6 dB stronger with probability 1 / (1 + 10^0.6) if both fade, and else never."""
+    """A frame is 6 dB stronger than another from its place with probability 1 / (1 + 10^0.6) if both fade."""
     alike = {"signals": [LoRaSignal(7, 125e3, 0.0, 8)] * 2, "times": [(0, 100 * MS)] * 2}
     assert not judged(LoRaInterference(), [np.full(9, 10.0), np.full(9, 10.0)], **alike).any()
     found, error = shares(LoRaInterference(fading="rayleigh"), 1.0, **alike)
@@ -641,3 +641,55 @@ def test_every_node_has_a_spreading_factor_and_a_frequency(name):
     radio = LoRa(access=Aloha(), **{name: values})
     with pytest.raises(ValueError, match=rf"network\.medium\.{name}: should have one for each of 2 nodes \(got 3\)"):
         Network(Clock(), nx.complete_graph(2), Links(medium=radio))
+
+
+# Radios with one frequency and spreading factor.
+
+
+def tuned(gateways, **signals):
+    """Return the receptions and the causes of losses of a frame of each of three nodes, one after the other."""
+    radio = LoRa(access=Aloha(), gateways=gateways, **signals)
+    clock, net, trace = network(None, [0.0, 1.0, 2.0], medium=radio)
+    for node in range(3):
+        at(clock, 10_000_000 * node, net.publish, node, None, size=SIZE)
+    clock.run()
+    return received(trace), set(causes(trace).values())
+
+
+@pytest.mark.parametrize(
+    ("gateways", "expected"),
+    [
+        (None, {(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)}),
+        ((), {(0, 2), (2, 0)}),
+        ((1,), {(0, 1), (0, 2), (2, 0), (2, 1)}),
+        ((0, 1, 2), {(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)}),
+    ],
+)
+@pytest.mark.parametrize("signals", [{"spreading_factors": (7, 9, 7)}, {"frequencies": (868.1e6, 868.3e6, 868.1e6)}])
+def test_a_radio_hears_the_frequency_and_the_spreading_factor_that_it_transmits_with(gateways, expected, signals):
+    """Nodes 0 and 2 are alike; a gateway hears all. The default, in which all hear all, is the control."""
+    got, why = tuned(gateways, **signals)
+    assert got == expected
+    assert why == (set() if len(expected) == 6 else {"tuning"})
+
+
+@pytest.mark.parametrize(("offset", "hears"), [(31_250.0, True), (31_251.0, False)])
+def test_a_radio_receives_up_to_a_quarter_of_the_bandwidth_beside_its_frequency(offset, hears):
+    got, _ = tuned((), frequencies=(868.1e6, 868.1e6 + offset, 868.1e6))
+    assert ((0, 1) in got) is hears
+
+
+def test_a_tuned_radio_senses_its_own_channel_only():
+    """On one channel the second waits for the first; on two it starts at once."""
+    for factors, starts in (((7, 7, 7), 2), ((7, 9, 7), 1)):
+        radio = LoRa(access=Csma(persistence="p_persistent"), gateways=(), spreading_factors=factors)
+        clock, net, trace = network(None, [0.0, 1.0, 2.0], medium=radio)
+        at(clock, 0, net.publish, 0, None, size=SIZE)
+        at(clock, 1000, net.publish, 1, None, size=SIZE)
+        clock.run()
+        assert len({each.t // MS for each in trace.of(Broadcast) if each.t > 2 * MS}) == starts - 1
+
+
+def test_a_gateway_that_is_no_node_is_refused():
+    with pytest.raises(ValueError, match=r"network.medium.gateways: there is no node 3: the nodes are 0 .. 2"):
+        tuned((3,), spreading_factors=(7, 7, 7))
