@@ -115,8 +115,8 @@ def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
     """Yield the unread records of `Agent.trusted` with a claim, in order of the source ids, and mark them as read.
 
-    `read` maps each source to the sequence number of the last record read. With `announce.warm_start` the initial
-    records carry no claim and are skipped.
+    `read` maps each source to the sequence number of the last record read. Records of initial actions
+    (`announce.start`) carry no claim and are skipped.
     """
     for j, record in sorted(me.trusted().items()):
         if record.seq > read.get(j, -1) and isinstance(record.body, claim):

@@ -124,7 +124,7 @@ def pursuit(
         name="liars",
         team=Team(count=N, speeds=1.5, active_at_start=0.0),
         protocol=PROTOCOLS[protocol],
-        announce=Announcements(payload="time", heartbeat=0.2, trust=DEFENCES[defence], warm_start=False),
+        announce=Announcements(payload="time", heartbeat=0.2, trust=DEFENCES[defence], start="silent"),
         network=late,
         fault=tuple(faults),
         record=Recording(trajectory=0.0),

@@ -14,7 +14,7 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.pursuit.announcements import Announcements
+from desim.pursuit.announcements import STARTS, Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import relay_profile
@@ -73,7 +73,7 @@ def case(schedule, number):
             trigger=str(rng.choice(["heartbeat", "both"])),
             heartbeat=1.0 if schedule in SLOW else 0.2,
             belief_timeout=np.inf,  # several heartbeats in a row may be lost
-            warm_start=bool(rng.random() < 0.5),
+            start=STARTS[rng.integers(3)],
         ),
         network=Links(latency=LATENCIES[rng.integers(7)](rng, mean), loss=LOSSES[rng.integers(3)](rng)),
         record=Recording(trajectory=0.0),
@@ -151,7 +151,7 @@ def test_on_a_path_only_forwarded_records_lead_to_one_relay_pursuer(disseminatio
         evader=Evader(position=(0.0, 0.0), speed=0.0),
         motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=Poisson(rate=5.0)),
-        announce=Announcements(dissemination=dissemination, warm_start=False, belief_timeout=np.inf),
+        announce=Announcements(dissemination=dissemination, start="silent", belief_timeout=np.inf),
         network=Links(graph=Edges.of(nx.path_graph(6)), latency=Constant(value=0.02)),
         record=Recording(trajectory=0.0),
     )

@@ -17,7 +17,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.trace_file import line_of
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, Announcements
+from desim.pursuit.announcements import DISSEMINATIONS, STARTS, Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
@@ -134,7 +134,7 @@ def settled(kind, seed, **changes):
         "team": Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
         "motion": Motion(static=True),
         "protocol": KINDS[kind](**settings),
-        "announce": Announcements(heartbeat=0.5, warm_start=bool(rng.random() < 0.5)),
+        "announce": Announcements(heartbeat=0.5, start=STARTS[rng.integers(3)]),
         "record": Recording(trajectory=0.0),
     }
     return Scenario(**(fixed | changes))

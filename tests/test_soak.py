@@ -19,7 +19,7 @@ from desim.kernel.medium import MEDIA
 from desim.kernel.reception import RECEPTION_MODELS
 from desim.kernel.transport import TRANSPORTS
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS
+from desim.pursuit.announcements import DISSEMINATIONS, STARTS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
 from desim.pursuit.noise import NOISES
@@ -216,7 +216,7 @@ def anything(seed):
             "trigger": dice.one(["change", "heartbeat", "both", "revision", "never"]),
             "heartbeat": dice.one([0.1, 0.3]),
             "belief_timeout": dice.one(["auto", 0.5, np.inf]),
-            "warm_start": dice.chance(0.7),
+            "start": dice.one(list(STARTS)),
             "dissemination": dice.kind(DISSEMINATIONS),
             "trust": dice.one(["none", dice.kind(TRUSTS)]),
         },

@@ -104,11 +104,11 @@ def age_at_decision(result: Result) -> float:
 def belief_error(result: Result) -> float:
     """Return the share of ordered pairs in which the source's action differs from that in the reader's newest record.
 
-    The share, in [0, 1], is averaged over time; it is nan if there are no pairs or no time passed. At the start,
-    readers know all actions or, without `announce.warm_start`, take all pursuers for inactive. After a loss of memory,
-    a reader takes all pursuers for inactive, too. The time-out of beliefs (`announce.belief_timeout`) has no effect,
-    because this metric compares records only. With several evaders, a record is also wrong if it names an evader that
-    the source does not chase, such as an evader captured since.
+    The share, in [0, 1], is averaged over time; it is nan if there are no pairs or no time passed. Until its first
+    record of a source arrives, a reader takes the source for inactive, unless all know the initial actions
+    (`announce.start`); so it does after a loss of memory. The time-out of beliefs (`announce.belief_timeout`) has no
+    effect, because this metric compares records only. With several evaders, a record is also wrong if it names an
+    evader that the source does not chase, such as an evader captured since.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.

@@ -337,9 +337,9 @@ class PotentialWatcher:
 
     - each decision is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
     - pursuers decide one at a time, so the schedule is neither `synchronous` nor `rounds`;
-    - the beliefs of pursuers are true: an ideal complete network, known initial actions (`announce.warm_start`), every
-      change announced, no time-out of beliefs, no faults, exact clocks, and all players sensed (`announce.payload` is
-      "action" or, in a static game, any payload);
+    - the beliefs of pursuers are true: an ideal complete network, initial actions that are known or announced
+      (`announce.start`), every change announced, no time-out of beliefs, no faults, exact clocks, and all players
+      sensed (`announce.payload` is "action" or, in a static game, any payload);
     - capture times depend on distances alone: the motion of pursuers is simple or the game is static, and no flow
       changes distances.
 

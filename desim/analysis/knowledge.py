@@ -71,9 +71,11 @@ def knowledge(result: Result) -> Pieces:
         # At an instant faults come first, so a record that arrives as the memory is lost belongs to the next period.
         arrived = [0, *np.searchsorted(mine.arrival, bounds[1:-1]), len(mine.arrival)]
         for k, ((begin, until), span) in enumerate(zip(pairwise(bounds), pairwise(arrived), strict=True)):
-            warm = k == 0 and result.scenario.announce.warm_start
+            is_known = k == 0 and result.scenario.announce.start == "known"
             before = LAST if k == len(bounds) - 2 else FIRST
-            life = _Life(reader, begin, until, before, profile if warm else np.zeros_like(profile), 0 if warm else -1)
+            life = _Life(
+                reader, begin, until, before, profile if is_known else np.zeros_like(profile), 0 if is_known else -1
+            )
             lives.append(life.pieces(announced, mine.between(*span)))
     return np.concatenate(lives)
 

@@ -8,7 +8,7 @@ from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
 from types import MappingProxyType, UnionType
-from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -134,6 +134,9 @@ class Value(BaseModel):
         defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
 
+    _replaced: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """For keys of older versions: the part of the error message that says what replaces them."""
+
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
     def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
@@ -195,11 +198,12 @@ class Value(BaseModel):
         """Raise ValidationError if a name is not a field; with what may be meant, which pydantic does not say."""
         fields = cls.model_fields
         names = sorted({*fields, *(field.alias for field in fields.values() if field.alias)})
+        replaced = cls._replaced
         problems = {
             name: PydanticCustomError(
                 "extra_forbidden",
                 "unknown key{hint}; allowed: {names}",
-                {"hint": did_you_mean(str(name), names), "names": ", ".join(names)},
+                {"hint": replaced.get(name) or did_you_mean(str(name), names), "names": ", ".join(names)},
             )
             for name in values
             if name not in names

@@ -1,8 +1,8 @@
 """The agent: the interface through which a protocol controls one pursuer.
 
 An agent senses its own position, the evaders within `sensing.radius` and, if `announce.payload` is "action", the
-positions of its teammates. It learns the actions of teammates only from delivered messages, except the initial actions
-(`announce.warm_start`).
+positions of its teammates. It learns the actions of teammates only from delivered messages; with `announce.start` =
+"known" it knows the initial actions without any.
 """
 
 from collections.abc import Callable, Generator, Iterable
@@ -79,7 +79,7 @@ class Agent(Knowledge, Timing):
         self._payload: Any = None
         # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
         # this result has changed, or is None. Other triggers do not use it.
-        self._announced: Any = (self.action,) if announcements.warm_start else None
+        self._announced: Any = None if announcements.start == "silent" else (self.action,)
         self._streams: dict[str, np.random.Generator] = {}
 
     def recovered(self, *, restarted: bool) -> None:

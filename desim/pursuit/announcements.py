@@ -4,14 +4,14 @@ from cmath import phase, rect
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from math import inf
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from desim.config.choice import OneOf
 from desim.config.json_numbers import from_json
-from desim.config.model import Flag, Period, Timeout, Value
+from desim.config.model import Period, Timeout, Value
 from desim.kernel.events import Broadcast, Delivered, Sent
 from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
@@ -124,6 +124,9 @@ class Forwarded(NamedTuple):
     """Number of hops that it may still travel, the present one included."""
 
 
+Start = Literal["announced", "known", "silent"]
+"""How pursuers learn the initial actions; see `Announcements.start`."""
+STARTS: tuple[Start, ...] = get_args(Start)
 MAX_SEQ = 1 << 40
 """Largest sequence number of a record."""
 MAX_STAMP = 1 << 62
@@ -244,6 +247,9 @@ def _form_of_timeout(value: Any) -> str:
 class Announcements(Value):
     """The content of announcements, when they are sent, and how long they are believed."""
 
+    _replaced: ClassVar[Mapping[str, str]] = {
+        "warm_start": ', use start: "known" instead of true, "silent" instead of false, or the default "announced"'
+    }
     payload: Literal["action", "time", "state", "course"] = "action"
     """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
     sending; state: the action, the position and the speed at sending; course: as state, and the velocity and the
@@ -252,21 +258,25 @@ class Announcements(Value):
     """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit if sensing is
     unlimited, else as straight_line; straight_line: straight towards the present position of the evader."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
-    """When an action is announced. change: when it changes; heartbeat: at every heartbeat; both: at either; revision:
-    after every decision, even if the action has not changed; never."""
+    """When an action is announced after the start. change: when it changes; heartbeat: at every heartbeat; both: at
+    either; revision: after every decision, even if the action has not changed; never."""
+    start: Start = "announced"
+    """How pursuers learn the initial actions. announced: each announces its first action at time 0, over the network,
+    whatever the trigger; known: all know them at time 0 without a message; silent: a pursuer announces its first action
+    as any later one, by the trigger, and until then the others know nothing of it. If in doubt, use announced: with
+    known, initial knowledge crosses any network for free."""
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
     jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
     """Largest share by which the time between two heartbeats is longer or shorter than `heartbeat`, in [0, 1). Without
-    jitter, heartbeats of two pursuers that overlap once on a contended channel overlap each time."""
+    jitter, heartbeats of two pursuers that overlap once on a contended channel overlap each time. On such a channel,
+    the first announcement (`start`) is sent after a random time of up to this share of `heartbeat`."""
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
     TDMA keep a pursuer from sending every heartbeat."""
-    warm_start: Flag = True
-    """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How announcements spread beyond the first receivers."""
     trust: Annotated[Trust, TRUSTS] = Credulous()

@@ -209,9 +209,6 @@ kind = "NAME:CLASS"
 inertia = 0.3
 schedule = { kind = "poisson", rate = 5.0 }             # 1/s per pursuer
 
-[announce]
-warm_start = false                                      # initial actions are unknown, so messages matter
-
 [sweep]
 reps = 20                                               # runs of each configuration
 

@@ -9,7 +9,7 @@ from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
-from desim.config.model import fields_of, markers_of
+from desim.config.model import Value, fields_of, markers_of
 from desim.config.suggestion import close_to
 from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import Source, holds, model_of, value_at
@@ -109,7 +109,8 @@ def _reason(
         if place == (BASE,):
             return "is a key of scenario files only: it cannot be set, and a recorded scenario is complete without it"
         allowed = context.get("allowed") or (sorted([*owner.model_fields, *more]) if owner else [])
-        return f"unknown key{_other_key(place, allowed)}; allowed: {', '.join(allowed)}"
+        replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
+        return f"unknown key{replaced or _other_key(place, allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
     if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):

@@ -14,6 +14,7 @@ from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, draw_faults
+from desim.kernel.medium import Radio
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.kernel.seeds import seed_of
@@ -153,7 +154,7 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
         agents.append(
             Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock, voice, judges[-1])
         )
-    if scenario.announce.warm_start:
+    if scenario.announce.start == "known":
         for agent, clock in zip(agents, clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     team = _Team(env, scenario, world, agents, judges, sensor, liars)
@@ -240,6 +241,9 @@ class _Team:
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
         has_heartbeats = self._scenario.announces and announce.has_heartbeats
         for pursuer, agent in enumerate(self._agents):
+            if self._scenario.announces and announce.start == "announced":
+                # In the relay phase: without latency it arrives, over all hops, before the first decision.
+                agent.after(self._start_delay(agent), agent.broadcast, Phase.RELAY)
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
             if has_heartbeats:
@@ -254,6 +258,16 @@ class _Team:
             if judge is not None and interval is not None:
                 accuse = judge.report if self._liars is None else self._liars.accusing(pursuer, judge.report)
                 env.process(repeat(agent, accuse, interval, "accusations"))
+
+    def _start_delay(self, agent: Agent) -> float:
+        """Return the time, s, after which a pursuer announces its first action.
+
+        It is 0, or random where nodes contend for a channel and announcements have some jitter.
+        """
+        medium, announce = self._scenario.network.medium, self._scenario.announce
+        if not announce.jitter or not isinstance(medium, Radio) or not medium.contends:
+            return 0.0
+        return agent.stream("first announcement").uniform(0.0, announce.jitter * announce.heartbeat)
 
     def crashed(self, crash: Crash) -> None:
         """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""

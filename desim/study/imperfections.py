@@ -125,13 +125,18 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
 
 
 def without_staleness(scenario: Scenario) -> Scenario:
-    """Return the scenario in which pursuers announce actions at once, sense positions and know the initial actions.
+    """Return the scenario in which pursuers announce actions at once, and sense positions.
 
     Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses announcements only for
     positions then senses the positions instead and needs no messages.
     """
-    ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
+    ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto"}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
+
+
+def without_unknown_start(scenario: Scenario) -> Scenario:
+    """Return the scenario in which all pursuers know the initial actions, without a message."""
+    return scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"start": "known"})})
 
 
 def without_sensing_limit(scenario: Scenario) -> Scenario:
@@ -180,6 +185,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "faults": without_faults,
         "lies": without_lies,
         "serial decisions": without_serial_decisions,
+        "unknown start": without_unknown_start,
         "stale knowledge": without_staleness,
         "limited sight": without_sensing_limit,
         "noise": without_noise,

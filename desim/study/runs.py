@@ -21,7 +21,7 @@ SHOWN = ("active_time", "capture_time", "messages_sent")
 MESSAGING = ("network.", "announce.")
 """The first parts of keys that have an effect only if pursuers need messages."""
 NEEDLESS = (
-    "; a protocol may need no messages if all know the initial actions (`announce.warm_start`) and see all positions"
+    "; a protocol may need no messages if all know the initial actions (`announce.start`) and see all positions"
     " (`announce.payload`), or if few pursuers could capture the evader in time"
 )
 Indices = NDArray[np.intp]

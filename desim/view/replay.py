@@ -560,11 +560,11 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
 
     The reader is the pursuer that holds the belief; the source is the pursuer that the belief is about. An action is
     0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
-    `announce.warm_start`, the initial actions are known. Of several changes at one instant, the last one counts.
+    `announce.start` = "known", the initial actions are known. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1
-    warm = result.scenario.announce.warm_start & (known["begin"] == 0)
-    value = np.where(known["presumed"] & ~warm, unheard, known["active"].astype(int))
+    is_certain = (result.scenario.announce.start == "known") & (known["begin"] == 0)
+    value = np.where(known["presumed"] & ~is_certain, unheard, known["active"].astype(int))
     columns = (known["reader"], known["source"], value)
     changed = np.ones(len(known), bool)
     changed[1:] = np.any([column[1:] != column[:-1] for column in columns], axis=0)

@@ -32,7 +32,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements, Assignment, Forwarded
+from desim.pursuit.announcements import STARTS, Announcements, Assignment, Forwarded
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.lies import LIES, Slander
 from desim.scenario.players import Team
@@ -51,13 +51,13 @@ def ns(time):
     return LOST if time is None else round(time * SECOND)
 
 
-def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
+def by_hand(profile, end, *events, start="known", fault=(), sent=1, evaders=1):
     """Return a result with this start, these events and this end, s."""
     trace, places = Trace(), tuple((float(i), 0.0) for i in range(len(profile)))
     tally = MessageCounts(ns(end), sent, 0, 0, 0, {}, 0, 0, 0.0)
-    start = Started(0, ((9.0, 0.0), *((9.0, 9.0),) * (evaders - 1)), places, (1.0,) * len(profile), profile)
-    trace.events += [start, *events, tally, Ended(ns(end), "horizon", None)]
-    return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
+    started = Started(0, ((9.0, 0.0), *((9.0, 9.0),) * (evaders - 1)), places, (1.0,) * len(profile), profile)
+    trace.events += [started, *events, tally, Ended(ns(end), "horizon", None)]
+    return Result(Scenario(announce=Announcements(start=start), fault=fault), 0, trace)
 
 
 def announced(src, seq, created, arrivals, body=ACTIVE, transmission=0):
@@ -254,14 +254,14 @@ def test_a_pursuer_that_keeps_its_memory_keeps_its_records():
 # Beliefs by hand.
 
 
-def stop_at(time, *, warm):
+def stop_at(time, *, start):
     """Return two pursuers of which 0, active at first, stops at a time; its announcement is received at 2 s, of 4."""
-    return by_hand((True, False), 4.0, decided(time, 0, False), announced(0, 1, time, {1: 2.0}, INACTIVE), warm=warm)
+    return by_hand((True, False), 4.0, decided(time, 0, False), announced(0, 1, time, {1: 2.0}, INACTIVE), start=start)
 
 
 def test_a_belief_is_wrong_from_a_change_until_its_announcement_arrives():
     """Wrong from 1.5 to 2 s about one of two pairs: 0.5 / (2 x 4)."""
-    assert belief_error(stop_at(1.5, warm=True)) == 0.0625
+    assert belief_error(stop_at(1.5, start="known")) == 0.0625
 
 
 def test_a_record_without_an_action_leaves_the_belief_unchanged():
@@ -291,7 +291,7 @@ def test_leaders_are_active_pursuers_that_believe_no_other_is_active():
 
 
 def test_after_a_cold_start_all_active_pursuers_believe_that_they_lead():
-    assert believed_leaders(by_hand((True, True, False), 4.0, warm=False, sent=0)) == 2.0
+    assert believed_leaders(by_hand((True, True, False), 4.0, start="silent", sent=0)) == 2.0
     assert believed_leaders(by_hand((True, True, False), 4.0, sent=0)) == 0.0
 
 
@@ -381,7 +381,7 @@ def histories(draw):
         if others and draw(truths):
             events.append(Lost(t, transmission, node, others[-1], "out_of_range"))
     profile = tuple(draw(actions) for _ in range(size))
-    return by_hand(profile, 5.0, *events, warm=draw(truths), sent=0, evaders=evaders)
+    return by_hand(profile, 5.0, *events, start=draw(st.sampled_from(STARTS)), sent=0, evaders=evaders)
 
 
 def simulated(result):
@@ -406,7 +406,7 @@ def simulated(result):
                     happenings += [(arrival, place, dst, record) for record in records]
     happenings.sort(key=lambda each: each[:2])
     newest = [{} for _ in range(size)]
-    warm = result.scenario.announce.warm_start
+    warm = result.scenario.announce.start == "known"
     believed = [list(start.active) if warm else [False] * size for _ in range(size)]
     active, areas, peaks, found = list(start.active), defaultdict(list), defaultdict(list), defaultdict(list)
     wrong, leaders = [], []
@@ -531,7 +531,7 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("warm", [True, False])
+@pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize(
     ("dissemination", "faults"),
     [
@@ -543,7 +543,7 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
         (Flooding(), (CRASHES,)),
     ],
 )
-def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemination, faults, warm):
+def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemination, faults, start):
     """In each run some hundred decisions. Records are late, lost, overtaken, forwarded, and forgotten."""
     logged = []
     scenario = Scenario(
@@ -551,7 +551,7 @@ def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemin
         team=Team(count=6, active_at_start=0.5),
         motion=Motion(static=True),
         network=Links(graph=Ring(), latency=Uniform(low=0.0, high=0.1), loss=Bernoulli(p=0.2)),
-        announce=Announcements(trigger="revision", dissemination=dissemination, warm_start=warm),
+        announce=Announcements(trigger="revision", dissemination=dissemination, start=start),
         record=Recording(messages=True),
         protocol=log_beliefs(logged),
         fault=faults,
@@ -569,7 +569,7 @@ def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemin
             assert {j for j, (_, active) in page.items() if active} == set(now["source"][now["active"] > 0].tolist())
             heard = {row["source"]: row["created"] for row in now if not row["presumed"]}
             assert {j: page[j][0] for j in heard} == heard
-            assert warm or set(page) == set(heard)
+            assert start == "known" or set(page) == set(heard)
     assert next(pages, None) is None
     assert len(logged) > 100
 

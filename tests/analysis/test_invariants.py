@@ -470,7 +470,7 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
         {"protocol": BestResponse(schedule=Poisson(), utility=EdgePenalty())},
         {"network": Links(latency=Constant(value=0.3))},
         {"network": Links(loss=Bernoulli(p=0.5))},
-        {"announce": Announcements(trigger="change", warm_start=False)},
+        {"announce": Announcements(trigger="change", start="silent")},
         {"announce": Announcements(trigger="change", belief_timeout=0.2)},
         {"announce": Announcements(trigger="never")},
         {"fault": (Crash(node=0, start=0.1), Crash(node=1, start=0.1), Crash(node=2, start=0.1))},

@@ -20,7 +20,7 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.records import Record
-from desim.pursuit.announcements import Announcements, Assignment
+from desim.pursuit.announcements import STARTS, Announcements, Assignment
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
@@ -63,7 +63,7 @@ def frozen(protocol, seed=0, until=inf, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "motion": Motion(static=True),
         "protocol": protocol,
-        "announce": Announcements(warm_start=False),
+        "announce": Announcements(start="silent"),
         "record": Recording(trajectory=0.0, messages=True),
     }
     return run(Scenario(**(given | changes)), seed, lambda event: event.t > until * 1e9)
@@ -112,7 +112,7 @@ def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction
             team=random_team(rng),
             evader=Evader(),
             prune=str(rng.choice(["none", "inf", "infeasible"])),
-            announce=Announcements(warm_start=bool(rng.random() < 0.5)),
+            announce=Announcements(start=STARTS[rng.integers(3)]),
         )
         assert chasing(result) == relay(result)
         ends.append(len(relay(result)))
@@ -150,7 +150,7 @@ def rounds(auction, graph, seed, **changes):
         "horizon": 30.0,
         "team": Team(count=len(graph), speeds=rng.uniform(0.7, 3.0, len(graph)).tolist(), active_at_start=0.0),
         "evader": Evader(),
-        "announce": Announcements(trigger="revision", warm_start=False),
+        "announce": Announcements(trigger="revision", start="silent"),
         "network": Links(graph=Edges.of(graph)),
     }
     result = frozen(auction(schedule=Rounds(period=0.1)), seed, until=1.65, **(given | changes))
@@ -214,8 +214,8 @@ def test_a_renewed_bid_does_not_trigger_an_announcement(claim):
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_on_a_static_ideal_network_a_claim_is_announced_once_per_change(auction):
     """Four on a complete graph: all claim in the first round, and the three that are outbid tell so in the second."""
-    for warm in (False, True):
-        announce = Announcements(trigger="change", warm_start=warm)
+    for start in STARTS:
+        announce = Announcements(trigger="change", start=start)
         result = frozen(auction(schedule=Rounds(period=0.1), **without_timeout(auction)), announce=announce)
         assert [round(message.t / 1e8) for message in result.trace.of(Broadcast)] == [1] * 4 + [2] * 3
         assert chasing(result, 0.1) == [0, 1, 2, 3]
@@ -252,7 +252,7 @@ def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_g
             len(graph),
             evaders,
             number,
-            announce=Announcements(trigger="revision", warm_start=False),
+            announce=Announcements(trigger="revision", start="silent"),
             network=Links(graph=Edges.of(graph)),
             record=Recording(trajectory=0.0, messages=True),
         )
@@ -374,7 +374,7 @@ def test_loss_and_random_latency_only_slow_it(auction, dissemination):
             horizon=12.0,
             announce=Announcements()
             if dissemination is None
-            else Announcements(dissemination=dissemination, warm_start=False),
+            else Announcements(dissemination=dissemination, start="silent"),
             network=Links(graph=Edges.of(graph), loss=Bernoulli(p=0.3), latency=Lognormal(mean=0.05, cv=1.0)),
         )
         assert result.trace.of(MessageCounts)[0].lost > 0
@@ -389,19 +389,19 @@ def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
     for seed in range(20):
         protocol = auction(schedule=Poisson(rate=5.0), **without_timeout(auction))
         lossy = Links(loss=Bernoulli(p=0.5))
-        announce = Announcements(trigger="change", warm_start=False)
+        announce = Announcements(trigger="change", start="silent")
         wrong += chasing(frozen(protocol, seed, announce=announce, network=lossy)) != [1]
     assert wrong >= 5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
-@pytest.mark.parametrize("warm", [False, True])
-def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):
+@pytest.mark.parametrize("start", STARTS)
+def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, start):
     """0 and 3 cannot receive from 1 and 2 until 3 s: 3 (phi = 3 s) and 1 (1 s) win, then 1 alone."""
     cut = Partition(groups=((0, 3),), start=0.0, end=3.0)
     for schedule in SCHEDULES.values():
-        result = frozen(auction(schedule=schedule), until=6.0, fault=(cut,), announce=Announcements(warm_start=warm))
+        result = frozen(auction(schedule=schedule), until=6.0, fault=(cut,), announce=Announcements(start=start))
         assert chasing(result, 2.9) == [1, 3]
         assert chasing(result) == [1]
 
@@ -547,7 +547,7 @@ def rivalry(auction, payload, difference, latency, graph):
         horizon=20.0,
         team=Team(positions=positions, speeds=1.0, active_at_start=0.0),
         motion=Motion(step=0.02),
-        announce=Announcements(payload=payload, trigger="revision", warm_start=False),
+        announce=Announcements(payload=payload, trigger="revision", start="silent"),
         network=Links(latency=Constant(value=latency), graph=Edges.of(graph)),
         record=Recording(trajectory=0.1),
     )

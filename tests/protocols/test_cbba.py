@@ -198,7 +198,7 @@ def test_a_failed_winner_times_out_everywhere_within_a_delay_per_hop():
         team=line,
         horizon=12.0,
         network=Links(graph=Edges.of(nx.path_graph(8))),
-        announce=Announcements(trigger="revision", warm_start=False),
+        announce=Announcements(trigger="revision", start="silent"),
         fault=(Crash(node=0, start=5.05),),
     )
     believed = {
@@ -248,7 +248,7 @@ def test_a_winner_without_turns_is_kept_as_long_as_its_records_arrive():
     Without heartbeats it is given up, and then each of the others by each, as nothing is announced twice: all chase.
     """
     for trigger, winner in [("both", [1]), ("change", [0, 1, 2, 3])]:
-        result = frozen(CBBA(schedule=Unequal()), announce=Announcements(trigger=trigger, warm_start=False))
+        result = frozen(CBBA(schedule=Unequal()), announce=Announcements(trigger=trigger, start="silent"))
         assert chasing(result, 1.0) == [1]
         assert chasing(result) == winner
 
@@ -282,7 +282,7 @@ def test_time_stamps_are_on_the_clock_of_the_pursuer_they_concern():
 
 def test_pursuers_without_a_record_have_no_time_stamp():
     """The stamps of the first claims: the own one, and none of others."""
-    result = frozen(CBBA(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision", warm_start=False))
+    result = frozen(CBBA(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision", start="silent"))
     first = {message.src: message.body.stamps for message in result.trace.of(Broadcast) if message.t < 0.15e9}
     assert first == {j: tuple(0.1 if m == j else -inf for m in range(4)) for j in range(4)}
     second = {message.src: message.body.stamps for message in result.trace.of(Broadcast) if 0.15e9 < message.t < 0.25e9}

@@ -40,7 +40,7 @@ def play(protocol, graph, dissemination, *watchers, **changes):
         "motion": Motion(static=True),
         "protocol": protocol,
         "network": Links(graph=Edges.of(graph), latency=Constant(value=L)),
-        "announce": Announcements(trigger="never", warm_start=False, dissemination=dissemination),
+        "announce": Announcements(trigger="never", start="silent", dissemination=dissemination),
         "record": Recording(trajectory=0.0, messages=True),
     }
     return run(Scenario(**(given | changes)), 0, *watchers)

@@ -13,7 +13,7 @@ from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
+from desim.pursuit.announcements import STARTS, Announcements
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
@@ -427,7 +427,7 @@ def test_of_two_pursuers_that_both_believe_to_be_the_owner_one_stops():
             evader=Evader(position=(0.0, 0.0)),
             motion=Motion(static=True),
             protocol=Argmin(hysteresis=0.2, slot=0.1),
-            announce=Announcements(payload=payload, warm_start=False, heartbeat=0.5),
+            announce=Announcements(payload=payload, start="silent", heartbeat=0.5),
             network=Links(latency=Constant(value=0.3)),
         )
         (stops,) = run(scenario).trace.of(Decided)
@@ -450,7 +450,7 @@ def test_random_static_games_end_in_the_relay_profile(payload):
             team=Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
             motion=Motion(static=True),
             protocol=protocol,
-            announce=Announcements(payload=payload, heartbeat=0.5, belief_timeout=np.inf, warm_start=bool(seed % 2)),
+            announce=Announcements(payload=payload, heartbeat=0.5, belief_timeout=np.inf, start=STARTS[seed % 3]),
             network=Links(latency=Lognormal(mean=0.2, cv=1.0), loss=Bernoulli(p=0.3)),
             record=Recording(trajectory=0.0),
         )

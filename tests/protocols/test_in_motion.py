@@ -69,7 +69,7 @@ def test_the_server_keeps_the_evader_although_orders_are_late_and_lost():
     rough = {
         "network": Links(latency=Uniform(low=0.95, high=1.05), loss=Bernoulli(p=0.1)),
         "prune": "infeasible",
-        "announce": Announcements(warm_start=False),
+        "announce": Announcements(start="silent"),
     }
     server = outcome(1, Server(), **rough)
     centre = outcome(1, RoundTrip(down=2.0), prune="infeasible")

@@ -314,7 +314,7 @@ def test_argmin_known_leaves_each_pursuer_that_is_first_among_those_it_has_recor
         ArgminKnown(schedule=Poisson(rate=5.0)),
         graph,
         (4.0, 2.0, 1.0, 3.0, 5.0),
-        announce=Announcements(warm_start=False, dissemination=dissemination, belief_timeout=float("inf")),
+        announce=Announcements(start="silent", dissemination=dissemination, belief_timeout=float("inf")),
     )
     for seed in range(5):
         assert changes_of(run(scenario, seed))[0] == profile
@@ -324,7 +324,7 @@ def test_argmin_known_may_leave_a_neighbourhood_without_a_chaser_unlike_local_mi
     """0 - 1 - 2 - 3, phi = 1, 2, 3, 4 s: 2 waits for 1, which waits for 0, and 3 for 2: three quarters wait in vain."""
     graph, phi = nx.path_graph(4), (1.0, 2.0, 3.0, 4.0)
     for rule, ends in ((ArgminKnown, (True, False, False, False)), (LocalMin, (True, False, True, False))):
-        result = run(static_game(rule(schedule=CLOCK), graph, phi, announce=Announcements(warm_start=False)))
+        result = run(static_game(rule(schedule=CLOCK), graph, phi, announce=Announcements(start="silent")))
         assert changes_of(result)[0] == ends
         assert is_maximal_independent(ends, graph) == (rule is LocalMin)
 

@@ -425,7 +425,7 @@ def act(protocol, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "motion": Motion(static=True),
         "protocol": protocol,
-        "announce": Announcements(trigger="never", warm_start=False, belief_timeout=1.0),
+        "announce": Announcements(trigger="never", start="silent", belief_timeout=1.0),
         "record": Recording(trajectory=0.0),
     }
     return run(Scenario(**(given | changes)))
@@ -471,7 +471,7 @@ def test_the_capture_time_of_a_teammate_is_announced_or_sensed(payload, believed
             seen.extend([me.beliefs()[1].capture_time, me.believed_chasers()[1]])
 
     seen = []
-    act(protocol, announce=Announcements(payload=payload, trigger="never", warm_start=False))
+    act(protocol, announce=Announcements(payload=payload, trigger="never", start="silent"))
     assert seen == pytest.approx([believed] * 2)
 
 
@@ -528,7 +528,7 @@ def test_a_claim_replaces_the_payload_and_is_announced_when_its_key_changes():
             heard.append([r.body.text for r in me.trusted().values()])
 
     said, heard = [], []
-    act(protocol, announce=Announcements(trigger="change", warm_start=False))
+    act(protocol, announce=Announcements(trigger="change", start="silent"))
     assert said == ["claim 0", "claim 1", "claim 2"]
     assert heard == [["claim 0"]] * 4 + [["claim 2"]] * 2
 

@@ -101,7 +101,7 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
             evader=Evader(position=(0.0, 0.0), speed=0.0),
             motion=Motion(static=True),
             protocol=protocol,
-            announce=Announcements(payload="time", trigger="never", belief_timeout=0.35, warm_start=False),
+            announce=Announcements(payload="time", trigger="never", belief_timeout=0.35, start="silent"),
             fault=fault,
             record=Recording(trajectory=0.0),
         )

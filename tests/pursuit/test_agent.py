@@ -18,7 +18,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import repeat
-from desim.pursuit.announcements import Announcements, Assignment, records_in
+from desim.pursuit.announcements import STARTS, Announcements, Assignment, records_in
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
 from desim.scenario.players import Evader, Team
@@ -201,7 +201,7 @@ def test_the_team_estimate_is_sensed_or_from_records_within_the_belief_timeout(p
         if me.id == 1:
             seen.append(me.team_estimate())
 
-    play(protocol, announce=Announcements(trigger="revision", payload=payload, belief_timeout=1.0, warm_start=False))
+    play(protocol, announce=Announcements(trigger="revision", payload=payload, belief_timeout=1.0, start="silent"))
     (found,) = seen
     assert found.ids == known
     assert found.capture_times == pytest.approx([(0.9, 1.9, 3.9)[j] for j in known])
@@ -280,7 +280,7 @@ def test_a_claim_does_not_reveal_the_position_of_its_sender():
             yield me.at(0.5)
             seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.team_estimate().positions[(me.id + 1) % 3]))
 
-        play(protocol, announce=Announcements(payload=payload, warm_start=False))
+        play(protocol, announce=Announcements(payload=payload, start="silent"))
         times, places = zip(*seen, strict=True)
         if payload == "action":
             assert times == pytest.approx([1.9, 3.9, 0.9])
@@ -310,8 +310,8 @@ def test_a_claim_made_before_a_restart_is_not_repeated(memory):
 @pytest.mark.parametrize("payload", ["action", "state", "time"])
 @pytest.mark.parametrize("dissemination", [OneHop(), Flooding(hops=2), Gossip()])
 @pytest.mark.parametrize("scope", ["radio", "robot"])
-@pytest.mark.parametrize("warm", [True, False])
-def test_the_believed_chasers_follow_from_the_latest_records(payload, dissemination, scope, warm):
+@pytest.mark.parametrize("start", STARTS)
+def test_the_believed_chasers_follow_from_the_latest_records(payload, dissemination, scope, start):
     """The incremental beliefs, against all received records; pursuer 1 forgets everything at 2 s."""
     checked, chased = [], set()
 
@@ -336,7 +336,7 @@ def test_the_believed_chasers_follow_from_the_latest_records(payload, disseminat
             evader=(Evader(position=(90.0, 0.0)), Evader(position=(0.0, 90.0))),
             protocol=protocol,
             network=Links(graph=Ring(), latency=Lognormal(mean=0.03, cv=1.0), loss=Bernoulli(p=0.3)),
-            announce=Announcements(payload=payload, dissemination=dissemination, belief_timeout=0.2, warm_start=warm),
+            announce=Announcements(payload=payload, dissemination=dissemination, belief_timeout=0.2, start=start),
             fault=(Crash(node=1, start=1.0, end=2.0, memory=False, scope=scope),),
         )
     )

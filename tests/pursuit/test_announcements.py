@@ -22,6 +22,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.records import Record
 from desim.kernel.units import nanoseconds, seconds
 from desim.pursuit.announcements import (
+    STARTS,
     Announcements,
     Forwarded,
     LocatedAssignment,
@@ -246,7 +247,7 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact", dynamics=SIMPLE)
     places, speeds = rng.uniform(-15.0, 15.0, (5, 2)).tolist(), rng.uniform(1.0, 2.0, 5).tolist()
     play(
         script(*sorted(acts, key=lambda act: act[0])),
-        {"payload": "state" if dynamics.is_simple else "course", "reckoning": reckoning, "warm_start": False},
+        {"payload": "state" if dynamics.is_simple else "course", "reckoning": reckoning, "start": "silent"},
         latency=Uniform(low=0.0, high=2.0),
         horizon=6.0,
         team=Team(positions=places, speeds=speeds, active_at_start=0.0, dynamics=dynamics),
@@ -305,7 +306,7 @@ def test_straight_line_reckoning_subtracts_the_path_length_from_the_distance(ord
     ]
     play(
         script(*acts),
-        {"payload": "state", "reckoning": "straight_line", "warm_start": False},
+        {"payload": "state", "reckoning": "straight_line", "start": "silent"},
         team=Team(positions=[(4.0, 0.0), (0.0, 2.0), (9.0, 9.0)], speeds=[1.0, 1.5, 1.0], active_at_start=0.0),
         evader=Evader(position=(0.0, 0.0), speed=0.9),
         motion=Motion(order=order),
@@ -348,8 +349,8 @@ def test_the_trigger_determines_when_announcements_are_sent(trigger, deciding, o
         assert [event.body.active for event in result.trace.of(Broadcast)] == [True, False, True, False]
 
 
-def test_after_a_cold_start_the_first_action_counts_as_a_change():
-    """The first decision is to stay: after a warm start all know it, after a cold one none."""
+def test_after_a_silent_start_the_first_action_counts_as_a_change():
+    """The first decision is to stay: after a silent start none knows it, after an announcement all."""
 
     def stays(me):
         for t in (0.1, 0.2):
@@ -357,8 +358,8 @@ def test_after_a_cold_start_the_first_action_counts_as_a_change():
             me.assign(False)
             me.announce()
 
-    for warm, times in ((True, []), (False, [0.1])):
-        result = play(stays, {"trigger": "change", "warm_start": warm}, horizon=1.0)
+    for start, times in (("known", []), ("silent", [0.1]), ("announced", [0.0])):
+        result = play(stays, {"trigger": "change", "start": start}, horizon=1.0)
         assert announcement_times(result, 1) == times
 
 
@@ -459,7 +460,7 @@ def test_a_record_counts_up_to_the_belief_timeout_and_not_a_nanosecond_longer(an
         (end, 2, believed_chasers),
         (end + 1e-9, 2, believed_chasers),
     ]
-    beating = {"trigger": "heartbeat", "warm_start": False} | announce
+    beating = {"trigger": "heartbeat", "start": "silent"} | announce
     windows = ((0.0, 0.5 - 1e-9), (0.5 + 1e-9, inf))  # its heartbeats are silent
     mute = [Crash(node=0, start=at, end=until, scope="radio") for at, until in windows]
     play(script((0.5, 0, chase), *acts, seen=seen), beating, 0.25, fault=tuple(mute), motion=Motion(static=True))
@@ -471,21 +472,22 @@ def test_a_record_counts_up_to_the_belief_timeout_and_not_a_nanosecond_longer(an
 
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize("active", [True, False])
-def test_after_a_warm_start_every_pursuer_knows_the_initial_actions(payload, active):
-    """Nothing is ever announced; r = 10 s. Warm: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; cold: 10 - 4.9."""
+def test_every_pursuer_knows_the_initial_actions_unless_the_start_is_silent(payload, active):
+    """Nothing is announced later; r = 10 s. Known: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; else 10 - 4.9."""
     team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=float(active))
 
     def latest_records(me):
         return {j: record.body.active for j, record in me.latest_records().items()}
 
-    for warm, others, gain in ((True, {0: 1.9, 1: 2.9}, (2.4 - 4.9) / 3), (False, {}, 5.1)):
+    for start in STARTS:
+        others, gain = ({}, 5.1) if start == "silent" else ({0: 1.9, 1: 2.9}, (2.4 - 4.9) / 3)
         seen, known = {}, others if active else {}
         acts = [(0.0, 2, lambda me: (believed_chasers(me), me.gain(), latest_records(me))), (9.0, 2, believed_chasers)]
-        announce = {"payload": payload, "warm_start": warm}
+        announce = {"payload": payload, "start": start}
         result = play(script(*acts, seen=seen), announce, team=team, motion=Motion(static=True))
         assert seen[0.0] == (known, pytest.approx(gain if active else 5.1), dict.fromkeys(others, active))
         assert seen[9.0] == known
-        assert not result.trace.of(Broadcast)
+        assert [event.t for event in result.trace.of(Broadcast)] == [0] * (3 if start == "announced" else 0)
 
 
 # Overtaking.

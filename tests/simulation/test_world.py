@@ -331,7 +331,7 @@ def test_no_law_of_guidance_leads_faster_than_a_pursuer_can():
 
 
 LOST_ON_ARRIVAL = {
-    "relay": ['network.range_check = "delivery"', "announce.warm_start = false", 'announce.payload = "time"'],
+    "relay": ['network.range_check = "delivery"', 'announce.start = "silent"', 'announce.payload = "time"'],
     "faults": ["network.range_check = 'both'"],
 }
 

@@ -77,7 +77,7 @@ BAD = GOOD.model_copy(
         ),
         "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0), Silent(node=2, start=0.2)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
-        "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
+        "announce": Announcements(trigger="heartbeat", heartbeat=0.3, start="silent"),
         "sensing": Sensing(radius=4.0, noise=PositionNoise(deviation=0.5), estimator=Kalman()),
         "team": Team(count=5, speeds=3.0, dynamics=Acceleration(limit=3.0)),
         "environment": Environment(flow=SteadyFlow(velocity=(0.5, 0.0))),
@@ -111,7 +111,7 @@ SPOILT = {
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},
     "lies": {"fault": (Liar(node=0, start=0.0, action="chase", acts="stay"),)},
-    "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
+    "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, start="silent")},
     "limited sight": {"sensing": Sensing(radius=3.0)},
     "noise": {"sensing": Sensing(noise=PositionNoise(deviation=3.0), estimator=Kalman())},
 }

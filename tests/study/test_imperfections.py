@@ -110,7 +110,7 @@ WORST = Scenario(
         trigger="heartbeat",
         heartbeat=0.7,
         belief_timeout=inf,
-        warm_start=False,
+        start="silent",
         dissemination=Gossip(),
     ),
     fault=(
@@ -203,7 +203,7 @@ CHANGES = {
         "announce.payload": "action",
         "announce.trigger": "both",
         "announce.belief_timeout": "auto",
-        "announce.warm_start": True,
+        "announce.start": "known",
     },
     "limited sight": {"sensing.radius": "Infinity", "sensing.track_timeout": 5.0},
     "noise": {
@@ -523,7 +523,7 @@ def test_a_rule_that_accepts_no_other_schedule_keeps_its_turns():
     assert without_serial_decisions(scenario) == scenario
 
 
-ANNOUNCED = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
+ANNOUNCED = Announcements(trigger="change", heartbeat=0.7, start="silent")
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_a_key_on_which_no_run_depends_is_warned_of_by_name():
     assert said == (
         "nothing shown (captured, active time, capture time, messages sent) depends on network.y: equal in 4 pairs of"
         " runs that differ in it only; a protocol may need no messages if all know the initial actions"
-        " (`announce.warm_start`) and see all positions (`announce.payload`), or if few pursuers could capture the"
+        " (`announce.start`) and see all positions (`announce.payload`), or if few pursuers could capture the"
         " evader in time"
     )
     assert found.table().endswith(f"\n\nwarning: {said}")

@@ -88,7 +88,7 @@ COLD = FORTY.model_copy(
         "name": "cold",
         "horizon": 2.0,
         "team": Team(count=8, speeds=0.95),
-        "announce": Announcements(heartbeat=0.5, warm_start=False),
+        "announce": Announcements(heartbeat=0.5, start="silent"),
     }
 )
 FILES = {"relay": ("relay.toml", *SHORT), "soak": ("soak.toml", *SHORT), "faults": ("faults.toml",)} | {
@@ -158,7 +158,7 @@ def wrong_now(result, t):
     """
     size = len(started(result).active)
     does = np.array(started(result).active, int)
-    heard = np.tile(does * result.scenario.announce.warm_start, (size, 1))
+    heard = np.tile(does * (result.scenario.announce.start == "known"), (size, 1))
     newest = np.zeros((size, size), int)
     lost = {(event.transmission, event.dst) for event in result.trace.of(Lost)}
     for event in result.trace:
