@@ -51,7 +51,7 @@ name = "talk"
 horizon = 1.0
 team.count = 3
 motion.static = true
-announce.trigger = "revision"
+announce = { trigger = "revision", start = "known" }
 
 [protocol]
 kind = "sap"

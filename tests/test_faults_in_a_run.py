@@ -31,7 +31,7 @@ def play(protocol, *faults, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "motion": Motion(step=0.1),
         "protocol": protocol,
-        "announce": Announcements(trigger="revision"),
+        "announce": Announcements(trigger="revision", start="known"),
         "record": Recording(trajectory=0.01, messages=True),
         "fault": faults,
     }
@@ -389,7 +389,7 @@ def test_the_centre_sends_a_substitute_until_the_relay_pursuer_is_repaired():
 @pytest.mark.parametrize("offset", [-1.0, 0.0, 10.0])
 def test_heartbeats_keep_their_period_on_a_clock_that_is_wrong(offset):
     """Ten a second, from the first tenth of a second on, whatever the clock shows."""
-    heard = play(lambda me: iter(()), ClockSkew(node=0, offset=offset), announce=Announcements(), horizon=2.0)
+    heard = play(lambda me: iter(()), ClockSkew(node=0, offset=offset), announce=Announcements(start="known"), horizon=2.0)
     beats = np.array([b.t / 1e9 for b in heard.trace.of(Broadcast) if b.src == 0])
     assert beats[0] < 0.1
     assert np.diff(beats) == pytest.approx(0.1, abs=1e-8)
@@ -487,7 +487,7 @@ def test_an_action_that_could_not_be_announced_is_announced_at_the_next_revision
     """
     protocol = announcing_at((1.0, True), (1.2, False), (2.0, False), (3.0, False))
     crash = Crash(node=1, start=1.1, end=1.5, scope=scope)
-    changes = {"announce": Announcements(trigger="change"), "motion": Motion(static=True)}
+    changes = {"announce": Announcements(trigger="change", start="known"), "motion": Motion(static=True)}
     result = play(protocol, crash, **changes)
     late = {2.0: False} if scope == "radio" else {1.5: False}
     assert announced(result) == {1.0: True} | late

@@ -79,7 +79,7 @@ def simulated(case, protocol, trigger="revision"):
         capture=Capture(test="sample"),
         motion=Motion(step=case["delta"]),
         protocol=protocol,
-        announce=Announcements(trigger=trigger),
+        announce=Announcements(trigger=trigger, start="known"),
         record=Recording(trajectory=case["delta"], messages=True),
     )
     return run(scenario, case["seed"])

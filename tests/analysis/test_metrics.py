@@ -307,7 +307,7 @@ def test_the_changes_of_one_pursuer_alternate_and_begin_by_leaving_its_first_act
 
 
 def test_the_summary_of_a_run_agrees_with_its_trace():
-    result = run(Scenario(horizon=0.3, announce=Announcements(trigger="revision")))
+    result = run(Scenario(horizon=0.3, announce=Announcements(trigger="revision", start="known")))
     numbers = summary(result)
     assert numbers.seed == result.seed == 0
     assert numbers.end_time == 0.3

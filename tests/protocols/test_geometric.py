@@ -408,7 +408,7 @@ def test_nothing_is_announced_where_positions_are_sensed():
 @pytest.mark.parametrize("trigger", ["both", "change", "heartbeat", "never"])
 def test_without_sensed_positions_pursuers_announce_and_repeat_their_actions(trigger):
     """10 pursuers, 5 s: a heartbeat of 0.5 s from a random phase is 10 announcements each; changes come on top."""
-    announce = Announcements(payload="state", trigger=trigger, heartbeat=0.5)
+    announce = Announcements(payload="state", trigger=trigger, start="known", heartbeat=0.5)
     scenario = scattered(
         Voronoi(slot=0.05), 0, count=10, speeds=9.0, horizon=5.0, motion=Motion(static=True), announce=announce
     )

@@ -499,7 +499,7 @@ def test_the_gain_counts_the_teammates_selected_by_the_utility(utility, others):
         protocol,
         team=Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=[1.0, 1.0, 1.0, 1.0, 0.0]),
         network=Links(graph=Edges.of(graph)),
-        announce=Announcements(trigger="never"),
+        announce=Announcements(trigger="never", start="known"),
         prune="none",
     )
     assert seen[0][0] == pytest.approx(utility(3.0, [phi[j] for j in others], 10.0))

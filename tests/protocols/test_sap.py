@@ -76,7 +76,7 @@ def test_latency_costs_active_time():
 
 
 def test_a_team_that_cannot_capture_stays_and_announces_it():
-    each_time = Announcements(trigger="revision")
+    each_time = Announcements(trigger="revision", start="known")
     result = run(Scenario(team=Team(count=3, speeds=0.5), horizon=2.0, announce=each_time), 0)
     numbers = summary(result)
     assert (numbers.captured, numbers.active_time, numbers.idle_time) == (False, 0.0, 2.0)

@@ -119,6 +119,7 @@ def rounds(seed, latency, p0=0.5, count=7):
         motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=Rounds(period=0.1)),
         network={"latency": {"kind": "constant", "value": latency}},
+        announce={"start": "known"},
         record={"trajectory": 0.0},
     )
     result = run(scenario, seed, lambda event: event.t > 1.25e9)

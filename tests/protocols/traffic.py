@@ -21,7 +21,7 @@ def standing(protocol, *, count, horizon=10.0, latency=0.0, faults=(), trigger="
         motion=Motion(static=True),
         protocol=protocol,
         network=Links(latency=model, **links),
-        announce=Announcements(trigger=trigger),
+        announce=Announcements(trigger=trigger, start="known"),
         fault=faults,
         record={"trajectory": 0.0, "messages": True},
     )

@@ -69,7 +69,7 @@ def play(protocol, announce, latency=0.0, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "protocol": protocol,
         "network": Links(latency=Constant(value=latency) if isinstance(latency, float) else latency),
-        "announce": Announcements(**({"trigger": "never"} | announce)),
+        "announce": Announcements(**({"trigger": "never", "start": "known"} | announce)),
         "record": Recording(trajectory=0.0, messages=True),
     }
     return run(Scenario(**(given | changes)))

@@ -64,7 +64,7 @@ def team(*faults, payload="time", protocol=None, **changes):
     given = {
         "team": Team(count=6, speeds=1.5, active_at_start=0.0),
         "protocol": protocol or LocalMin(schedule=POISSON),
-        "announce": Announcements(payload=payload, heartbeat=0.1),
+        "announce": Announcements(payload=payload, start="known", heartbeat=0.1),
         "record": Recording(messages=True),
         "fault": faults,
     }
@@ -167,7 +167,7 @@ def test_a_pursuer_that_should_stay_does_not_chase():
 
 
 def test_a_silent_pursuer_sends_nothing_and_receives_all():
-    result = go(team(Silent(node=3, start=0.25, end=0.75), announce=Announcements(dissemination=Gossip())), 1)
+    result = go(team(Silent(node=3, start=0.25, end=0.75), announce=Announcements(start="known", dissemination=Gossip())), 1)
     assert said(result, 3, 0.25e9, 0.75e9) == []
     assert said(result, 3, -1, 0.25e9)
     assert said(result, 3, 0.75e9)
@@ -202,7 +202,7 @@ def test_a_replayed_announcement_that_has_changed_since_is_the_old_one():
             yield me.sleep(0.1)
             payload.turns[0] = k
 
-    announce = Announcements(trigger="never")
+    announce = Announcements(trigger="never", start="known")
     result = go(team(ReplayAttack(node=0, start=0.5, delay=0.3), protocol=counting, announce=announce), 1)
     assert [body.turns[0] for _, body in said(result, 0, -1)] == [0, 1, 2, 3, 4, 2, 3, 4, 5]
 

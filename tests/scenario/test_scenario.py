@@ -190,7 +190,7 @@ def own() -> Scenario:
         evader=Evader(position=(0, 1), speed=0.5, strategy=upwards),
         protocol=chase_at_once,
         network=Links(latency=half_a_second, loss=to_even_nodes),
-        announce=Announcements(trigger="revision"),
+        announce=Announcements(trigger="revision", start="known"),
         record=Recording(messages=True),
     )
 

@@ -41,7 +41,7 @@ def still(*plan, **changes):
         "evader": Evader(position=(3.0, 0.0), speed=0.0),
         "motion": Motion(step=1.0),
         "protocol": orders(*plan),
-        "announce": Announcements(trigger="revision"),
+        "announce": Announcements(trigger="revision", start="known"),
         "record": Recording(trajectory=0.25),
     }
     return Scenario(**(given | changes))

@@ -61,6 +61,7 @@ GOOD = Scenario(
     team=Team(count=5, speeds=3.0),
     motion=Motion(step=0.05),
     protocol=SpatialAdaptivePlay(schedule=ROUNDS),
+    announce=Announcements(start="known"),
     record=Recording(trajectory=0.0),
 )
 LATE = GOOD.model_copy(update={"network": Links(latency=Constant(value=0.4))})
@@ -107,11 +108,12 @@ SPOILT = {
     "latency": {"network": Links(latency=Constant(value=0.7))},
     "contention": {"network": Links(medium=Bitrate(bitrate=20_000.0, access=Aloha()))},
     "loss": {"network": Links(loss=Bernoulli(p=1.0))},
-    "transport": {"announce": Announcements(dissemination=CodedOneHop(pieces=2))},
+    "transport": {"announce": Announcements(dissemination=CodedOneHop(pieces=2), start="known")},
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},
     "lies": {"fault": (Liar(node=0, start=0.0, action="chase", acts="stay"),)},
-    "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, start="silent")},
+    "unknown start": {"announce": Announcements(start="silent")},
+    "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, start="known")},
     "limited sight": {"sensing": Sensing(radius=3.0)},
     "noise": {"sensing": Sensing(noise=PositionNoise(deviation=3.0), estimator=Kalman())},
 }
@@ -272,8 +274,8 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
         "+ is worse: active time, end time\n"
-        "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, stale knowledge,"
-        " limited sight, noise, inertia, flow\n"
+        "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, unknown start,"
+        " stale knowledge, limited sight, noise, inertia, flow\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
@@ -807,8 +809,8 @@ def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file
     result = command(file, "-n", 2, "--allow-import", "--set", "protocol.kind=wrong_in_explain:always")
     assert result.exit_code == 3
     assert result.stdout == ""
-    # as it is, without latency, without faults, without both
-    told = "no seed completed in all variants; first failure: RuntimeError: for good\n8 runs are in out/late/explain/"
+    # as it is, without latency, without faults, with a known start, without all three
+    told = "no seed completed in all variants; first failure: RuntimeError: for good\n10 runs are in out/late/explain/"
     assert told in result.stderr
     assert not (file.parent / "out/late/explain/explain.txt").exists()
 
