@@ -389,7 +389,9 @@ def test_the_centre_sends_a_substitute_until_the_relay_pursuer_is_repaired():
 @pytest.mark.parametrize("offset", [-1.0, 0.0, 10.0])
 def test_heartbeats_keep_their_period_on_a_clock_that_is_wrong(offset):
     """Ten a second, from the first tenth of a second on, whatever the clock shows."""
-    heard = play(lambda me: iter(()), ClockSkew(node=0, offset=offset), announce=Announcements(start="known"), horizon=2.0)
+    heard = play(
+        lambda me: iter(()), ClockSkew(node=0, offset=offset), announce=Announcements(start="known"), horizon=2.0
+    )
     beats = np.array([b.t / 1e9 for b in heard.trace.of(Broadcast) if b.src == 0])
     assert beats[0] < 0.1
     assert np.diff(beats) == pytest.approx(0.1, abs=1e-8)

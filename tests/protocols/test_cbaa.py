@@ -217,7 +217,9 @@ def test_on_a_static_ideal_network_a_claim_is_announced_once_per_change(auction)
     for start in STARTS:
         announce = Announcements(trigger="change", start=start)
         result = frozen(auction(schedule=Rounds(period=0.1), **without_timeout(auction)), announce=announce)
-        assert [round(message.t / 1e8) for message in result.trace.of(Broadcast)] == [0] * 4 * (start == "announced") + [1] * 4 + [2] * 3
+        assert [round(message.t / 1e8) for message in result.trace.of(Broadcast)] == [0] * 4 * (
+            start == "announced"
+        ) + [1] * 4 + [2] * 3
         assert chasing(result, 0.1) == [0, 1, 2, 3]
         assert chasing(result, 0.2) == chasing(result) == [1]
 

@@ -301,7 +301,9 @@ def test_a_claim_made_before_a_restart_is_not_repeated(memory):
 
     fault = Crash(node=0, start=0.3, end=0.5, memory=memory)
     record = Recording(trajectory=0.0, messages=True)
-    result = play(protocol, announce=Announcements(heartbeat=0.1, start="known"), fault=(fault,), record=record, horizon=1.0)
+    result = play(
+        protocol, announce=Announcements(heartbeat=0.1, start="known"), fault=(fault,), record=record, horizon=1.0
+    )
     said = [(event.t > 0.4e9, event.body) for event in result.trace.of(Broadcast) if event.src == 0]
     assert set(said) == {(False, Claim(False, 7)), (True, Claim(False, 7) if memory else Assignment(False))}
 
@@ -446,7 +448,9 @@ def test_news_that_change_in_place_are_announced():
                 payload.news.append(k)
         yield me.sleep(99.0)
 
-    result = play(protocol, announce=Announcements(trigger="change", start="known"), record=Recording(messages=True), horizon=1.0)
+    result = play(
+        protocol, announce=Announcements(trigger="change", start="known"), record=Recording(messages=True), horizon=1.0
+    )
     assert [event.body.news for event in result.trace if isinstance(event, Broadcast)] == [[0], [0, 0], [0, 0, 1]]
 
 
@@ -474,7 +478,10 @@ def test_news_of_any_type_are_announced_when_they_change(name):
             yield me.sleep(0.1)
 
     scenario = Scenario(
-        team=Team(count=2), protocol=protocol, announce=Announcements(trigger="change", start="known"), record={"messages": True}
+        team=Team(count=2),
+        protocol=protocol,
+        announce=Announcements(trigger="change", start="known"),
+        record={"messages": True},
     )
     sent = [event for event in run(scenario, 1).trace.of(Broadcast) if event.src == 0]
     assert [event.t for event in sent] == [0, 200_000_000, 400_000_000]

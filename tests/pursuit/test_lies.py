@@ -167,7 +167,9 @@ def test_a_pursuer_that_should_stay_does_not_chase():
 
 
 def test_a_silent_pursuer_sends_nothing_and_receives_all():
-    result = go(team(Silent(node=3, start=0.25, end=0.75), announce=Announcements(start="known", dissemination=Gossip())), 1)
+    result = go(
+        team(Silent(node=3, start=0.25, end=0.75), announce=Announcements(start="known", dissemination=Gossip())), 1
+    )
     assert said(result, 3, 0.25e9, 0.75e9) == []
     assert said(result, 3, -1, 0.25e9)
     assert said(result, 3, 0.75e9)

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from desim.kernel.latency import Constant as ConstantLatency
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import STARTS, Announcements
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Evader, Speeds, Team
@@ -866,6 +867,19 @@ def test_an_old_key_is_refused_with_the_new_one(key, written):
     file = written(f"{above}{head}\n{kind}{name} = 1\n")
     with pytest.raises(ScenarioError, match=rf"{re.escape(key)}: unknown key, did you mean '{OLD[key]}'\?"):
         load(file)
+
+
+def test_an_old_key_with_other_values_is_refused_with_the_value_to_write_instead(written):
+    """In files, overrides and Python; each of the three values is one that the new key takes."""
+    says = re.escape('unknown key, use start: "known" instead of true, "silent" instead of false, or the default "ann')
+    with pytest.raises(ScenarioError, match=rf"\.toml:2: announce\.warm_start: {says}"):
+        load(written("[announce]\nwarm_start = false\n"))
+    with pytest.raises(ScenarioError, match=says):
+        load(written(""), ["announce.warm_start=true"])
+    for make in (lambda: Announcements(warm_start=True), lambda: Scenario(announce={"warm_start": False})):
+        with pytest.raises(ValidationError, match=says):
+            make()
+    assert {Announcements(start=start).start for start in STARTS} == {"known", "silent", "announced"}
 
 
 @pytest.mark.parametrize(

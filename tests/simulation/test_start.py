@@ -204,7 +204,8 @@ def test_liars_lie_at_the_start():
     of = {j: {known[j] for i, known in seen.items() if i != j and j in known} for j in range(6)}
     assert of[0] == {int(not truth[0])}
     assert (of[1], of[3]) == (set(), set())
-    assert of[2] == {int(not truth[2])}
+    assert {seen[i][2] for i in (0, 1, 4, 5)} == {int(not truth[2])}
+    assert seen[3][2] == truth[2]
     assert of[4] == {0, 1}
     assert of[5] == {truth[5]}
     known_start, _ = knowledge(0.1, fault=faults, announce=Announcements(trigger="never", start="known"))
