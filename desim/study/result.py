@@ -59,7 +59,8 @@ class SweepResult(SweepRuns):
             for key in chosen
         )
         units = {name: unit for name, unit in store.units.items() if name not in METRICS}
-        return cls(name, keys, groups, seeds == "common", units)
+        fixed = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
+        return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))
 
     def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
         """Return a figure of a metric; needs matplotlib (the extra `plot`).

@@ -24,6 +24,12 @@ NEEDLESS = (
     "; a protocol may need no messages if all know the initial actions (`announce.start`) and see all positions"
     " (`announce.payload`), or if few pursuers could capture the evader in time"
 )
+START_RULES = {
+    "announced": "pursuers announce their first actions at time 0, over the network that is varied",
+    "known": "all pursuers know the initial actions at time 0, for free over any network",
+    "silent": "at time 0 pursuers know nothing of each other, and do not announce their first actions",
+}
+"""What each `announce.start` means for a sweep over properties of the network; costs of latency depend on it."""
 Indices = NDArray[np.intp]
 Reference = int | Mapping[str, Any] | None
 """The configuration with which others are compared; see `SweepRuns.differences`."""
@@ -90,6 +96,15 @@ class SweepRuns:
     """Whether run k of every configuration has the same seed."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The unit of each metric of the sweep that is not built in, by name."""
+    start: str | None = None
+    """`announce.start` of all configurations; None: unknown, or varied."""
+
+    @property
+    def start_rule(self) -> str | None:
+        """A sentence about how pursuers learn the initial actions; None if no property of the network is varied."""
+        if self.start not in START_RULES or not any(f"{key}.".startswith("network.") for key in self.keys):
+            return None
+        return f'announce.start = "{self.start}": {START_RULES[self.start]}'
 
     @property
     def failed(self) -> list[Row]:

@@ -40,7 +40,9 @@ def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
 
 
 def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
-    """Yield the notes below the tables: how many runs failed, and the warnings."""
+    """Yield the notes below the tables: what is known at the start, how many runs failed, and the warnings."""
+    if result.start_rule is not None:
+        yield result.start_rule
     for group in result.groups:
         if group.failed:
             first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].error}"
@@ -72,7 +74,7 @@ def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
                 "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
             }
         )
-    about = {"name": result.name, "grid": result.keys, "warnings": result.warnings(metrics)}
+    about = {"name": result.name, "grid": result.keys, "start": result.start, "warnings": result.warnings(metrics)}
     return about | {"configurations": configurations}
 
 
