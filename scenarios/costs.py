@@ -145,6 +145,7 @@ def large_team(count: int, horizon: float) -> Scenario:
         team=Team(count=count, box=(0.0, 1_000.0)),
         evader=Evader(box=(400.0, 600.0)),
         protocol=SpatialAdaptivePlay(schedule=SharedSeed(slot=SLOT)),
+        announce=Announcements(start="known"),
     )
 
 
@@ -324,7 +325,7 @@ def many_messages(count: int) -> Scenario:
         team=Team(count=team, box=(0.0, 1_000.0)),
         evader=Evader(box=(400.0, 600.0)),
         protocol=SpatialAdaptivePlay(schedule=SharedSeed(slot=heartbeat)),
-        announce=Announcements(heartbeat=heartbeat, trigger="heartbeat"),
+        announce=Announcements(start="known", heartbeat=heartbeat, trigger="heartbeat"),
         network=Links(latency=LOGNORMAL),
         record=Recording(trajectory=0.0),
     )

@@ -66,25 +66,26 @@ class Cell:
 
 
 def static(schedule: Schedule, latency: float) -> Scenario:
-    """Return a game without motion, in which all pursuers start active and decide greedily."""
+    """Return a game without motion, in which all pursuers start active, which all know, and decide greedily."""
     return Scenario(
         name="static game",
         horizon=60.0 + 10.0 * latency,
         team=Team(count=N),
         motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule),
-        announce=Announcements(trigger="change"),
+        announce=Announcements(trigger="change", start="known"),
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
 
 
 def pursuit(latency: float, slot: float) -> Scenario:
-    """Return the scenario of the paper, with Poisson clocks."""
+    """Return the scenario of the paper, with Poisson clocks; all know at first who is active."""
     return Scenario(
         name="pursuit",
         team=Team(count=N),
         protocol=SpatialAdaptivePlay(schedule=SCHEDULES["poisson"](slot)),
+        announce=Announcements(start="known"),
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )

@@ -12,6 +12,7 @@ from desim.analysis.metrics import end_time
 from desim.analysis.statistics import estimate, wilson
 from desim.config.arrays import Floats
 from desim.kernel.portable_math import portable_sum
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Started
@@ -180,6 +181,7 @@ def _game(pursuers: int, evaders: int, kind: str, negotiation: Any, motion: Moti
         evader=Evader(count=evaders, box=BOX),
         protocol=negotiation,
         motion=motion,
+        announce=Announcements(start="known"),
         record=Recording(trajectory=0.0),
     )
 

@@ -91,7 +91,7 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],
         protocol=chosen,
-        announce=Announcements(heartbeat=HEARTBEAT, **settings),
+        announce=Announcements(start="known", heartbeat=HEARTBEAT, **settings),
         network=Links(range=range, latency=Constant(value=0.005)),
     )
 

@@ -141,10 +141,11 @@ def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
     if way == HEARTBEATS:
         assert budget is not None
         period = N * SIZE / (budget.bytes - SIZE * budget.changes)
-        return _scenario(setting, Announcements(heartbeat=period, jitter=JITTER))
+        return _scenario(setting, Announcements(start="known", heartbeat=period, jitter=JITTER))
     copies = round(budget.bytes / (budget.changes * COPY)) if budget is not None else 1
     return _scenario(
-        setting, Announcements(trigger="change", dissemination=dissemination(setting, way, copies, SPACING))
+        setting,
+        Announcements(trigger="change", start="known", dissemination=dissemination(setting, way, copies, SPACING)),
     )
 
 
@@ -157,7 +158,7 @@ def at_rest(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
     else:
         copies = round(budget.bytes * PERIOD / (N_REST * COPY)) if budget is not None else 1
         spread = dissemination(setting, way, copies, PERIOD / max(copies, 1))
-    announce = Announcements(trigger="heartbeat", heartbeat=period, jitter=JITTER, dissemination=spread)
+    announce = Announcements(trigger="heartbeat", start="known", heartbeat=period, jitter=JITTER, dissemination=spread)
     record = Recording(trajectory=0.0, messages=True)
     return _scenario(setting, announce, N_REST, motion=Motion(static=True), horizon=REST, record=record)
 
