@@ -1,11 +1,11 @@
-"""How long too many chase: the law g_N(L lambda) N^2 delta, by latency and schedule, and what it makes of a pursuit."""
+"""How long too many chase: the law g_N(L lambda) N^2 delta by latency, schedule and start, and its use in a pursuit."""
 
 from functools import partial
 
 import numpy as np
 import pytest
 
-from desim import Scenario
+from desim import Scenario, run
 from desim.analysis.metrics import active_time, activity, excess_time
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -48,7 +48,7 @@ def excess(schedule, latency, runs, duration=40.0):
         team=Team(count=N),
         motion=Motion(static=True),
         protocol=partial(while_it_settles, greedy, duration),
-        announce=Announcements(trigger="change"),  # nothing is lost
+        announce=Announcements(trigger="change", start="known"),  # nothing is lost
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
@@ -112,6 +112,47 @@ def test_the_static_excess_of_a_schedule_is_that_of_the_prototypes(schedule, run
         assert apart(found, (other, found[1])) > 3.0
 
 
+def settling(schedule, latency, start, duration):
+    """Return a greedy static game in which all could capture in time, and decide for a while, s."""
+    greedy = SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule)
+    return Scenario(
+        horizon=10_000.0,
+        team=Team(count=N),
+        motion=Motion(static=True),
+        protocol=partial(while_it_settles, greedy, duration),
+        announce=Announcements(trigger="change", start=start),
+        network=Links(latency=Constant(value=latency)),
+        record=Recording(trajectory=0.0),
+    )
+
+
+@pytest.mark.parametrize(("latency", "blind"), [(0.0, 0), (0.2, 0), (0.3, 1), (0.8, 3)])
+def test_if_first_actions_are_announced_rounds_are_those_of_a_known_start_that_began_later(latency, blind):
+    """Exactly: rounds of 0.2 s before the first announcements arrive change nothing; N - 1 too many chase meanwhile.
+
+    Messages that arrive at a round count in it. The control: a silent start differs from both.
+    """
+    for seed in range(2):
+        known, announced, silent = (
+            excess_time(run(settling(Rounds(period=0.2), latency, start, 8.0), seed))
+            for start in ("known", "announced", "silent")
+        )
+        assert announced - known == pytest.approx(blind * 0.2 * (N - 1), abs=1e-6)
+        assert abs(silent - known - blind * 0.2 * (N - 1)) > 0.1
+
+
+def test_if_first_actions_are_announced_the_excess_grows_by_one_latency_of_the_others():
+    """Poisson clocks, L lambda = 4: g(x) + x (1 - 1 / N), that is 3.80 more, s.e. about 0.3. The control: no more."""
+    times = [
+        [excess_time(run(settling(Poisson(rate=5.0), 0.8, start, 22.0), seed)) for seed in range(8)]
+        for start in ("known", "announced")
+    ]
+    difference, error = mean(np.subtract(times[1], times[0]), UNIT)
+    assert error < 0.6
+    assert abs(difference - 4.0 * (1.0 - 1.0 / N)) < 4.0 * error
+    assert difference > 4.0 * error
+
+
 ACTIVE_TIMES = {0.0: (11.92, 0.13), 0.5: (17.43, 0.18), 1.0: (22.99, 0.27)}
 
 
@@ -126,7 +167,7 @@ def test_the_total_active_time_of_a_pursuit_is_that_of_two_prototypes(latency, f
         team=Team(count=N),
         motion=Motion(step=0.005),
         protocol=SpatialAdaptivePlay(schedule=SharedSeed(slot=0.01)),
-        announce=Announcements(trigger="change"),  # nothing is lost
+        announce=Announcements(trigger="change", start="known"),  # nothing is lost
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
