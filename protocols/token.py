@@ -7,7 +7,8 @@ Assumes: a connected graph; otherwise each component has a token of its own.
 Messages: besides announcements, two each time the token is forwarded: the token and its receipt. The token carries the
     known records of all pursuers, so it is long.
 Robust to loss: yes; see `protocols.token_passing`. Without faults every decision is based on the present actions of all
-    others, at any latency, as long as records do not time out (`belief_timeout`) between two revisions of a pursuer.
+    that the token has visited, at any latency, as long as records do not time out (`belief_timeout`) between two
+    revisions of a pursuer. The initial actions of the others are known as `announce.start` says.
 """
 
 from collections.abc import Callable

@@ -16,6 +16,7 @@ from desim.pursuit.state import complex_points
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Recording
 from desim.simulation.run import Result
+from protocols.local_min import LocalMin
 from scenarios import (
     benchmarks,
     bodies,
@@ -33,6 +34,8 @@ from scenarios import (
     range_runs,
     rivals,
     rivals_runs,
+    start,
+    start_runs,
     table1,
     transport,
     transport_runs,
@@ -56,6 +59,7 @@ STUDIES = (
     many,
     ranges,
     rivals,
+    start,
     table1,
     transport,
     two_clocks,
@@ -479,3 +483,24 @@ def test_the_games_of_the_range_study_are_those_of_the_runs():
     gaps = np.linalg.norm(places - np.array(start.evaders[0]), axis=1)
     assert phi == pytest.approx((gaps - 0.1) / (1.2 - 0.9))
     assert len(graph) == range_runs.N
+
+
+def test_active_times_are_divided_by_who_could_capture_in_time():
+    """Their sum is that of the team. With a horizon of 1e6 s, all could."""
+    for horizon, some_late in ((5.0, True), (1e6, False)):
+        result = run(start_runs.pursuit("few in time", LocalMin(), "known", 0.1).with_({"horizon": horizon}), 3)
+        times = start_runs.times_by_ability(result)
+        assert sum(times) == pytest.approx(active_time(result))
+        assert (times[0] > 0.0) is some_late
+
+
+@pytest.mark.slow
+def test_the_study_of_the_start_prints_what_it_measured(study, shortened):
+    shortened(0.3)
+    document, table, _ = study(start.main, "--runs", "2")
+    assert len(document["costs"]) == 18
+    assert len(document["who"]) == 6
+    assert f"{document['costs'][0]['prompt']['mean']:.3f}" in table
+    law, table, _ = study(start.main, "--runs", "2", "--law")
+    assert [extra["expected"] for extra in law["law"]] == 2 * [0.0, 0.95, 3.8, 15.2]
+    assert law["law"][0]["difference"]["mean"] == 0.0

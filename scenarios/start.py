@@ -1,0 +1,72 @@
+"""Measure what the initial knowledge of pursuers does to the cost of latency (`announce.start`).
+
+First, the cost of latency for three rules, in a team of which few could capture before the horizon and in one of which
+all could: with first actions that are announced over the network, known without a message, or not announced. Second,
+who causes it where few could: the active time of those that could not capture in time, and of the others, under the
+mean utility of the paper and under `minimum`. With --law, instead, what announcing first actions adds to the scaling
+law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L lambda.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from click import Option
+
+from desim.analysis.tables import aligned, with_half_width
+from scenarios.start_runs import (
+    LATENCIES,
+    LONG,
+    RULES,
+    TEAMS,
+    Cell,
+    Extra,
+    Share,
+    measure_costs,
+    measure_law,
+    measure_shares,
+)
+from scenarios.study import Options, study
+
+
+def table(cells: Sequence[Cell], shares: Sequence[Share], runs: int) -> str:
+    """Return the costs, a table for each team, and who causes them, as text."""
+    parts = [f"Sum of active times without latency, s, and its increase, {runs} runs of equal seeds, 95 % intervals"]
+    for team in TEAMS:
+        rows: list[tuple[str, ...]] = [("rule", "start", "L = 0", *(f"L = {latency:g} s" for latency in LATENCIES[1:]))]
+        for rule in RULES:
+            for cell in cells:
+                if (cell.team, cell.rule) == (team, rule):
+                    costs = (with_half_width(each, runs, "+") for each in cell.costs)
+                    rows.append((rule, cell.start, with_half_width(cell.prompt, runs), *costs))
+        parts.append(f"{team}\n{aligned(rows)}")
+    who: list[tuple[str, ...]] = [("utility", "start", "cannot be in time", "others")]
+    for share in shares:
+        increases = (with_half_width(each, runs, "+") for each in (share.late, share.in_time))
+        who.append((share.utility, share.start, *increases))
+    parts.append(f"Who causes the increase at L = {LONG:g} s where few are in time, best response, s\n{aligned(who)}")
+    return "\n\n".join(parts)
+
+
+def law_table(extras: Sequence[Extra], runs: int) -> str:
+    """Return what announcing adds to the law, as text."""
+    rows: list[tuple[str, ...]] = [("schedule", "L lambda", "theory", "measured", "standard error")]
+    for extra in extras:
+        numbers = (extra.expected, extra.difference.mean, extra.difference.standard_error)
+        rows.append((extra.schedule, f"{extra.delay:g}", *(f"{number:.3f}" for number in numbers)))
+    return f"Excess with announced first actions minus that with known ones, N^2 delta, {runs} runs\n{aligned(rows)}"
+
+
+@study("start", __doc__, 60, Option(["--law"], is_flag=True, help="Measure the scaling law instead."))
+def main(options: Options) -> None:
+    """Measure the costs, and who causes them; or the law."""
+    if options.own["law"]:
+        extras = measure_law(options)
+        options.show({"law": [asdict(extra) for extra in extras]}, law_table(extras, options.runs))
+        return
+    cells, shares = measure_costs(options), measure_shares(options)
+    document = {"costs": [asdict(cell) for cell in cells], "who": [asdict(share) for share in shares]}
+    options.show(document, table(cells, shares, options.runs))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""The scenarios and measurements of `python -m scenarios.start`."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from desim import Result, Scenario
+from desim.analysis.activity import evader_pursuits
+from desim.analysis.metrics import active_time, excess_time
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.trace_index import started
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.units import SECOND
+from desim.pursuit.agent import Agent, Behaviour, Process
+from desim.pursuit.announcements import STARTS, Announcements, Start
+from desim.pursuit.capture import capture_time
+from desim.pursuit.utility import Mean, Minimum
+from desim.scenario.players import Team
+from desim.scenario.scenario import Recording
+from protocols.best_response import BestResponse
+from protocols.local_min import LocalMin
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Schedule
+from scenarios.delay_runs import LAMBDA, SCHEDULES, N, static
+from scenarios.study import Options
+
+TEAMS: Mapping[str, Team] = MappingProxyType({"few in time": Team(), "all in time": Team(speeds=2.5)})
+"""Twenty pursuers: with the speeds of the paper, about three could capture before the horizon."""
+RULES = MappingProxyType({"sap": SpatialAdaptivePlay(), "best_response": BestResponse(), "local_min": LocalMin()})
+LATENCIES = (0.0, 0.1, 0.5)
+"""One-way latencies, s."""
+UTILITIES = MappingProxyType({"mean": Mean(), "minimum": Minimum()})
+LONG = LATENCIES[-1]
+DELAYS = (0.0, 1.0, 4.0, 16.0)
+"""Values of L lambda in the static games; see `scenarios.delay`."""
+CLOCKS = ("poisson", "shared_seed")
+ENDLESS = 1e5
+"""Horizon of the static games, s: all pursuers could capture in time."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The cost of latency under one rule, in one team, with one start."""
+
+    team: str
+    rule: str
+    start: Start
+    prompt: Estimate
+    """Active time without latency, s."""
+    costs: tuple[Estimate, ...]
+    """Paired differences of the active time at the other `LATENCIES`, s."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """Which pursuers cause the cost of the latency `LONG` where few could capture in time; best response."""
+
+    utility: str
+    start: Start
+    late: Estimate
+    """Increase of the active time of the pursuers that could not capture before the horizon at the start, s."""
+    in_time: Estimate
+    """Increase of that of all others, s."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """What announcing the first actions adds to the excess of a game at rest with a known start, in N^2 delta."""
+
+    schedule: str
+    delay: float
+    """L lambda."""
+    difference: Estimate
+    expected: float
+
+
+def pursuit(team: str, protocol: object, start: Start, latency: float) -> Scenario:
+    """Return a pursuit in which all are active at first."""
+    return Scenario(
+        name="start",
+        team=TEAMS[team],
+        protocol=protocol,
+        announce=Announcements(start=start),
+        network=Links(latency=Constant(value=latency)),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def measure_costs(options: Options) -> list[Cell]:
+    """Measure the cost of latency for each team, rule and start."""
+    keys = [(team, rule, start) for team in TEAMS for rule in RULES for start in STARTS]
+    scenarios = [pursuit(team, RULES[rule], start, latency) for team, rule, start in keys for latency in LATENCIES]
+    found = iter(options.measure(scenarios, "latencies", active_time))
+    cells = []
+    for key in keys:
+        prompt, *late = (next(found) for _ in LATENCIES)
+        cells.append(Cell(*key, mean(prompt), tuple(paired(times, prompt) for times in late)))
+    return cells
+
+
+def measure_shares(options: Options) -> list[Share]:
+    """Measure which pursuers cause the cost of latency, under two utilities."""
+    keys = [(utility, start) for utility in UTILITIES for start in STARTS]
+    scenarios = [
+        pursuit("few in time", BestResponse(utility=UTILITIES[utility]), start, latency)
+        for utility, start in keys
+        for latency in (0.0, LONG)
+    ]
+    found = iter(options.measure(scenarios, "who chases", times_by_ability))
+    shares = []
+    for key in keys:
+        prompt, late = np.array(next(found)), np.array(next(found))
+        shares.append(Share(*key, *(paired(late[:, k], prompt[:, k]) for k in range(2))))
+    return shares
+
+
+def measure_law(options: Options) -> list[Extra]:
+    """Measure the excess in static games in which all could capture in time, with announced and known first actions."""
+    slot = 1.0 / (N * LAMBDA)
+    keys = [(schedule, delay) for schedule in CLOCKS for delay in DELAYS]
+    scenarios = [
+        at_rest(SCHEDULES[name](slot), x / LAMBDA, start) for name, x in keys for start in ("announced", "known")
+    ]
+    found = iter(options.measure(scenarios, "static games", excess_time))
+    unit = N * N * slot
+    extras = []
+    for name, x in keys:
+        announced, known = (np.array(next(found)) / unit for _ in range(2))
+        extras.append(Extra(name, x, paired(announced, known), (1.0 - 1.0 / N) * x))
+    return extras
+
+
+def at_rest(schedule: Schedule, latency: float, start: Start) -> Scenario:
+    """Return a game of `scenarios.delay` without motion that goes on until it has settled."""
+    game = static(schedule, latency)
+    protocol = partial(while_it_settles, game.protocol, 20.0 + 8.0 * latency)
+    announce = game.announce.model_copy(update={"start": start})
+    return game.model_copy(update={"horizon": ENDLESS, "protocol": protocol, "announce": announce})
+
+
+def while_it_settles(protocol: Behaviour, duration: float, me: Agent) -> Process:
+    """Run a protocol for some time, s; a greedy game that has settled does not change any more."""
+    for event in protocol(me):
+        yield event
+        if me.now >= duration:
+            return
+
+
+def times_by_ability(result: Result) -> tuple[float, float]:
+    """Return the active time, s, of the pursuers with phi >= r at the start, and that of all others."""
+    start, scenario = started(result), result.scenario
+    (evader,) = scenario.evaders
+    phi = capture_time(start.evaders[0], start.pursuers, start.speeds, evader.speed, scenario.capture.radius)
+    times = active_times(result)
+    is_late = [each >= scenario.horizon for each in phi.tolist()]
+    late = sum_of(time for time, late in zip(times, is_late, strict=True) if late)
+    return late, sum_of(times) - late
+
+
+def active_times(result: Result) -> list[float]:
+    """Return the active time of each pursuer, s, in a pursuit of one evader."""
+    (chase,) = evader_pursuits(result)
+    times = [chase.end * is_active for is_active in chase.start]
+    for t, pursuer, step in chase.steps:
+        times[pursuer] += step * (chase.end - t)
+    return [time / SECOND for time in times]
+
+
+def sum_of(times: Iterable[float]) -> float:
+    """Return a sum of times, s."""
+    return float(np.sum(np.fromiter(times, float)))
