@@ -352,9 +352,10 @@ def test_the_belief_error_of_the_page_equals_that_of_the_analysis(name, result_o
 
 
 def test_a_pursuer_without_records_has_no_belief_that_teammates_are_inactive(result_of):
-    """After a cold start all is unheard of at 0 s; after a warm one, nothing."""
-    cold, warm = (_document(result_of(name))["beliefs"] for name in ("cold", "relay"))
-    at_first = [column(beliefs["value"], "u1")[column(beliefs["t"], "<u4") == 0] for beliefs in (cold, warm)]
+    """After a silent start all is unheard of at 0 s; after a known one, nothing."""
+    cold = _document(result_of("cold"))["beliefs"]
+    known = _document(run(load(SCENARIOS / "relay.toml", ['announce.start="known"', "horizon=0.5"])))["beliefs"]
+    at_first = [column(beliefs["value"], "u1")[column(beliefs["t"], "<u4") == 0] for beliefs in (cold, known)]
     assert at_first[0].tolist() == [UNHEARD] * (8 * 7)
     assert at_first[1].tolist() == [CHASES] * (20 * 19)
     assert STAYS in column(cold["value"], "u1")
@@ -660,7 +661,7 @@ def test_a_run_without_messages_lacks_none():
         update={
             "horizon": 0.5,
             "record": Recording(),
-            "announce": Announcements(trigger="never"),
+            "announce": Announcements(trigger="never", start="silent"),
             "team": Team(count=2),
         }
     )
