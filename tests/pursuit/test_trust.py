@@ -224,9 +224,9 @@ def test_at_rest_no_motion_is_expected():
 @pytest.mark.parametrize("kind", [pytest.param(kind, marks=pytest.mark.slow) for kind in TRUSTS.choices()])
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_a_late_truth_is_never_called_a_lie(kind, payload):
-    """Honest teams under latencies of 0.3 s on average, losses and forwarding: nobody is ever suspected.
+    """Honest teams under latencies of 0.3 s on average, losses and forwarding: nobody is ever suspected, in 2 runs.
 
-    The control: with clocks that differ by 0.5 s, some are.
+    The control: with clocks that differ by 0.5 s, some are, in one of up to 6 runs.
     """
     trust = TRUSTS.choice(kind)()
     late = {
@@ -235,11 +235,10 @@ def test_a_late_truth_is_never_called_a_lie(kind, payload):
         "evader": (Evader(count=2),),
         "rule": SpatialAdaptivePlay,
     }
-    suspected = [distrusted(team(trust, **late), seed, 10.0) for seed in range(6)]
-    assert suspected == [set()] * 6
+    suspected = [distrusted(team(trust, **late), seed, 10.0) for seed in range(2)]
+    assert suspected == [set()] * 2
     if kind not in {"none", "trimmed"}:
-        skewed = [distrusted(team(trust, ClockSkew(offset=0.5), **late), seed, 10.0) for seed in range(6)]
-        assert any(skewed)
+        assert any(distrusted(team(trust, ClockSkew(offset=0.5), **late), seed, 10.0) for seed in range(6))
 
 
 def test_false_accusations_below_the_quorum_harm_nobody():
@@ -259,24 +258,24 @@ def measured(scenario, runs=12):
 
 
 METRICS = "captured", "idle_time", "active_time"
-unprotected = cache(lambda rule, count: measured(team(Credulous(), *liars(count), rule=rule)))
+unprotected = cache(lambda rule, count, runs: measured(team(Credulous(), *liars(count), rule=rule), runs))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("f", [0, 1, 2])
 def test_trimmed_local_min_captures_with_up_to_f_liars_and_fails_with_one_more(f):
-    """12 runs each. With F + 1 liars, as the control, nearly all is lost: at most 3 of 12 are captured.
+    """12 runs each. With F + 1 liars, as the control, nearly all is lost: at most 1 of 4 is captured.
 
     Without liars the active time is at most F + 1 times that of one pursuer (1.05 for the start), 5.0 +- 0.3 s over 40
     runs: it was 5.0, 7.9 and 10.4 s. No more than the first decisions is idle.
     """
-    alone = unprotected(LocalMin, 0)[2]
+    alone = unprotected(LocalMin, 0, 12)[2]
     for count in range(f + 1):
         captured, idle, active = measured(team(Trimmed(liars=f), *liars(count)))
         assert captured == 1.0
         assert idle < 0.1
         assert active <= 1.05 * (f + 1) * alone
-    captured, idle, _ = measured(team(Trimmed(liars=f), *liars(f + 1)))
+    captured, idle, _ = measured(team(Trimmed(liars=f), *liars(f + 1)), 4)
     assert captured <= 0.25
     assert idle > 10.0
 
@@ -287,14 +286,14 @@ def test_trimmed_local_min_captures_with_up_to_f_liars_and_fails_with_one_more(f
 def test_evidence_restores_the_capture(rule, trust):
     """Three liars of twelve: captured in all of 12 runs, at the active time of an honest team within 4 s.e. (0.55 s).
 
-    The control, without trust, captures at most one of them.
+    The control, without trust, captures at most one of 4.
     """
     captured, idle, active = measured(team(trust, *liars(3), rule=rule))
     honest = measured(team(trust, rule=rule))
     assert captured == honest[0] == 1.0
     assert idle < 0.1
     assert active == pytest.approx(honest[2], abs=2.2)
-    assert unprotected(rule, 3)[0] <= 1 / 12
+    assert unprotected(rule, 3, 4)[0] <= 0.25
 
 
 # Everywhere.
