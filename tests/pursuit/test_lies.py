@@ -279,7 +279,7 @@ def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     shares = {}
     for drop in (0.0, 0.3, 1.0):
         case = team(Selective(node=2, start=0.0, drop=drop), protocol=ring, team=Team(count=4, speeds=0.1))
-        result = go(case, 1, 20.0)
+        result = go(case, 1, 8.0)
         held = sum(event.dst == 2 for event in result.trace.of(Sent) if type(event.body).__name__ == "Token")
         sent = sum(event.src == 2 for event in result.trace.of(Sent) if type(event.body).__name__ == "Token")
         shares[drop] = sent / held
@@ -444,9 +444,8 @@ def test_every_protocol_bears_every_lie(kind):
         *(model(node=k % 6, start=0.1 * k, end=0.1 * k + 0.4, **_needed(model)) for k, model in enumerate(LIES)),
         RandomLies(rate=5.0, mean_duration=0.3),
     ]
-    scenario = team(*lies, protocol=PROTOCOLS.choice(kind)(), network=Links(loss=Bernoulli(p=0.1)))
-    result = watched(scenario, 5)
-    assert result.trace.events == watched(scenario, 5).trace.events
+    scenario = team(*lies, protocol=PROTOCOLS.choice(kind)(), network=Links(loss=Bernoulli(p=0.1)), horizon=2.5)
+    assert watched(scenario, 5).trace.events == run(scenario, 5).trace.events
 
 
 def _needed(model):
@@ -458,7 +457,7 @@ def _needed(model):
 @pytest.mark.parametrize("model", LIES)
 def test_every_dissemination_bears_every_lie(dissemination, model):
     announce = Announcements(payload="state", dissemination=dissemination())
-    watched(team(model(node=1, start=0.0, **_needed(model)), announce=announce), 5)
+    watched(team(model(node=1, start=0.0, **_needed(model)), announce=announce, horizon=2.0), 5)
 
 
 def test_bodies_that_are_no_announcements_are_not_falsified():
@@ -475,15 +474,15 @@ def test_bodies_that_are_no_announcements_are_not_falsified():
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [SpatialAdaptivePlay, LocalMin])
 def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
-    """12 runs of 12 pursuers: all are captured without it, and at most one with it.
+    """12 runs of 12 pursuers: all are captured without it; and at most one of 4 with it.
 
     The control: a liar that says the truth about its action harms nothing.
     """
     shares = {}
-    for name, fault in (
-        ("honest", ()),
-        ("liar", (Liar(node=0, start=0.0, action="chase", phi=0.0, acts="stay"),)),
-        ("harmless", (Liar(node=0, start=0.0, acts="stay"),)),
+    for name, runs, fault in (
+        ("honest", 12, ()),
+        ("liar", 4, (Liar(node=0, start=0.0, action="chase", phi=0.0, acts="stay"),)),
+        ("harmless", 12, (Liar(node=0, start=0.0, acts="stay"),)),
     ):
         scenario = Scenario(
             team=Team(count=12, speeds=1.5, active_at_start=0.0),
@@ -492,6 +491,6 @@ def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
             record=Recording(trajectory=0.0),
             fault=fault,
         )
-        shares[name] = np.mean([summary(run(scenario, seed)).captured for seed in range(12)])
+        shares[name] = np.mean([summary(run(scenario, seed)).captured for seed in range(runs)])
     assert shares["honest"] == shares["harmless"] == 1.0
-    assert shares["liar"] <= 1 / 12
+    assert shares["liar"] <= 0.25
