@@ -1,5 +1,7 @@
 """Teams whose eyes err: what a pursuer knows, reports and forgets, and that captures follow the truth."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 
@@ -112,8 +114,8 @@ def test_noise_may_be_zero(noise, estimator, fusion):
 @pytest.mark.parametrize("estimator", [AlphaBeta(), Kalman()])
 def test_a_range_may_be_exact_in_every_run(estimator):
     sensing = Sensing(noise=RangeBearingNoise(range=0.0, bearing=0.3), estimator=estimator)
-    for seed in range(20):
-        assert run(Scenario(team=Team(count=6), sensing=sensing, horizon=2.0), seed).trace
+    for seed in range(8):
+        assert run(Scenario(team=Team(count=6), sensing=sensing, horizon=1.0), seed).trace
 
 
 def test_a_reported_track_is_that_of_its_observer():
@@ -201,20 +203,22 @@ def test_captures_follow_the_truth():
 
 @pytest.mark.slow
 def test_less_noise_costs_less_time():
-    """10 runs: with 0.01 m of noise the active time is that of exact sight within 5 %, with 1 m it is greater."""
+    """5 runs: with 0.01 m of noise the active time is that of exact sight within 5 %, with 1 m it is greater."""
     times = {}
     for deviation in (None, 0.01, 1.0):
         noise = {} if deviation is None else {"noise": PositionNoise(deviation=deviation), "estimator": Kalman()}
-        case = scenario(Sensing(**noise), evader=Evader(position=(5.0, 5.0)))
-        times[deviation] = np.mean([summary(run(case, seed)).active_time for seed in range(10)])
+        case = scenario(Sensing(**noise), evader=Evader(position=(5.0, 5.0)), record=Recording(trajectory=0.0))
+        times[deviation] = np.mean([summary(run(case, seed)).active_time for seed in range(5)])
     assert times[0.01] == pytest.approx(times[None], rel=0.05)
     assert times[1.0] > 1.1 * times[None]
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("kind", PROTOCOLS.choices())
-@pytest.mark.parametrize("fusion", ["by_stamp", "covariance_intersection"])
+@pytest.mark.parametrize(
+    ("kind", "fusion"), [*zip(PROTOCOLS.choices(), cycle(["by_stamp", "covariance_intersection"]), strict=False)]
+)
 def test_every_protocol_bears_noise(kind, fusion):
+    """Both ways to fuse reports in turn: a protocol does not know in which one its estimates were made."""
     noisy = Sensing(
         noise=RangeBearingNoise(), estimator=Kalman(), fusion=fusion, radius=6.0, relay=True, interval=0.1, period=0.2
     )
