@@ -155,10 +155,10 @@ def test_the_number_of_the_finite_aloha_is_the_one_of_the_formula():
 @pytest.mark.slow
 def test_the_throughput_of_slotted_aloha_with_poisson_traffic_is_roberts_s():
     """S = G e^-G, Roberts 1975: 0.36788 at G = 1; the control is pure ALOHA, which has 0.13534."""
-    found = throughputs(SlottedAloha(slot=0.001), 400, 1.0, 700, graph=nx.star_graph(400))
+    found = throughputs(SlottedAloha(slot=0.001), 400, 1.0, 500, graph=nx.star_graph(400))
     assert abs(z_score(found, 0.36788)) < 3
     assert z_score(found, exp(-2.0)) > 3
-    pure = throughputs(Aloha(), 400, 1.0, 500, graph=nx.star_graph(400))
+    pure = throughputs(Aloha(), 400, 1.0, 250, graph=nx.star_graph(400))
     assert z_score(pure, 0.36788) < -3
 
 
@@ -189,11 +189,11 @@ def test_a_slot_begins_by_the_clock_of_its_node():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 16_000), (10, 0.2, 3000), (5, 0.4, 3000)])
+@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 16_000), (10, 0.2, 2000), (5, 0.4, 2000)])
 def test_saturated_slotted_aloha_succeeds_if_one_node_of_n_transmits(nodes, p, slots):
     """S = N p (1-p)^(N-1), which is 0.38742 with N = 10 and p = 0.1; the controls are e^-1 and p + 0.05.
 
-    The slots are independent: the standard error is sqrt(S (1-S) / slots), 0.004 to 0.008.
+    The slots are independent: the standard error is sqrt(S (1-S) / slots), 0.004 to 0.01.
     """
     clock, graph = Clock(), nx.star_graph(nodes)
     radio = Bitrate(bitrate=800_000.0, access=SlottedAloha(slot=0.001, p=p))
@@ -225,13 +225,13 @@ def persistent(load, a):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("load", "number", "frames"), [(1.0, 0.49255, 2000), (3.0, 0.72234, 2500), (9.44, 0.8151, 5000)]
+    ("load", "number", "frames"), [(1.0, 0.49255, 1000), (3.0, 0.72234, 1250), (9.44, 0.8151, 2500)]
 )
 def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, number, frames):
     """S = G e^(-aG) / (G (1+2a) + e^(-aG)), with a = 0.01; a node that finds the channel busy drops its frame.
 
     So G is the offered load. The controls are a = 0.02, S(3) = 0.69558 and S(9.44) = 0.7342, and 1-persistent CSMA,
-    S(1) = 0.52864 and S(3) = 0.18817. The standard error is about 0.002.
+    S(1) = 0.52864 and S(3) = 0.18817. The standard error is about 0.003.
     """
     access = Csma(attempts=1, sensing_delay=1e-5)
     found = throughputs(access, 300, load, frames, graph=complete_graph(301), queue_limit=0)
@@ -246,7 +246,7 @@ def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, nu
 def test_the_throughput_of_1_persistent_csma_is_kleinrock_and_tobagi_s(load, number):
     """The formula with a = 0.01; the control is the nonpersistent formula: 0.49255 and 0.72234."""
     access = Csma(persistence="p_persistent", sensing_delay=1e-5)
-    found = throughputs(access, 300, load, 1500, graph=complete_graph(301))
+    found = throughputs(access, 300, load, 800, graph=complete_graph(301))
     assert persistent(load, 0.01) == pytest.approx(number, abs=5e-6)
     assert abs(z_score(found, number)) < 3
     assert abs(z_score(found, nonpersistent(load, 0.01))) > 3

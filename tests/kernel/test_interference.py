@@ -410,13 +410,13 @@ def test_lora_frames_of_other_spreading_factors_and_frequencies_do_not_interfere
     def theory(others):
         return exp(-others * (2 * AIRTIME - 3 * symbol) / 1000.0)
 
-    apart = lora_shares(64, threshold=300.0, frames=1500, frequencies=(868e6, 868.0301e6) * 32)
-    near = lora_shares(64, threshold=300.0, frames=1500, frequencies=(868e6, 868.0299e6) * 32)
+    apart = lora_shares(64, threshold=300.0, frames=800, frequencies=(868e6, 868.0301e6) * 32)
+    near = lora_shares(64, threshold=300.0, frames=800, frequencies=(868e6, 868.0299e6) * 32)
     assert abs(z_score(apart, theory(31))) < 3
     assert abs(z_score(near, theory(63))) < 3
     assert z_score(apart, theory(63)) > 3
     assert z_score(near, theory(31)) < -3
-    factors = lora_shares(64, threshold=300.0, frames=1500, factors=(12, 11) * 32)
+    factors = lora_shares(64, threshold=300.0, frames=800, factors=(12, 11) * 32)
     assert z_score(factors, theory(31)) > 3
     assert min(factors) > np.mean(near)
 
