@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 import weakref
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -43,9 +44,12 @@ def lines(result):
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("file", FILES)
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))])
+@pytest.mark.parametrize(
+    ("file", "copied"),
+    [*zip(FILES, cycle([copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))]), strict=False)],
+)
 def test_a_result_of_any_scenario_can_be_copied(file, copied):
+    """By pickle and by deepcopy in turn: both ask the same objects what they consist of."""
     result = run(load(SCENARIOS / file, ["horizon=0.05", "record.messages=true"]), 3)
     again = copied(result)
     assert lines(again) == lines(result)

@@ -601,9 +601,14 @@ def test_twenty_pursuers_of_equal_speed_have_one_winner_except_while_messages_ar
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("auction", AUCTIONS)
+@pytest.mark.parametrize(
+    ("auction", "schedule", "moving"),
+    [  # each two values together
+        (auction, schedule, (k + one) % 2 == 1)
+        for one, auction in enumerate(AUCTIONS)
+        for k, schedule in enumerate(SCHEDULES)
+    ],
+)
 def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to_date(auction, schedule, moving):
     """phi = 4, 1, 2, 3 s at rest, or 13, 4, 7, 10 s as the chase begins; the winner breaks down, and comes back or not.
 

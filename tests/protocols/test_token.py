@@ -165,13 +165,13 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
     """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, with serial revisions in any order, within 4 s.e.
 
-    4 seeds of 2,500 decisions: 1.4 / sqrt(10,000) = .014 if owners are drawn (`test_paper`). The control, all at
-    once, would have .4930, 8 s.e. away.
+    3 seeds of 2,500 decisions: 1.4 / sqrt(7,500) = .016 if owners are drawn (`test_paper`). The control, all at
+    once, would have .4930, 7 s.e. away.
     """
     play = SpatialAdaptivePlay(schedule=schedule, tau=ConstantTau(value=0.5))
     scenario = static_game(play, Links(latency=Constant(value=0.006)))
-    law, errors = measured(scenario.model_copy(update={"announce": Announcements(trigger="never")}), seeds=4)
-    assert errors[RELAY] < 0.018
+    law, errors = measured(scenario.model_copy(update={"announce": Announcements(trigger="never")}), seeds=3)
+    assert errors[RELAY] < 0.021
     assert abs(law[RELAY] - 0.6041) < 4 * errors[RELAY]
     assert abs(law[RELAY] - 0.4930) > 5 * errors[RELAY]
 
