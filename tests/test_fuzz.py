@@ -45,7 +45,7 @@ from tests.study import sweeps
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
-LIMIT = 2.0
+LIMIT = 1.0
 """Time after which a run is ended, s."""
 SLOW = 100.0
 """Longest time that a command may take whose run is ended after the limit, s: it hangs, however slow the machine."""
@@ -63,7 +63,7 @@ pytestmark = [
 def fuzz(share: float):
     """Return how many cases of a test there are: a share of all."""
     return settings(
-        max_examples=max(int((CASES or 150) * share), 1),
+        max_examples=max(int((CASES or 100) * share), 1),
         derandomize=not CASES,
         database=None,
         deadline=None,

@@ -31,8 +31,8 @@ from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from protocols.token_messages import Token
 
-PLANS = int(os.environ.get("SOAK", "24" if settings.default.derandomize else "1000"))
-BLOCK = 12
+PLANS = int(os.environ.get("SOAK", "16" if settings.default.derandomize else "1000"))
+BLOCK = 8
 KINDS = PROTOCOLS.choices()
 NEEDED = {
     "bitrate": {"bitrate": 5e4},

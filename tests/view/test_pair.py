@@ -277,8 +277,7 @@ def test_a_seek_in_either_run_moves_both_and_the_shorter_stays_at_its_end(first,
 
 @in_chromium
 @pytest.mark.slow
-@ORDERS
-@pytest.mark.parametrize("k", [0, 1])
+@pytest.mark.parametrize(("k", "first", "second"), [(0, *RUNS), (1, *RUNS)], ids=["longer", "shorter"])
 def test_play_in_either_run_plays_both_to_the_end_of_the_longer(k, first, second, shown):
     """The button in either pauses both; at the end, it plays both from the start."""
     opened = shown(first, second)
