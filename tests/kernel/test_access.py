@@ -379,14 +379,15 @@ def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
     assert abs(np.mean(throughput) - bianchi(nodes, 128)) > 3 * spread
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.00025, 0.002])
 def test_broadcasts_of_one_instant_survive_as_often_as_in_a_loop_over_the_stations(mean):
     """Eight hosts pass a frame of 300 us on after an exponential time: as a round over the preset wifi.
 
-    500 rounds in desim and 3000 in the loop, which knows no events. The controls: without the random time all frames
+    120 rounds in desim and 3000 in the loop, which knows no events. The controls: without the random time all frames
     overlap, and a window of 64 instead of 16 is far off.
     """
-    timing, rounds = Timing(), 500
+    timing, rounds = Timing(), 120
 
     def lone(processing, window=16):
         model = CsmaCa(sensing_delay=4e-6, window=window, eifs=88e-6)
