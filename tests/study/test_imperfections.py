@@ -162,7 +162,7 @@ CHANGES = {
         "network.medium.access.kind": "ideal",
         **below("network.medium.access", "slot", "p"),
         "network.medium.reception.kind": "collision",
-        **below("network.medium.reception", "threshold", "exponent", "lock"),
+        **below("network.medium.reception", "threshold", "exponent", "lock", "fading", "m", "k"),
     },
     "loss": {
         "network.preset": None,
@@ -568,3 +568,25 @@ def test_without_staleness_every_change_is_announced_at_once_and_repeated(trigge
 def test_removing_faults_leaves_none(fault):
     scenario = Scenario(fault=(fault,))
     assert without_lies(without_faults(scenario)) == Scenario()
+
+
+def test_without_latency_frames_of_one_instant_still_do_not_collide():
+    """Rounds over the preset wifi: the random delay of the hosts belongs to the channel, and goes with it.
+
+    The control is a constant delay, which separates nothing and is latency.
+    """
+    rounds = {"kind": "cbba", "schedule": {"kind": "rounds"}}
+    scenario = Scenario(
+        horizon=0.5,
+        team={"count": 8},
+        protocol=rounds,
+        announce={"trigger": "revision"},
+        network={"preset": "wifi"},
+        record={"messages": True},
+    )
+    counts = [run(each).trace.of(MessageCounts)[0] for each in (scenario, without_latency(scenario))]
+    assert all(each.delivered > 0.5 * each.sent for each in counts)
+    for order in (["latency", "contention"], ["contention", "latency"]):
+        assert removed(scenario, order).network.processing == Processing()
+    still = scenario.with_({"network": {"preset": "wifi", "processing": {"sender": 0.001}}})
+    assert without_latency(still).network.processing == Processing()
