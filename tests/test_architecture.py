@@ -302,7 +302,7 @@ POSITIONS = {
     "desim.kernel.transmission:Flight": "transmission airtime",
     "desim.kernel.transmission:Transmission": "number src created size receivers content port reachable to_one",
     "desim.pursuit.dead_reckoning:TrackSegment": "begun evader aim velocity end",
-    "desim.pursuit.tracking:Measurement": "stamp observer x y covariance",
+    "desim.pursuit.tracking:Measurement": "stamp observer x y covariance origin_x origin_y",
 }
 """The fields of the named tuples that are created or read by position, for speed or to be compared."""
 

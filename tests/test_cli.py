@@ -651,7 +651,7 @@ def test_a_folder_that_cannot_be_created_for_one_of_several_runs_is_reported(fil
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "seed-7000001").touch()
     (said,) = refused("run", file(DUEL), "-n", "2", "-o", tmp_path / "out")
-    assert said.startswith(f"--out {tmp_path / 'out' / 'seed-8'}: cannot be written")
+    assert said.startswith(f"--out {tmp_path / 'out' / 'seed-7000001'}: cannot be written")
 
 
 def test_keys_lists_every_key_of_a_table_with_default_and_unit():

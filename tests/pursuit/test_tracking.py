@@ -97,7 +97,6 @@ def test_every_covariance_is_positive_however_exact_the_sightings_are(seed):
     updates(seed, 10)
 
 
-@pytest.mark.slow
 def singular(rng, size):
     """Return a random covariance of rank 1, of which the standard deviations differ by up to a factor of 10^9."""
     root = rng.normal(size=size) * 10.0 ** rng.uniform(-6, 3, size)
