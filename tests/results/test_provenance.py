@@ -651,16 +651,17 @@ def test_a_module_beside_the_file_is_repeated_byte_for_byte(beside, tmp_path):
 def test_the_folder_of_each_of_several_runs_repeats_that_run(tmp_path):
     """The one at the top repeats all of them; what was repeated is repeated again."""
     (tmp_path / "far.toml").write_text(FAR.replace('"empirical", file = "delays.txt"', '"lognormal", mean = 0.1'))
+    five = [5_000_000, 5_000_001, 5_000_002]
     accepted("run", tmp_path / "far.toml", "-n", 3, "-s", 5, "-o", tmp_path / "all")
-    assert sorted(each.name for each in (tmp_path / "all").iterdir()) == ["run.json", "seed-5", "seed-6", "seed-7"]
+    assert sorted(each.name for each in (tmp_path / "all").iterdir()) == ["run.json", *(f"seed-{k}" for k in five)]
     assert read(tmp_path / "all" / "run.json")["runs"] == 3
-    assert [read(tmp_path / "all" / f"seed-{k}" / "run.json")["runs"] for k in (5, 6, 7)] == [1, 1, 1]
-    for seed in (5, 6, 7):
+    assert [read(tmp_path / "all" / f"seed-{k}" / "run.json")["runs"] for k in five] == [1, 1, 1]
+    for seed in five:
         accepted("run", "--from", tmp_path / "all" / f"seed-{seed}" / "run.json", "-o", tmp_path / f"{seed}")
         assert files(tmp_path / f"{seed}") == files(tmp_path / "all" / f"seed-{seed}")
-    accepted("run", "--from", tmp_path / "6" / "run.json", "-o", tmp_path / "again")
-    assert files(tmp_path / "again") == files(tmp_path / "6")
-    assert files(tmp_path / "5") != files(tmp_path / "6")
+    accepted("run", "--from", tmp_path / "5000001" / "run.json", "-o", tmp_path / "again")
+    assert files(tmp_path / "again") == files(tmp_path / "5000001")
+    assert files(tmp_path / "5000000") != files(tmp_path / "5000001")
 
 
 @pytest.mark.slow
@@ -717,11 +718,11 @@ def seeds(*args: object) -> list[int]:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ((), [5, 6]),
+        ((), [5_000_000, 5_000_001]),
         (("-n", 1), [5]),
-        (("-n", 3), [5, 6, 7]),
-        (("-s", 8), [8, 9]),
-        (("--set", "seed=8"), [8, 9]),
+        (("-n", 3), [5_000_000, 5_000_001, 5_000_002]),
+        (("-s", 8), [8_000_000, 8_000_001]),
+        (("--set", "seed=8"), [8_000_000, 8_000_001]),
         (("--set", "seed=8", "-s", 0, "-n", 1), [0]),
     ],
 )

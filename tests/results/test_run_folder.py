@@ -230,10 +230,12 @@ def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_fil
     write(result, tmp_path / "out")
     done = CliRunner().invoke(main, ["run", str(other_file), "-n", "2", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert names(tmp_path / "out") == {"run.json", "seed-1", "seed-2"}
+    assert names(tmp_path / "out") == {"run.json", "seed-1000000", "seed-1000001"}
     done = CliRunner().invoke(main, ["replay", str(tmp_path / "out")])
     assert (done.exit_code, done.stdout) == (2, "")
-    assert done.stderr.endswith(": has no result itself, but its folders have (seed-1, seed-2): give one of them\n")
+    assert done.stderr.endswith(
+        ": has no result itself, but its folders have (seed-1000000, seed-1000001): give one of them\n"
+    )
 
 
 OF_ANOTHER = {

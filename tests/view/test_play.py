@@ -245,7 +245,7 @@ def test_a_comparison_that_is_closed_begins_no_more_runs(small, monkeypatch):
         else:
             next(session.compare(SMALL, SMALL, 30))
         assert list(found) == []
-    assert begun == [3] * 4
+    assert begun == [3_000_000] * 4
 
 
 def test_differences_are_of_the_pairs_in_which_both_have_a_value():
