@@ -772,6 +772,7 @@ schedule = { kind = "periodic", period = 0.2, jitter = 0.0 }
 
 [announce]
 trigger = "never"
+start = "known"
 dissemination = { kind = "gossip" }
 
 [network]
@@ -797,10 +798,10 @@ def test_every_warning_is_printed_on_stderr_with_file_line_and_key(file):
     result = accepted("check", path)
     said = [re.match(r"warning: (.*): ([\w.]+): (.*)", line).groups() for line in result.stderr.splitlines()]
     assert {key: (where, why) for where, key, why in said} == {
-        "network.latency": (f"{path}:18", "it overrides the value of the preset 'wifi'"),
-        "network.reception": (f"{path}:19", "it has no effect while the range is inf"),
-        "announce.dissemination": (f"{path}:14", "it has no effect, because nothing is ever announced"),
-        "fault.1.start": (f"{path}:29", "the fault starts after the horizon"),
+        "network.latency": (f"{path}:19", "it overrides the value of the preset 'wifi'"),
+        "network.reception": (f"{path}:20", "it has no effect while the range is inf"),
+        "announce.dissemination": (f"{path}:15", "it has no effect, because nothing is ever announced"),
+        "fault.1.start": (f"{path}:30", "the fault starts after the horizon"),
         "protocol": (f"{path}:8", "sap assumes messages_get_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (
             f"{path}:10",

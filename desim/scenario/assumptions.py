@@ -76,7 +76,8 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     if trigger not in {"change", "never"} or _reached_by_schedule(scenario):
         return None
     if trigger == "never":
-        return "nothing is ever announced"
+        is_told = scenario.announce.start == "announced"
+        return f"nothing{' but the first action' * is_told} is ever announced"
     if network.range < inf and not scenario.motion.static:
         return "a pursuer that comes into range does not receive earlier announcements (`announce.trigger`)"
     if DisseminationTraits.of(scenario.announce.dissemination).retransmits:

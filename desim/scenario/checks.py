@@ -319,7 +319,8 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
-    if announce.trigger == "never" and _sends_announcements(scenario) and _is_built_in(scenario):
+    is_mute = announce.trigger == "never" and not _announces_start(scenario)
+    if is_mute and _sends_announcements(scenario) and _is_built_in(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     yield from _transport_warnings(scenario)
     if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
@@ -484,6 +485,11 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 "it has no effect on announcements, which are published as state; the kinds 'reliable' and 'coded' of"
                 " `announce.dissemination` send them as messages",
             )
+
+
+def _announces_start(scenario: Scenario) -> bool:
+    """Return whether several pursuers announce their first actions at the start."""
+    return scenario.announces and scenario.announce.start == "announced" and scenario.team.count > 1
 
 
 def _sends_announcements(scenario: Scenario) -> bool:

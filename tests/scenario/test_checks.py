@@ -141,7 +141,7 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
             "overrides the value of the preset 'lte'",
         ),
         (
-            {"announce": Announcements(trigger="never", dissemination=Flooding())},
+            {"announce": Announcements(trigger="never", start="known", dissemination=Flooding())},
             "announce.dissemination",
             "nothing is ever announced",
         ),
@@ -221,13 +221,18 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
             "heartbeats of two pursuers that overlap once on this channel overlap each time",
         ),
         (
+            {"network": Links(medium=FAST | {"access": Aloha()}), "announce": {"trigger": "change"}},
+            "announce.jitter",
+            "all first announcements (announce.start) are sent at the same instant and collide",
+        ),
+        (
             {"network": Links(medium=FAST | {"access": SlottedAloha(slot=0.999e-3)}), "announce": JITTER},
             "network.medium.access.slot",
             "an announcement of 24 bytes takes 0.001 s on the air, longer than a slot of 0.000999 s",
         ),
         ({"clocks": Clocks(sync=TwoWay())}, "clocks.sync", "it costs messages, and all clocks are right"),
         (
-            {"announce": Announcements(trigger="never", dissemination=ReliableOneHop())},
+            {"announce": Announcements(trigger="never", start="silent", dissemination=ReliableOneHop())},
             "announce.dissemination",
             "nothing is ever announced",
         ),
