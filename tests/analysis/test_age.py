@@ -584,6 +584,7 @@ def negotiating(schedule, dissemination=None, **links):
         yield from schedule(me, lambda: me.assign(me.rng.random() < 0.5))
 
     trigger = {"trigger": "revision", "dissemination": dissemination} if dissemination else {"trigger": "never"}
+    trigger["start"] = "known"
     scenario = Scenario(
         horizon=6.0,
         team=Team(count=4),

@@ -66,7 +66,8 @@ def test_latency_costs_active_time():
     """Paired over 8 seeds: half a second costs some 5 s, more than 5 standard errors; no latency costs nothing."""
 
     def times(latency, seeds=8):
-        scenario = Scenario(protocol=SpatialAdaptivePlay(), network=Links(latency=Constant(value=latency)))
+        late = Links(latency=Constant(value=latency))
+        scenario = Scenario(protocol=SpatialAdaptivePlay(), announce=Announcements(start="known"), network=late)
         return np.array([active_time(run(scenario, seed)) for seed in range(seeds)])
 
     prompt = times(0.0)
