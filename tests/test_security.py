@@ -102,6 +102,7 @@ PLACES = {
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",
     "network.transport": "network.transport = {}",
+    "network.processing.sender": "network.processing.sender = {}",
     "clocks.sync": "clocks.sync = {}",
     "network.link.0.latency": "network.link = [{{ src = 0, dst = 1, latency = {} }}]",
     "network.graph.edges.0.loss": 'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, loss = {} }}] }}',

@@ -137,6 +137,11 @@ class Value(BaseModel):
     _replaced: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """For keys of older versions: the part of the error message that says what replaces them."""
 
+    @property
+    def unused_fields(self) -> frozenset[str]:
+        """The names of the fields that have no effect beside the values of the others."""
+        return frozenset()
+
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
     def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:

@@ -135,6 +135,11 @@ class Faded(Value):
     k: RiceFactor = 3.0
     """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
 
+    @property
+    def unused_fields(self) -> frozenset[str]:
+        """The names of the shapes of the other kinds of fading."""
+        return frozenset(name for name, fading in (("m", "nakagami"), ("k", "rice")) if fading != self.fading)
+
     def gains(self, uniforms: Floats) -> Floats:
         """Return the (k,) factors by which (k,) powers fade, given uniform draws in (0, 1)."""
         if self.fading == "rayleigh":

@@ -515,8 +515,8 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     reception = medium.reception
     if isinstance(reception, Faded):
         usual = dict(type(reception)())
-        for key, kind in (("m", "nakagami"), ("k", "rice")):
-            if reception.fading != kind and dict(reception)[key] != usual[key]:
+        for key in sorted(reception.unused_fields):
+            if dict(reception)[key] != usual[key]:
                 yield f"network.medium.reception.{key}", f"it has no effect with fading {reception.fading!r}"
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"

@@ -95,7 +95,7 @@ def _instants(scenario: Scenario) -> Iterator[tuple[str, str, int, _Spread]]:
         yield "protocol.schedule", "pursuers announce their decisions", count, by_clock
     elif protocol.at_once and speaks:
         yield "protocol", "pursuers announce their decisions", count, by_clock
-    if scenario.announces and dict(announce).get("start") == "announced" and not announce.jitter:
+    if scenario.announces and announce.start == "announced" and not announce.jitter:
         yield "announce.start", "pursuers announce their first actions", count, _Spread()
     if protocol.host is not None:
         yield "protocol", "pursuers send their first reports", count - 1, by_clock

@@ -227,7 +227,7 @@ def _model(model: Any) -> str:
     """Return a model as text: its kind and its numbers except 0 and inf; if it is not a `Value`, its name."""
     if not isinstance(model, Value):
         return name_of(model)
-    given = {name: getattr(model, name) for name in type(model).model_fields}
+    given = {name: value for name, value in model if name not in model.unused_fields}
     shown = [
         f"{name.replace('_', ' ')} {_number(each)}"
         for name, each in given.items()

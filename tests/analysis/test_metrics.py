@@ -255,9 +255,6 @@ def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(re
     assert active_time(result) == total
 
 
-@pytest.mark.slow
-@settings(deadline=None)
-@given(histories())
 @pytest.mark.parametrize(("exponent", "power"), [(0.0, 2.0), (1.0, 4.0), (2.0, 10.0), (3.0, 28.0)])
 def test_energy_is_that_of_the_drive_with_the_exponent(exponent, power):
     """Two pursuers of 1 and 3 m/s are active for a whole second: 1^p + 3^p."""
@@ -266,6 +263,9 @@ def test_energy_is_that_of_the_drive_with_the_exponent(exponent, power):
     assert energy(run(scenario)) == power
 
 
+@pytest.mark.slow
+@settings(deadline=None)
+@given(histories())
 def test_energy_and_handovers_equal_those_of_a_plain_loop_over_the_trace(result):
     """Tick by tick of 1/8 s, on whose grid everything happens; speeds 1, 2, 3, ... m/s."""
     (start,) = result.trace.of(Started)

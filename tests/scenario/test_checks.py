@@ -196,12 +196,15 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
             "",
         ),
         (
-            {"network": Links(medium=FAST | {"access": Csma(p=0.1)})},
+            {"network": Links(medium=FAST | {"access": Csma(p=0.1)}), "announce": JITTER},
             "network.medium.access.p",
             "no effect with persistence 'nonpersistent'",
         ),
         (
-            {"network": Links(medium=FAST | {"access": Csma(persistence="p_persistent", attempts=3)})},
+            {
+                "network": Links(medium=FAST | {"access": Csma(persistence="p_persistent", attempts=3)}),
+                "announce": JITTER,
+            },
             "network.medium.access.attempts",
             "no effect with persistence 'p_persistent'",
         ),
@@ -216,14 +219,14 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
             "nodes that contend never receive while they transmit",
         ),
         (
-            {"network": Links(medium=FAST | {"access": Aloha()}), "announce": {"jitter": 0.0}},
+            {"network": Links(medium=FAST | {"access": Aloha()}), "announce": {"jitter": 0.0, "start": "silent"}},
             "announce.jitter",
-            "heartbeats of two pursuers that overlap once on this channel overlap each time",
+            "overlap",
         ),
         (
             {"network": Links(medium=FAST | {"access": Aloha()}), "announce": {"trigger": "change"}},
-            "announce.jitter",
-            "all first announcements (announce.start) are sent at the same instant and collide",
+            "announce.start",
+            "pursuers announce their first actions at the same instant",
         ),
         (
             {"network": Links(medium=FAST | {"access": SlottedAloha(slot=0.999e-3)}), "announce": JITTER},

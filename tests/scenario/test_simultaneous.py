@@ -38,7 +38,7 @@ CHANNELS: dict[str, dict[str, Any]] = {
 LOSES = {"half duplex", "aloha", "slotted_aloha", "csma", "csma 1", "csma_ca", "csma_ca, constant host"}
 LOSES |= {"aloha, random host", "acoustic", *(f"lora_sf{sf}" for sf in range(7, 13))}
 """The channels on which most frames of one instant are lost."""
-QUIET = {"trigger": "change", "jitter": 0.3}
+QUIET = {"trigger": "change", "jitter": 0.3, "start": "silent"}
 CAUSES: dict[str, tuple[str, dict[str, Any]]] = {
     "rounds": (
         "protocol.schedule",
@@ -59,6 +59,13 @@ CAUSES: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "protocol": {"kind": "argmin", "slot": 0.1},
             "announce": QUIET | {"trigger": "revision", "payload": "state"},
+        },
+    ),
+    "first actions": (
+        "announce.start",
+        {
+            "protocol": {"kind": "sap", "schedule": {"kind": "poisson", "rate": 0.5}},
+            "announce": QUIET | {"jitter": 0.0, "start": "announced"},
         },
     ),
     "first reports": ("protocol", {"protocol": {"kind": "server", "period": 2.0}}),

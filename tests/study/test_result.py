@@ -204,7 +204,7 @@ def test_the_table_shows_means_intervals_and_differences():
 
 def test_the_table_shows_the_metrics_that_are_named():
     head = PLAIN.table(["energy"]).splitlines()[1].split()
-    assert head == ["network.range", "runs", "captured", "energy,", "m^2/s"]
+    assert head == ["network.range", "runs", "captured", "energy,", "(m/s)^p", "s"]
     assert "(n)" not in PLAIN.table(["energy"])
 
 
