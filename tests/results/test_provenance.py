@@ -16,6 +16,7 @@ from desim.config.model import Value
 from desim.config.own_modules import plain_name
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.seeds import run_seed
 from desim.results import environment, provenance
 from desim.results.provenance import ProvenanceError, differences, document, of_one, read, source, write
 from desim.scenario.overrides import ScenarioError
@@ -628,8 +629,8 @@ def test_infinities_files_seeds_and_overrides_are_repeated_byte_for_byte(tmp_pat
     first, second = repeated(tmp_path, tmp_path / "far.toml", *options)
     assert first == second
     assert first["stdout"]["scenario"]["network"]["range"] == "Infinity"
-    assert first["stdout"]["scenario"]["seed"] == first["stdout"]["runs"][0]["seed"]
-    runs = first["stdout"]["runs"]
+    runs, root = first["stdout"]["runs"], first["stdout"]["scenario"]["seed"]
+    assert runs[0]["seed"] == (run_seed(root, 0) if "-n" in options else root)
     assert len(runs) == (3 if "-n" in options else 1)
     assert len({name for name in first if name.endswith("trace.jsonl")}) == len(runs)
 
