@@ -1,5 +1,6 @@
 """Sweeps: which runs are done with which seeds, how many are needed, and what a store may be continued with."""
 
+import html
 import importlib
 import re
 import sqlite3
@@ -20,6 +21,7 @@ from desim.analysis.statistics import estimate, paired, runs_needed
 from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.pursuit.announcements import STARTS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
@@ -645,3 +647,19 @@ def test_parts_and_a_precision_exclude_each_other(tmp_path):
     plan = SweepPlan.of(BASE, GRID, 4)
     with Store() as store, pytest.raises(ValueError, match="exclude each other"):
         module.carry_out(plan, store, None, until=("active_time", 1.0), shard=(1, 3))
+
+
+# What pursuers know at the start.
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("key", ["network.latency.value", "network.loss.p", "team.count", "announce.start"])
+def test_a_sweep_over_properties_of_the_network_names_the_start(key, start):
+    """In the table, on the page of a notebook and as JSON; not if it is varied itself, or nothing of the network is."""
+    values = {"team.count": [2, 3], "announce.start": [*STARTS]}.get(key, [0.0, 0.2])
+    found = sweep(BASE.with_({"announce.start": start}), {key: values}, 2)
+    sentence = f'announce.start = "{start}": '
+    assert (sentence in found.table()) is (sentence in html.unescape(found._repr_html_())) is key.startswith("network.")
+    assert found.document()["start"] == (None if key == "announce.start" else start)
+    assert (found.start_rule is not None) is key.startswith("network.")
