@@ -35,6 +35,7 @@ kind = "sap"                                            # desim protocols
 schedule = { kind = "poisson", rate = 5.0 }             # 1/s per pursuer
 
 [announce]
+start = "announced"                                     # first actions travel over the network, as all later ones
 heartbeat = 0.1                                         # s between repetitions of the last announcement
 
 [network]
