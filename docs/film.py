@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from desim import load, run
-from desim.view.replay import replay_page
+from desim.view.pages.replay import replay_page
 
 ROOT = Path(__file__).parent.parent
 TIMES = np.arange(0.2, 4.4, 0.07)

@@ -14,15 +14,15 @@ from pydantic import BaseModel
 
 import scenarios
 from desim import load, run
+from desim.analysis.drawing.plots import save, trajectory
 from desim.analysis.metrics import METRICS, Summary
-from desim.analysis.plots import save, trajectory
 from desim.cli.description import default_of, summary
 from desim.config.choice import choices_of
 from desim.config.model import docs_of, fields_of, models_in
 from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
-from desim.view.replay import replay_page
-from desim.view.trace_table import COLUMNS, KINDS, columns_of
+from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of
+from desim.view.pages.replay import replay_page
 
 SCENARIOS = Path(scenarios.__file__).parent
 STUDIES = (
@@ -117,8 +117,8 @@ def events() -> str:
     parts = [
         "# Events of a trace",
         "`result.trace` is iterated in the order of time, and `result.trace.of(Decided)` has the events of one type."
-        " `t` is a time in integer nanoseconds: divide it by `desim.kernel.units.SECOND` for seconds. The events of"
-        " messages are recorded with `record.messages = true`, `Sampled` with `record.trajectory` > 0.",
+        " `t` is a time in integer nanoseconds: divide it by `desim.kernel.core.units.SECOND` for seconds. The events"
+        " of messages are recorded with `record.messages = true`, `Sampled` with `record.trajectory` > 0.",
     ]
     for event in EVENTS:
         docs = docs_of(event)

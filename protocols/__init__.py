@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     from protocols.geometric import Voronoi as Voronoi
     from protocols.local_min import ArgminKnown as ArgminKnown
     from protocols.local_min import LocalMin as LocalMin
-    from protocols.mutex import LocalMutex as LocalMutex
     from protocols.regret_matching import GeneralisedRegretMatching as GeneralisedRegretMatching
     from protocols.regret_matching import RegretMatching as RegretMatching
     from protocols.sap import SpatialAdaptivePlay as SpatialAdaptivePlay
-    from protocols.schedules import Periodic as Periodic
-    from protocols.schedules import Poisson as Poisson
-    from protocols.schedules import Rounds as Rounds
-    from protocols.schedules import SharedSeed as SharedSeed
+    from protocols.schedules.mutex import LocalMutex as LocalMutex
+    from protocols.schedules.periodic import Periodic as Periodic
+    from protocols.schedules.periodic import Poisson as Poisson
+    from protocols.schedules.periodic import Rounds as Rounds
+    from protocols.schedules.periodic import SharedSeed as SharedSeed
+    from protocols.schedules.synchronous import Synchronous as Synchronous
+    from protocols.schedules.token import TokenRing as TokenRing
+    from protocols.schedules.token import TokenWalk as TokenWalk
     from protocols.server import Server as Server
-    from protocols.synchronous import Synchronous as Synchronous
     from protocols.temperature import AdaptiveTau as AdaptiveTau
     from protocols.temperature import ConstantTau as ConstantTau
     from protocols.temperature import GeometricTau as GeometricTau
     from protocols.temperature import LogarithmicTau as LogarithmicTau
     from protocols.temperature import PaperTau as PaperTau
-    from protocols.token import TokenRing as TokenRing
-    from protocols.token import TokenWalk as TokenWalk
 
 KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
@@ -81,19 +81,19 @@ A module is imported when a scenario selects its kind.
 """
 
 PARTS = (
-    "protocols.mutex:LocalMutex",
-    "protocols.schedules:Periodic",
-    "protocols.schedules:Poisson",
-    "protocols.schedules:Rounds",
-    "protocols.schedules:SharedSeed",
-    "protocols.synchronous:Synchronous",
+    "protocols.schedules.mutex:LocalMutex",
+    "protocols.schedules.periodic:Periodic",
+    "protocols.schedules.periodic:Poisson",
+    "protocols.schedules.periodic:Rounds",
+    "protocols.schedules.periodic:SharedSeed",
+    "protocols.schedules.synchronous:Synchronous",
     "protocols.temperature:AdaptiveTau",
     "protocols.temperature:ConstantTau",
     "protocols.temperature:GeometricTau",
     "protocols.temperature:LogarithmicTau",
     "protocols.temperature:PaperTau",
-    "protocols.token:TokenRing",
-    "protocols.token:TokenWalk",
+    "protocols.schedules.token:TokenRing",
+    "protocols.schedules.token:TokenWalk",
 )
 """The schedules and temperatures as "module:class"; a script can import them from `protocols`, like the protocols."""
 _HOMES = {

@@ -16,11 +16,11 @@ from collections.abc import Callable, Iterator, Sequence
 from math import inf
 from typing import Any, NamedTuple
 
-from desim.kernel.message_size import HEADER, NUMBER
-from desim.kernel.records import Record
-from desim.pursuit.agent import Agent, Process
+from desim.kernel.core.message_size import HEADER, NUMBER
+from desim.kernel.core.records import Record
+from desim.pursuit.team.agent import Agent, Process
 from protocols.rule import Rule
-from protocols.schedules import turns
+from protocols.schedules.periodic import turns
 
 NO_WINNER = -1
 """The winner of an evader without bids."""

@@ -5,8 +5,8 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
     2007, "Regret Based Dynamics".
 Parameters: schedule, utility; for BetterReply alpha (probability of changing).
 Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
-    one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game`) under any schedule. Better
-    reply with inertia (alpha < 1) ends in an equilibrium of any potential game under any schedule.
+    one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game.game`) under any schedule.
+    Better reply with inertia (alpha < 1) ends in an equilibrium of any potential game under any schedule.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from desim.pursuit.agent import Agent
+from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
 RevisionProbability = Annotated[float, Field(gt=0, le=1, strict=True)]

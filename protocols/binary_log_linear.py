@@ -15,8 +15,8 @@ Robust to loss: yes, with heartbeats.
 from collections.abc import Iterator
 from typing import Literal
 
-from desim.pursuit.agent import Agent
-from desim.pursuit.game import logit
+from desim.pursuit.game.game import logit
+from desim.pursuit.team.agent import Agent
 from protocols.rule import current_action
 from protocols.sap import LogLinear, categorical
 

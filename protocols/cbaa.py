@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from typing import ClassVar, Literal, NamedTuple, Self
 
-from desim.pursuit.agent import Agent
+from desim.pursuit.team.agent import Agent
 from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, falsified_lists, lists_of, unread
 from protocols.rule import Rule
 

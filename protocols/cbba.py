@@ -22,8 +22,8 @@ from math import inf
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from desim.config.model import Timeout
-from desim.kernel.message_size import NUMBER
-from desim.pursuit.agent import Agent
+from desim.kernel.core.message_size import NUMBER
+from desim.pursuit.team.agent import Agent
 from protocols.auction import (
     NO_BID,
     NO_WINNER,

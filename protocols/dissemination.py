@@ -5,7 +5,7 @@ dissemination returns a process that handles the announcements of teammates. In 
 
 Paper: Flooding: in the paper, each receiver of a new announcement rebroadcasts it once, after a random delay (Ni,
     Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records
-    (anti-entropy of Demers et al. 1987). Reliable: automatic repeat request, see `desim.kernel.transport`.
+    (anti-entropy of Demers et al. 1987). Reliable: automatic repeat request, see `desim.kernel.models.transport`.
 Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay); for reliable and
     coded those of the transport.
 Assumes: nothing; one hop is enough on a complete graph.
@@ -22,12 +22,12 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 from pydantic import Field
 
 from desim.config.model import Time, Value
-from desim.kernel.clock import Phase
-from desim.kernel.message_size import size_of
-from desim.kernel.ports import ReservedPort
-from desim.kernel.transport import Coded, Depth, Reliable, Transport, Window
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import Forwarded
+from desim.kernel.core.clock import Phase
+from desim.kernel.core.message_size import size_of
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.models.transport import Coded, Depth, Reliable, Transport, Window
+from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.announcements import Forwarded
 
 PORT = ReservedPort("announcements", __name__)
 """The port at which announcements arrive that are sent as messages: all but those of `OneHop`."""

@@ -22,9 +22,9 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from desim.config.model import Probability
-from desim.pursuit.agent import Agent
-from desim.pursuit.beliefs import Belief
-from desim.pursuit.traits import UtilityTraits
+from desim.pursuit.core.traits import UtilityTraits
+from desim.pursuit.team.agent import Agent
+from desim.pursuit.team.beliefs import Belief
 from protocols.best_response import RevisionProbability
 from protocols.rule import LearningRule, argmax, current_action
 

@@ -32,13 +32,13 @@ from pydantic import Field
 
 from desim.config.arrays import Floats
 from desim.config.model import Period, Time, Value
-from desim.kernel.units import nanoseconds
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.beliefs import TeamEstimate
-from desim.pursuit.capture import intercept_times
-from desim.pursuit.flow import Environment
-from desim.pursuit.state import lengths
-from protocols.schedules import ticks
+from desim.kernel.core.units import nanoseconds
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.capture import intercept_times
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.beliefs import TeamEstimate
+from protocols.schedules.periodic import ticks
 
 Measure = Callable[[TeamEstimate], Floats]
 """A function that returns the (n,) measures of the n pursuers in an estimate of the team."""

@@ -10,8 +10,8 @@ Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of c
 Assumes: announcements of all teammates; revisions in any order. With the default parameters, regret matching has no
     regret in the long run, and the empirical frequencies of profiles (joint actions) tend to the coarse correlated
     equilibria. In the game with one evader and constant capture times, the only coarse correlated equilibrium is the
-    relay profile, if the conditions in `desim.pursuit.game.relay_profile` hold. Generalised regret matching settles in
-    a pure equilibrium.
+    relay profile, if the conditions in `desim.pursuit.game.game.relay_profile` hold. Generalised regret matching
+    settles in a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -22,8 +22,8 @@ from itertools import count
 from typing import Literal
 
 from desim.config.model import Probability
-from desim.kernel.portable_math import portable_sum
-from desim.pursuit.agent import Agent
+from desim.kernel.core.portable_math import portable_sum
+from desim.pursuit.team.agent import Agent
 from protocols.best_response import RevisionProbability
 from protocols.rule import LearningRule, current_action
 from protocols.sap import categorical

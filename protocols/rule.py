@@ -12,13 +12,13 @@ from typing import Annotated, ClassVar
 
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, Value
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.traits import ScheduleTraits
-from desim.pursuit.utility import UTILITIES, Mean, Utility
-from protocols.mutex import LocalMutex
-from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed, turns
-from protocols.synchronous import Synchronous
-from protocols.token import TokenRing, TokenWalk
+from desim.pursuit.core.traits import ScheduleTraits
+from desim.pursuit.game.utility import UTILITIES, Mean, Utility
+from desim.pursuit.team.agent import Agent, Process
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, Schedule, SharedSeed, turns
+from protocols.schedules.synchronous import Synchronous
+from protocols.schedules.token import TokenRing, TokenWalk
 
 SCHEDULES = OneOf(
     SharedSeed,

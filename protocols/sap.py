@@ -15,10 +15,10 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from desim.pursuit.agent import Agent
-from desim.pursuit.game import logit
+from desim.pursuit.game.game import logit
+from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule
-from protocols.schedules import slot_length
+from protocols.schedules.periodic import slot_length
 from protocols.temperature import TEMPERATURES, PaperTau, Temperature, inverse_temperatures
 
 

@@ -38,14 +38,14 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.model import Period, Value
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.ports import ReservedPort
-from desim.kernel.units import nanoseconds, seconds
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import Forwarded
-from desim.pursuit.beliefs import Orders
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.announcements import Forwarded
+from desim.pursuit.team.beliefs import Orders
 from protocols.centralised import matching
-from protocols.schedules import ticks
+from protocols.schedules.periodic import ticks
 
 PORT = ReservedPort("server", __name__)
 """The port at which reports and orders arrive."""

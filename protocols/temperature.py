@@ -14,7 +14,7 @@ from pydantic import Field
 
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Value
-from desim.pursuit.agent import Agent
+from desim.pursuit.team.agent import Agent
 
 
 class Temperature(Protocol):

@@ -62,7 +62,7 @@ def _quotient(value: float | None, unit: float, digits: int) -> str:
 
 def picture(rates: Sequence[Rate]) -> "Figure":
     """Draw a panel per workload with a bar per way, the fastest at the top."""
-    from desim.analysis import palette, plots
+    from desim.analysis.drawing import palette, plots
 
     works = list(dict.fromkeys(each.workload for each in rates))
     columns = min(2, len(works))

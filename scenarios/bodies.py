@@ -59,7 +59,7 @@ def _text(found: Estimate) -> str:
 
 def picture(cells: Sequence[Cell]) -> "Figure":
     """Draw active time by latency, its excess per handover, and what it costs that all decide at once."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
         (turning, accelerating), (handing, rule) = figure.subplots(2, 2)
@@ -84,7 +84,7 @@ def _draw(
     axes: "Axes", cells: Sequence[Cell], motions: Sequence[str], rule: str, value: Callable[[Cell], Estimate]
 ) -> None:
     """Draw a value over the latency, a line per motion, side by side so that equal lines are seen."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     looks = dict(zip(MOTIONS, zip((palette.GREY, *palette.SERIES), "xooosss", strict=True), strict=False))
     span = LATENCIES[-1] - LATENCIES[0]

@@ -10,17 +10,17 @@ from desim import Result, Scenario
 from desim.analysis.activity import evader_pursuits
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.units import seconds
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Acceleration, Dynamics, Simple, TurnRate
-from desim.pursuit.evasion import PureEvasion
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import seconds
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.evaders.evasion import PureEvasion
+from desim.pursuit.motion.dynamics import Acceleration, Dynamics, Simple, TurnRate
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Rounds, SharedSeed
+from protocols.schedules.periodic import Rounds, SharedSeed
 from scenarios.study import Options
 
 N = 8

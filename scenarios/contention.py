@@ -97,7 +97,7 @@ def _of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
 
 def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
     """Draw the paired difference of the active time over the load, and the age of information over the heartbeat."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
         above, below = figure.subfigures(2, 1, squeeze=False)[:, 0]
@@ -118,7 +118,7 @@ def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the paired difference of the active time over the offered load, a line per access model."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     for k, (colour, access) in enumerate(zip(palette.SERIES, ACCESSES, strict=False)):
         line = [each for each in pursuits if each.access == access]
@@ -132,7 +132,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
     """Draw the mean age of information of a team over the heartbeat, a line per access model."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     for colour, access in zip(palette.SERIES, ACCESSES, strict=False):
         line = _of(ages, access, size)

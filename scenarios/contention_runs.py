@@ -13,17 +13,17 @@ from desim import Result, Scenario
 from desim.analysis.age import age_mean
 from desim.analysis.metrics import active_time, captured, end_time, messages
 from desim.analysis.statistics import Estimate, estimate
-from desim.kernel.access import Aloha, CsmaCa, Ideal, Tdma
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate, LoRa
-from desim.pursuit.announcements import Announcements
+from desim.kernel.models.access import Aloha, CsmaCa, Ideal, Tdma
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate, LoRa
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
-from protocols.token import TokenRing
+from protocols.schedules.periodic import Poisson
+from protocols.schedules.token import TokenRing
 from scenarios.study import Options
 
 N = 10

@@ -24,25 +24,25 @@ from desim import Result, Scenario, run
 from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
-from desim.kernel.access import CsmaCa
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.faults import Crash
-from desim.kernel.graphs import Complete
-from desim.kernel.interference import CaptureEffect
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
-from desim.kernel.medium import Bitrate
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.positions import PositionSource
+from desim.kernel.core.trace_file import TraceFile
+from desim.kernel.core.units import SECOND, seconds
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.graphs import Complete
+from desim.kernel.models.interference import CaptureEffect
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.positions import PositionSource
-from desim.kernel.trace_file import TraceFile
-from desim.kernel.units import SECOND, seconds
-from desim.pursuit.announcements import Announcements
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import SharedSeed
+from protocols.schedules.periodic import SharedSeed
 from scenarios.measuring import Cost, apart, command, memory, per_unit
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.desim_ways import Publish

@@ -59,7 +59,7 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
     """Draw the law for each schedule, and the heat map with the prediction of the law."""
-    from desim.analysis import palette, plots
+    from desim.analysis.drawing import palette, plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))

@@ -8,16 +8,16 @@ import numpy as np
 from desim import Scenario
 from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import estimate
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.pursuit.announcements import Announcements
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, Rounds, Schedule, SharedSeed
+from protocols.schedules.periodic import Poisson, Rounds, Schedule, SharedSeed
+from protocols.schedules.token import TokenRing
 from protocols.temperature import ConstantTau
-from protocols.token import TokenRing
 from scenarios.study import Options
 
 N = 20

@@ -130,7 +130,7 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
 
 def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
     """Draw how much longer each strategy survives than pure evasion, and below it the cost of limited sensing."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(plots.COLUMN, 4.6), font=7.0) as figure:
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(3, 2))[:, 0]
@@ -145,7 +145,7 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
     Only the points of SAP have intervals.
     """
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}
     names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference)
@@ -171,7 +171,7 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     """Draw the share of captures and the active time over the sensing radius, a line per estimate."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     radii = [radius for radius in RADII if radius < inf]
     styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)

@@ -15,12 +15,12 @@ import numpy as np
 from desim import Result, Scenario, summary
 from desim.analysis.metrics import Summary, active_time, captured, end_time
 from desim.analysis.statistics import estimate, wilson
-from desim.kernel.events import Sent
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.portable_math import portable_sum
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.evasion import (
+from desim.kernel.core.events import Sent
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Sampled
+from desim.pursuit.evaders.evasion import (
     ConstantHeading,
     Diffusion,
     Listener,
@@ -32,8 +32,8 @@ from desim.pursuit.evasion import (
     WeightedFlee,
     Zigzag,
 )
-from desim.pursuit.events import Sampled
-from desim.pursuit.sensing import Sensing, Sighting
+from desim.pursuit.sensing.sensing import Sensing, Sighting
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording
 from scenarios.rivals_runs import N, contender

@@ -5,7 +5,7 @@ decentralised Algorithm 2 with three slots delta and for the centralised Algorit
 Each figure shows the run of the first seed; the table has means over all seeds.
 
 The utility of a pursuer i is its wonderful-life utility U_E(S) - U_E(S without i). S is the true set of active pursuers
-and U_E the global utility (`desim.pursuit.game`). The utility of an inactive pursuer is 0.
+and U_E the global utility (`desim.pursuit.game.game`). The utility of an inactive pursuer is 0.
 """
 
 from dataclasses import asdict, dataclass
@@ -20,8 +20,8 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import ended, started, trace_index
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.units import SECOND, seconds
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import SECOND, seconds
 from desim.scenario.scenario import Recording
 from scenarios.study import Options, study
 from scenarios.table1 import DELTAS, centralised, configuration, decentralised
@@ -96,8 +96,8 @@ def individual_utilities(result: Result) -> IndividualUtilities:
 
 def draw_initial(result: Result) -> "Figure":
     """Draw the initial positions of all players, with the ids of the pursuers."""
-    from desim.analysis import palette, plots
-    from desim.view.labels import label_points
+    from desim.analysis.drawing import palette, plots
+    from desim.view.pictures.labels import label_points
 
     start = started(result)
     with plots.styled((plots.COLUMN, 3.6), font=7) as figure:
@@ -122,8 +122,8 @@ def draw_initial(result: Result) -> "Figure":
 
 def draw_trajectories(results: "Mapping[str, Result]") -> "Figure":
     """Draw the trajectories of the runs, in four panels with shared axes."""
-    from desim.analysis import plots
-    from desim.view.paths import draw_pursuit, label_handovers
+    from desim.analysis.drawing import plots
+    from desim.view.pictures.paths import draw_pursuit, label_handovers
 
     with plots.styled((plots.COLUMN, 4.1), font=7) as figure:
         labels: dict[str, Artist] = {}
@@ -148,7 +148,7 @@ def draw_trajectories(results: "Mapping[str, Result]") -> "Figure":
 
 def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
     """Draw the individual utilities over time, one panel per run, each with its own vertical scale."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
         rows = figure.subplots(len(results), 1, sharex=True)
@@ -174,8 +174,8 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: In
 
     `chain` is the return value of `desim.analysis.activity.relays`.
     """
-    from desim.analysis import palette
-    from desim.view.labels import label_points
+    from desim.analysis.drawing import palette
+    from desim.view.pictures.labels import label_points
 
     begin, end = axes.get_xlim()
     rows = [int(np.searchsorted(found.times, t, side="right")) - 1 for t, _ in chain]
@@ -195,7 +195,7 @@ def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> N
 
 def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
     """Draw the utility of each active pursuer, bold while no other is active, and a line at 0 for the inactive ones."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     times, active, utilities = found
     t = np.repeat(times, 2)[1:-1] / SECOND

@@ -23,10 +23,10 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
 from desim.config.arrays import Points
-from desim.kernel.portable_math import portable_sum
+from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Recording, Scenario
-from desim.study.batch import run_many, seeds_from
+from desim.study.workers.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
 

@@ -37,7 +37,7 @@ def active_pursuers(result: Result) -> "NDArray[np.float64]":
 
 def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     """Draw the trajectories and the mean number of active pursuers."""
-    from desim.analysis import palette, plots
+    from desim.analysis.drawing import palette, plots
 
     result = run(load(FILE))
     with plots.styled(figsize=(8.4, 4.8)) as figure:

@@ -84,7 +84,7 @@ def _by_defence(cells: Sequence[Cell], part: str, lie: str) -> dict[str, list[Ce
 
 def picture(cells: Sequence[Cell]) -> "Figure":
     """Draw the damage by lie and protocol, captures by liars and defence, false accusations, and the price."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
         (damage, numbers), (price, clocks) = figure.subplots(2, 2)
@@ -101,7 +101,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
 
 def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     names = [name for name in LIES if name != HONEST]
     for k, (protocol, colour) in enumerate(zip(PROTOCOLS, palette.SERIES, strict=False)):
@@ -118,7 +118,7 @@ def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def _draw(axes: "Axes", found: Mapping[str, Sequence[Cell]], what: str) -> None:
     """Draw a result over the value that varies, a line per defence."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     for k, (colour, defence) in enumerate(zip(palette.SERIES, DEFENCES, strict=False)):
         here = found.get(defence, ())

@@ -9,21 +9,21 @@ from desim import Result, Scenario
 from desim.analysis.deception import false_accusations
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, wilson
-from desim.kernel.faults import ClockSkew
-from desim.kernel.latency import Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.portable_math import portable_sum
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.lies import ByzantineFault, Equivocate, Liar, ReplayAttack, Silent, Spoof
-from desim.pursuit.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.latency import Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.byzantine.lies import ByzantineFault, Equivocate, Liar, ReplayAttack, Silent, Spoof
+from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.study import Options
 
 N = 12

@@ -109,7 +109,7 @@ def _is_hard(game: NegotiationSummary) -> bool:
 
 def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]) -> "Figure":
     """Draw the effects of cooling and of a constant temperature, and the durations of the pursuits."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(plots.COLUMN, 7.2), font=8.0) as figure:
         cooling, temperature, time = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.25))
@@ -121,7 +121,7 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
 
 def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw, over the number of slots, the share of games that end in the best assignment."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
     for name, marker, aside, colour in styles:
@@ -142,7 +142,7 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
 
 def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw, over the constant temperature, the welfare divided by its optimum, a line per protocol."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     kinds = {
         "sap": ("SAP", "o", 0.97, palette.SERIES[0]),
@@ -161,7 +161,7 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
 
 def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     """Draw the durations of the pursuits, a row per protocol, a mark per size."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     rows = {name: row for row, name in enumerate(CONTENDERS)}
     for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):

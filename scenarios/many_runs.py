@@ -11,14 +11,14 @@ from desim import Result, Scenario
 from desim.analysis.metrics import end_time
 from desim.analysis.statistics import estimate, wilson
 from desim.config.arrays import Floats
-from desim.kernel.portable_math import portable_sum
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.assignment import optimum, welfare
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Started
+from desim.kernel.core.portable_math import portable_sum
+from desim.pursuit.core.events import Captured, Decided, Started
+from desim.pursuit.game.assignment import optimum, welfare
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
-from protocols.schedules import SharedSeed
+from protocols.schedules.periodic import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature
 from scenarios.study import Options
 

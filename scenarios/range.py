@@ -63,7 +63,7 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
 
 def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
     """Draw the active time by protocol, and below it the statistics of the games at t = 0."""
-    from desim.analysis import palette, plots
+    from desim.analysis.drawing import palette, plots
 
     with plots.styled(figsize=(9.0, 6.4)) as figure:
         grid = figure.subplots(2, len(TEAMS), sharex=True, height_ratios=(3, 2))
@@ -81,7 +81,7 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the active time over the range, a line per protocol."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     for k, (colour, name) in enumerate(zip(palette.SERIES, PROTOCOLS, strict=False)):
         line = [each for each in pursuits if each.protocol == name]
@@ -95,7 +95,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
     axes.fill_between(RANGES, share[:, 1], share[:, 2], color=palette.SERIES[1], alpha=0.25, lw=0)

@@ -11,20 +11,20 @@ import numpy as np
 from desim import Scenario
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate, wilson
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.topology import Topology
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.capture import capture_time
-from desim.pursuit.game import equilibria, greedy_maximal_independent_set
-from desim.pursuit.utility import Component, EdgePenalty, LocalMean
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.topology.topology import Topology
+from desim.pursuit.game.game import equilibria, greedy_maximal_independent_set
+from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
-from desim.study.batch import seeds_from
+from desim.study.workers.batch import seeds_from
 from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.study import Options
 
 N = 10

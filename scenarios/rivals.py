@@ -77,7 +77,7 @@ def _number(value: float | None, unit: str, digits: int = 2) -> str:
 
 def picture(cells: Sequence[Cell]) -> "Figure":
     """Draw the active time of each protocol at each latency; protocols are in ascending order of total active time."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     total: dict[str, float] = defaultdict(float)
     for each in cells:

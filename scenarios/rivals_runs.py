@@ -7,13 +7,13 @@ from types import MappingProxyType
 from desim import Result, Scenario, summary
 from desim.analysis.metrics import Summary, time_to_relay
 from desim.analysis.statistics import estimate
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.portable_math import portable_sum
-from desim.pursuit.announcements import Announcements
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.study import Options
 
 LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)

@@ -12,19 +12,19 @@ from desim.analysis.activity import evader_pursuits
 from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.trace_index import started
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.units import SECOND
-from desim.pursuit.agent import Agent, Behaviour, Process
-from desim.pursuit.announcements import STARTS, Announcements, Start
-from desim.pursuit.capture import capture_time
-from desim.pursuit.utility import Mean, Minimum
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.game.utility import Mean, Minimum
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.agent import Agent, Behaviour, Process
+from desim.pursuit.team.announcements import STARTS, Announcements, Start
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Schedule
+from protocols.schedules.periodic import Schedule
 from scenarios.delay_runs import LAMBDA, SCHEDULES, N, static
 from scenarios.study import Options
 

@@ -13,7 +13,7 @@ from desim.config.json_numbers import to_json
 from desim.config.trust import write_whole
 from desim.results import provenance
 from desim.results.run_folder import can_plot
-from desim.study.batch import run_many, seeds_from
+from desim.study.workers.batch import run_many, seeds_from
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,7 +73,7 @@ class Options:
         if not can_plot():
             click.echo("no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
             return
-        from desim.analysis.plots import save
+        from desim.analysis.drawing.plots import save
 
         for name, figure in figures():
             for path in save(figure, self.out / name, dpi=dpi):

@@ -18,12 +18,12 @@ from desim.analysis.metrics import Summary
 from desim.cli import main as command_line
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
-from desim.study.configurations import SweepGrid
-from desim.study.row import Row
-from desim.study.store import Store
-from desim.study.sweep import SweepPlan
+from desim.study.plan.configurations import SweepGrid
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import SweepPlan
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.measuring import Cost, apart, memory
 from scenarios.study import Options
 

@@ -15,13 +15,13 @@ from desim import Scenario, load
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned, number
-from desim.pursuit.agent import Behaviour
-from desim.pursuit.announcements import Announcements
+from desim.pursuit.team.agent import Behaviour
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.scenario import Motion
-from desim.study.batch import run_many, seeds_from
+from desim.study.workers.batch import run_many, seeds_from
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import SharedSeed
+from protocols.schedules.periodic import SharedSeed
 from scenarios.study import SCENARIOS, Options, study
 
 if TYPE_CHECKING:

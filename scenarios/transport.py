@@ -87,7 +87,7 @@ def _by_value(cells: Sequence[Cell]) -> dict[float, dict[str, Cell]]:
 
 def picture(cells: Sequence[Cell]) -> "Figure":
     """Draw the paired difference of the active time, and the age of information, a line per way to announce."""
-    from desim.analysis import plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 5.5)) as figure:
         grid = figure.subplots(2, len(SWEEPS), squeeze=False)
@@ -111,7 +111,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
 def draw(axes: "Axes", swept: str, found: Mapping[str, Sequence[Estimate]]) -> None:
     """Draw estimates over the property that varies, a line per way to announce."""
-    from desim.analysis import palette
+    from desim.analysis.drawing import palette
 
     values = SWEEPS[swept]
     for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):

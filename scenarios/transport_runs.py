@@ -11,18 +11,18 @@ from desim import Result, Scenario
 from desim.analysis.age import age_mean
 from desim.analysis.metrics import active_time, captured, end_time, messages, switches
 from desim.analysis.statistics import Estimate, estimate
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.kernel.message_size import HEADER
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.transport_frames import piece_size
-from desim.pursuit.announcements import Announcements
+from desim.kernel.core.message_size import HEADER
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
+from desim.kernel.transport.frames import piece_size
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, ReliableOneHop
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.study import Options
 
 N = 10

@@ -73,7 +73,7 @@ def table(cells: list[Cell], runs: int) -> str:
 
 def picture(cells: list[Cell]) -> "Figure":
     """Draw the active time over delta, one line per h, and over h, one line per delta; the paper has delta = h."""
-    from desim.analysis import palette, plots
+    from desim.analysis.drawing import palette, plots
 
     found = {(cell.slot, cell.step): cell for cell in cells}
 

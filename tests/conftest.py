@@ -14,8 +14,8 @@ from hypothesis import settings
 import desim
 import protocols
 from desim import load, run
-from desim.kernel.events import Trace
-from desim.kernel.invariants import Conservation
+from desim.kernel.core.events import Trace
+from desim.testing.messages import Conservation
 from scenarios.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new and more ones with --hypothesis-profile=explore.
@@ -118,5 +118,5 @@ def _undrawn(request, monkeypatch):
 
 def undraw(patch):
     """Let a run and a sweep draw and write no pictures, which takes a second each."""
-    for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.figures.means"):
+    for name in ("analysis.drawing.plots.save", "analysis.drawing.plots.trajectory", "study.results.figures.means"):
         patch.setattr(f"desim.{name}", lambda *_: [])

@@ -12,7 +12,7 @@ import click
 
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import plain
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
 from scenarios.study import SCENARIOS
 
 HORIZON = 1.0

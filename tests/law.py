@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 
 from desim import Scenario, run
-from desim.kernel.links import Links
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import gain, logit, profiles
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import gain, logit, profiles
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from desim import Scenario
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import BrokeDown, Decided, Started
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import BrokeDown, Decided, Started
+from desim.pursuit.motion.capture import capture_time
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 

@@ -21,7 +21,7 @@ import pandas as pd
 import pydantic
 
 from desim.config.model import Value
-from desim.kernel.records import Record
+from desim.kernel.core.records import Record
 
 THIRDS = np.arange(2000) / 3.0
 

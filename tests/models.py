@@ -9,7 +9,7 @@ from typing import Any
 import desim
 import protocols
 from desim.config.model import Value
-from desim.pursuit.recorded import RecordedMotion
+from desim.pursuit.evaders.recorded import RecordedMotion
 
 TABLE = "t,value\n0,0.5\n1,0.25\n"
 WAYPOINTS = [[0.0, 1.0, 1.0], [1.0, 2.0, 2.0]]

@@ -5,11 +5,11 @@ from itertools import pairwise
 from typing import ClassVar, Literal
 
 from desim.config.model import Period, Time, Value
-from desim.kernel.seeds import stream
-from desim.kernel.units import nanoseconds, seconds
-from desim.pursuit.agent import Agent, Process
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.pursuit.team.agent import Agent, Process
 from protocols.centralised import matching
-from protocols.schedules import ticks
+from protocols.schedules.periodic import ticks
 
 
 class RoundTrip(Value):

@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from desim.config.model import Value, fields_of
-from desim.kernel.latency import Gamma
-from desim.pursuit.traits import ProtocolTraits
+from desim.kernel.models.latency import Gamma
+from desim.pursuit.core.traits import ProtocolTraits
 from desim.results import provenance
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load
-from desim.study import batch
-from desim.study.batch import run_many
-from desim.study.store import Store
+from desim.study.store.store import Store
+from desim.study.workers import batch
+from desim.study.workers.batch import run_many
 from tests import command
 from tests.command import accepted, desim, strict_json
 
@@ -263,7 +263,7 @@ def test_a_replay_that_cannot_be_made_is_reported_in_one_line(file, tmp_path, mo
     def fail(result):
         raise ValueError("no positions were recorded")
 
-    monkeypatch.setattr("desim.view.replay.replay_page", fail)
+    monkeypatch.setattr("desim.view.pages.replay.replay_page", fail)
     assert refused("replay", file(DUEL), "-o", tmp_path / "x.html") == ["no positions were recorded"]
     assert not (tmp_path / "x.html").exists()
 

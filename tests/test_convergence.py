@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.pursuit.announcements import STARTS, Announcements
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import relay_profile
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 from protocols.dissemination import Flooding, OneHop
-from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.token import TokenRing, TokenWalk
 from protocols.temperature import ConstantTau
-from protocols.token import TokenRing, TokenWalk
 
 GREEDY = ConstantTau(value=1e-9)
 SCHEDULES = {

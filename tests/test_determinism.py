@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from desim import Scenario, load, run
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
 from desim.scenario.players import Team
 from desim.simulation import run as run_module
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, SharedSeed
+from protocols.schedules.periodic import Poisson, SharedSeed
 from scenarios.study import SCENARIOS
 from tests.digests import NAMES, digests
 

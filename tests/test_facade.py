@@ -11,9 +11,9 @@ import pytest
 
 import desim
 import protocols
-from desim.kernel.access import ACCESSES, Ideal
-from desim.kernel.interference import INTERFERENCES
-from desim.pursuit.dynamics import DYNAMICS, Simple
+from desim.kernel.models.access import ACCESSES, Ideal
+from desim.kernel.models.interference import INTERFERENCES
+from desim.pursuit.motion.dynamics import DYNAMICS, Simple
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from scenarios.study import SCENARIOS

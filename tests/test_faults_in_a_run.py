@@ -8,18 +8,18 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import activity
-from desim.kernel.events import Broadcast, MessageCounts
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.seeds import stream
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled
+from desim.kernel.core.events import Broadcast, MessageCounts
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import BrokeDown, Decided, Ended, Sampled
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
 
 

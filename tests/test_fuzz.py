@@ -33,12 +33,12 @@ from desim.analysis.metrics import METRICS, Summary
 from desim.cli import main
 from desim.config.choice import OneOf, kind_of
 from desim.config.trust import escaped
-from desim.kernel.events import Trace
-from desim.kernel.invariants import Conservation
+from desim.kernel.core.events import Trace
 from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
+from desim.testing.messages import Conservation
 from tests.command import JARGON, strict_json
 from tests.conftest import undraw
 from tests.study import sweeps

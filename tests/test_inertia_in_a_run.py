@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from desim import Acceleration, Announcements, Evader, Links, Motion, Recording, Scenario, Team, TurnRate, run, summary
-from desim.analysis.invariants import InertiaWatcher, PotentialWatcher, watched
 from desim.analysis.timeline import timeline
-from desim.kernel.latency import Constant
-from desim.kernel.units import SECOND, seconds
-from desim.pursuit.capture import capture_time
-from desim.pursuit.dead_reckoning import MotionState
-from desim.pursuit.dynamics import Course, Courses, Simple
-from desim.pursuit.evasion import STRATEGIES, ConstantHeading, Still
-from desim.pursuit.events import Captured, Decided, Sampled, Started
-from desim.pursuit.flow import Environment
+from desim.kernel.core.units import SECOND, seconds
+from desim.kernel.models.latency import Constant
+from desim.pursuit.core.events import Captured, Decided, Sampled, Started
+from desim.pursuit.evaders.evasion import STRATEGIES, ConstantHeading, Still
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.motion.dynamics import Course, Courses, Simple
+from desim.pursuit.motion.flow import Environment
 from desim.scenario.scenario import PROTOCOLS
 from desim.simulation.world import World
-from desim.study.imperfections import without_inertia
+from desim.study.ablation.imperfections import without_inertia
+from desim.testing.pursuits import InertiaWatcher, PotentialWatcher, watched
 from protocols.best_response import BestResponse
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from tests.worlds import world_of
 
 LIMITED = [Acceleration(limit=0.7), TurnRate(limit=0.9, heading=1.0)]

@@ -5,14 +5,14 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.statistics import wilson
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.assignment import equilibria, gibbs, optimum, profiles, welfare
-from desim.pursuit.events import Captured, Decided, Ended
+from desim.pursuit.core.events import Captured, Decided, Ended
+from desim.pursuit.game.assignment import equilibria, gibbs, optimum, profiles, welfare
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
 from scenarios import many_runs
 from tests.law import HORIZON, batches, by_batches, distance

@@ -15,13 +15,13 @@ import desim
 from desim import Scenario, run, summary
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
-from desim.pursuit.events import Ended
+from desim.pursuit.core.events import Ended
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording
-from desim.study.explain import explain
-from desim.study.explanation import Explanation
-from desim.study.progress import progress
-from desim.view.replay import replay_page
+from desim.study.ablation.explain import explain
+from desim.study.results.explanation import Explanation
+from desim.study.workers.progress import progress
+from desim.view.pages.replay import replay_page
 
 HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
 # One pursuer at the place of the evader, which is captured at once; or no capture possible within 0.1 s.

@@ -21,7 +21,7 @@ from desim import (
     SignalTrace,
 )
 from desim.config.model import Value
-from desim.pursuit.recorded import RecordedPositions
+from desim.pursuit.evaders.recorded import RecordedPositions
 
 
 def measured(trace):
@@ -52,9 +52,9 @@ MODULES = {
     "desim/config/data_files.py": "opens bytes for models of users, and hashes files",
     "desim/config/number_files.py": "reads text for all readers",
     "desim/config/trust.py": "writes",
-    "desim/kernel/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
-    "desim/kernel/edge_lists.py": "splits text that config/number_files has read",
-    "desim/kernel/trace_file.py": "writes",
+    "desim/kernel/measured/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
+    "desim/kernel/graph_files/edge_lists.py": "splits text that config/number_files has read",
+    "desim/kernel/core/trace_file.py": "writes",
 }
 """The modules that open files or split CSV text by themselves, below those of commands and results."""
 

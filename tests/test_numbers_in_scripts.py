@@ -10,10 +10,10 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Announcements, Edges, Links, Recording, Scenario, Team, explain, run, summary, sweep
-from desim.kernel.clock import Clock
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.trace_file import line_of
 from desim.kernel.network import Network
-from desim.kernel.seeds import stream
-from desim.kernel.trace_file import line_of
 from desim.results import run_folder
 
 SHORT = Scenario(team=Team(count=3), horizon=0.3)

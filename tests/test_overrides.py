@@ -24,33 +24,33 @@ from desim import (
     Team,
     run,
 )
-from desim.analysis.link_figures import link_traces
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import Value
 from desim.config.traits import is_ours, positions
-from desim.kernel.access import Aloha
-from desim.kernel.clock import Phase
-from desim.kernel.events import MessageCounts
-from desim.kernel.faults import FAULTS, Crash
-from desim.kernel.graphs import GRAPHS, Edges, Link
-from desim.kernel.interference import INTERFERENCES
-from desim.kernel.latency import BASES, JITTERS, LATENCIES, LatencyMatrix, Lognormal, PerPair, mean_latency
-from desim.kernel.link_traces import LatencyTrace, LossTrace, SignalTrace
-from desim.kernel.loss import LOSSES, GilbertElliott
-from desim.kernel.medium import MEDIA, LoRa
-from desim.kernel.reception import RECEPTION_MODELS
-from desim.pursuit.announcements import DISSEMINATIONS
-from desim.pursuit.dynamics import DYNAMICS, Course, Piece
-from desim.pursuit.evasion import STRATEGIES, Listener
-from desim.pursuit.falsehoods import FALSE_POSITIONS, FALSE_TIMES
-from desim.pursuit.flow import FLOWS, NoFlow, SteadyFlow
-from desim.pursuit.lies import PURSUER_FAULTS, Liar, RandomLies
-from desim.pursuit.noise import NOISES
-from desim.pursuit.recorded import RecordedMotion, RelayNode
-from desim.pursuit.traits import ProtocolTraits
-from desim.pursuit.utility import UTILITIES
+from desim.kernel.core.clock import Phase
+from desim.kernel.core.events import MessageCounts
+from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
+from desim.kernel.models.access import Aloha
+from desim.kernel.models.faults import FAULTS, Crash
+from desim.kernel.models.graphs import GRAPHS, Edges, Link
+from desim.kernel.models.interference import INTERFERENCES
+from desim.kernel.models.latency import BASES, JITTERS, LATENCIES, LatencyMatrix, Lognormal, PerPair, mean_latency
+from desim.kernel.models.loss import LOSSES, GilbertElliott
+from desim.kernel.models.medium import MEDIA, LoRa
+from desim.kernel.models.reception import RECEPTION_MODELS
+from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS, Liar, RandomLies
+from desim.pursuit.core.traits import ProtocolTraits
+from desim.pursuit.evaders.evasion import STRATEGIES, Listener
+from desim.pursuit.evaders.recorded import RecordedMotion, RelayNode
+from desim.pursuit.game.utility import UTILITIES
+from desim.pursuit.motion.dynamics import DYNAMICS, Course, Piece
+from desim.pursuit.motion.flow import FLOWS, NoFlow, SteadyFlow
+from desim.pursuit.sensing.noise import NOISES
+from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS
+from desim.view.pictures.link_traces import link_traces
 from protocols import BestResponse
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from desim import Announcements, Scenario
 from tests.command import accepted
 from tests.conftest import undraw
-from tests.test_architecture import LAYERS
+from tests.test_architecture import PACKAGES
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/howto/*.md")), *sorted(ROOT.glob("docs/explanation/*.md"))]
@@ -111,8 +111,12 @@ def test_the_script_of_a_batch_system_runs_its_part(page, folder, monkeypatch):
 
 def test_the_table_of_packages_equals_their_docstrings():
     text = TEXTS["docs/explanation/packages"]
-    rows = re.findall(r"^\| `((?:desim|protocols|scenarios)/\w*/?)` \| (.+) \|$", text, re.MULTILINE)
-    inits = [*(ROOT / "desim").glob("*/__init__.py"), ROOT / "protocols/__init__.py", ROOT / "scenarios/__init__.py"]
+    rows = re.findall(r"^\| `((?:desim|protocols|scenarios)/[\w/]*)` \| (.+) \|$", text, re.MULTILINE)
+    inits = [
+        *(ROOT / "desim").glob("*/**/__init__.py"),
+        *(ROOT / "protocols").rglob("__init__.py"),
+        ROOT / "scenarios/__init__.py",
+    ]
     assert sorted(name for name, _ in rows) == sorted(f"{path.parent.relative_to(ROOT)}/" for path in inits)
     for name, said in rows:
         assert said == " ".join(import_module(name.strip("/").replace("/", ".")).__doc__.split())
@@ -128,7 +132,7 @@ def test_the_table_of_announcements_has_every_key_and_every_payload():
 
 def test_the_picture_of_the_layers_is_that_of_the_imports():
     (picture,) = blocks(TEXTS["docs/explanation/packages"], "text")
-    assert [set(line.split()) for line in reversed(picture.splitlines())] == LAYERS
+    assert [set(line.split()) for line in reversed(picture.splitlines())] == PACKAGES
 
 
 @pytest.mark.parametrize("path", PAGES, ids=TEXTS)

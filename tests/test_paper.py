@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.kernel.events import Broadcast
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.seeds import stream
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.game import gibbs, logit
+from desim.kernel.core.events import Broadcast
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided, Ended, Sampled, Started
+from desim.pursuit.game.game import gibbs, logit
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, SharedSeed
+from protocols.schedules.periodic import Poisson, SharedSeed
 from protocols.temperature import ConstantTau
 from tests.law import HORIZON, PHI, RELAY, all_at_once, distance, measured, static_game, stationary
 

@@ -16,9 +16,9 @@ import desim
 from desim import Evader, Scenario, Team, load, run, summary, sweep
 from desim.config.fresh import StateError
 from desim.config.shared_state import StateWarning
-from desim.kernel.clock import Clock
-from desim.kernel.events import Trace
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import Trace
+from desim.kernel.core.trace_file import line_of
 from desim.scenario.overrides import ScenarioError
 from desim.simulation.watchdog import TimedOut, within
 from scenarios.study import SCENARIOS
@@ -100,7 +100,7 @@ def test_all_that_a_user_may_hold_can_be_pickled_and_copied():
 POOL = """
 from multiprocessing import get_context
 from desim import Scenario, run
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
 if __name__ == "__main__":
     scenario = Scenario(team={"count": 3}, horizon=0.3)
     with get_context("METHOD").Pool(2) as pool:

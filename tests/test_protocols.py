@@ -12,19 +12,19 @@ import pytest
 
 import protocols
 from desim import Scenario, load, run
-from desim.kernel.faults import Partition
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.trace_file import line_of
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, STARTS, Announcements
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.pursuit.game import relay_profile
+from desim.kernel.core.trace_file import line_of
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Partition
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import DISSEMINATIONS, STARTS, Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.rule import SCHEDULES, Rule
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from scenarios.study import SCENARIOS
 from tests.many import LOSSY, at_rest, chased, easy, times
 

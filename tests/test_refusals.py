@@ -19,16 +19,16 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Empirical, LatencyMatrix
-from desim.kernel.netem import Netem
-from desim.pursuit.flow import RecordedFlow
-from desim.pursuit.recorded import RecordedMotion, RecordedPositions
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Empirical, LatencyMatrix
+from desim.kernel.models.netem import Netem
+from desim.pursuit.evaders.recorded import RecordedMotion, RecordedPositions
+from desim.pursuit.motion.flow import RecordedFlow
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
-from desim.study.configurations import configurations
+from desim.study.plan.configurations import configurations
 from tests.command import JARGON
 from tests.golden import golden
 

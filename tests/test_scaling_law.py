@@ -7,16 +7,16 @@ import pytest
 
 from desim import Scenario, run
 from desim.analysis.metrics import active_time, activity, excess_time
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.pursuit.announcements import Announcements
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
+from protocols.schedules.token import TokenRing
 from protocols.temperature import ConstantTau
-from protocols.token import TokenRing
 
 pytestmark = pytest.mark.slow
 

@@ -13,21 +13,21 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.analysis.plots import save, trajectory
+from desim.analysis.drawing.plots import save, trajectory
 from desim.cli import main
 from desim.config import choice
 from desim.config.trust import escaped, without_symlink
-from desim.kernel.latency import Empirical
-from desim.kernel.links import Links
+from desim.kernel.models.latency import Empirical
+from desim.kernel.models.links import Links
 from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.toml import read
 from desim.simulation.run import run
-from desim.study.explain import explain
-from desim.study.figures import waterfall
-from desim.study.store import Store
-from desim.study.store_file import StoreError
-from desim.study.sweep import sweep
+from desim.study.ablation.explain import explain
+from desim.study.results.figures import waterfall
+from desim.study.store.file import StoreError
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
 
@@ -37,7 +37,7 @@ EVIL = """
 from pathlib import Path
 from typing import Annotated, Any
 
-from desim.kernel.latency import LATENCIES
+from desim.kernel.models.latency import LATENCIES
 from desim.config.model import Value
 
 Path({mark!r}).touch()
@@ -375,9 +375,9 @@ ALLOWED = {
     "protocols/__init__.py": {"import_module"},  # of its own modules
     "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
     "desim/config/fresh.py": {"reader.load"},  # what it has just pickled
-    "desim/study/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
-    "desim/study/workers.py": {"pickle.loads"},  # what they sent back
-    "desim/study/dispatch.py": {"pickle.loads"},  # what it has just pickled
+    "desim/study/workers/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
+    "desim/study/workers/workers.py": {"pickle.loads"},  # what they sent back
+    "desim/study/workers/dispatch.py": {"pickle.loads"},  # what it has just pickled
 }
 
 

@@ -8,14 +8,14 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.faults import Crash
-from desim.kernel.trace_file import events_of, line_of
-from desim.kernel.units import SECOND, seconds
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dead_reckoning import MotionState
-from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
-from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.sensing import Sensing
+from desim.kernel.core.trace_file import events_of, line_of
+from desim.kernel.core.units import SECOND, seconds
+from desim.kernel.models.faults import Crash
+from desim.pursuit.core.events import Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.evaders.evasion import ConstantHeading, Diffusion, PureEvasion, Still
+from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.team.announcements import Announcements
 from desim.results.run_folder import EVENTS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Evader, Team

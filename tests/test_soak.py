@@ -10,26 +10,26 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, summary
-from desim.analysis.invariants import PotentialWatcher, watched
-from desim.kernel.graphs import GRAPHS
-from desim.kernel.invariants import Conservation, OneToken
-from desim.kernel.latency import LATENCIES
-from desim.kernel.loss import LOSSES
-from desim.kernel.medium import MEDIA
-from desim.kernel.reception import RECEPTION_MODELS
-from desim.kernel.transport import TRANSPORTS
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, STARTS
-from desim.pursuit.evasion import STRATEGIES
-from desim.pursuit.events import Decided, Ended
-from desim.pursuit.noise import NOISES
-from desim.pursuit.trust import TRUSTS
-from desim.pursuit.utility import UTILITIES
-from desim.pursuit.world_state import WorldState
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.graphs import GRAPHS
+from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.loss import LOSSES
+from desim.kernel.models.medium import MEDIA
+from desim.kernel.models.reception import RECEPTION_MODELS
+from desim.kernel.models.transport import TRANSPORTS
+from desim.pursuit.core.events import Decided, Ended
+from desim.pursuit.evaders.evasion import STRATEGIES
+from desim.pursuit.game.utility import UTILITIES
+from desim.pursuit.sensing.noise import NOISES
+from desim.pursuit.sensing.world_state import WorldState
+from desim.pursuit.team.announcements import DISSEMINATIONS, STARTS
+from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.scenario import PROTOCOLS
+from desim.testing.messages import Conservation, OneToken
+from desim.testing.pursuits import PotentialWatcher, watched
 from protocols.rule import SCHEDULES
+from protocols.schedules.token_messages import Token
 from protocols.temperature import TEMPERATURES
-from protocols.token_messages import Token
 
 PLANS = int(os.environ.get("SOAK", "16" if settings.default.derandomize else "1000"))
 BLOCK = 8

@@ -12,20 +12,20 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Announcements, Links, Scenario, Sensing, Team, run, summary, sweep
-from desim.kernel.clock import Clock
-from desim.kernel.events import Lost
-from desim.kernel.faults import Jamming, Partition
-from desim.kernel.latency import PerPair
-from desim.kernel.loss import Bernoulli
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import Lost
+from desim.kernel.models.faults import Jamming, Partition
+from desim.kernel.models.latency import PerPair
+from desim.kernel.models.loss import Bernoulli
 from desim.kernel.network import Network
-from desim.pursuit.dynamics import Acceleration
-from desim.pursuit.events import Ended
-from desim.pursuit.lies import Liar
-from desim.pursuit.noise import PositionNoise
-from desim.pursuit.trust import Credulous, Judge
+from desim.pursuit.byzantine.lies import Liar
+from desim.pursuit.core.events import Ended
+from desim.pursuit.motion.dynamics import Acceleration
+from desim.pursuit.sensing.noise import PositionNoise
+from desim.pursuit.team.trust import Credulous, Judge
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
-from desim.view.replay import replay_page
+from desim.view.pages.replay import replay_page
 from tests.test_overrides import FAMILIES, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]

@@ -2,9 +2,9 @@
 
 from types import SimpleNamespace
 
-from desim.kernel.clock import Clock
-from desim.kernel.events import Trace
-from desim.pursuit.views import GlobalState, View
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import Trace
+from desim.pursuit.sensing.views import GlobalState, View
 from desim.simulation.run_end import RunEnd
 from desim.simulation.world import World, initial_state
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from desim.analysis.trace_index import captures, ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.portable_math import inner_product, portable_sum
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.events import BrokeDown, Captured, Decided
+from desim.kernel.core.portable_math import inner_product, portable_sum
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.pursuit.core.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
 
 Steps = tuple[Floats, Integers]

@@ -20,8 +20,8 @@ from desim.analysis.activity import action, changes
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import ended, remembered, started
 from desim.config.arrays import Floats, Integers
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Decided
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Decided
 from desim.simulation.run import Result
 
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from math import nan
 
 from desim.analysis.trace_index import captures
-from desim.kernel.faults import FaultStarted, Misbehaviour
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.units import seconds
-from desim.pursuit.events import Distrusted
-from desim.pursuit.trust import Credulous
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import seconds
+from desim.kernel.models.faults import FaultStarted, Misbehaviour
+from desim.pursuit.core.events import Distrusted
+from desim.pursuit.team.trust import Credulous
 from desim.simulation.run import Result, run
 
 

@@ -1,15 +1,15 @@
 """Hindsight: the actions of the pursuers compared with the optimum of the game, at the true capture times.
 
 S(t) is the set of active pursuers, and r(t) the time left, which is constant in a static game. phi_i(t) is the capture
-time of pursuer i: the time that it needs for a capture from now on (`desim.pursuit.capture`), or inf if it cannot
-capture the evader. The relay pursuer i*(t) is the pursuer with the least phi among those that have not broken down;
-ties go to the lowest id. If its phi is at least r, there is no relay pursuer, and {i*} is empty. The potential of the
-game is Phi(S) = r - mean of phi over S, with Phi(empty) = 0; members of S with phi = inf do not count. Phi(S) is
+time of pursuer i: the time that it needs for a capture from now on (`desim.pursuit.motion.capture`), or inf if it
+cannot capture the evader. The relay pursuer i*(t) is the pursuer with the least phi among those that have not broken
+down; ties go to the lowest id. If its phi is at least r, there is no relay pursuer, and {i*} is empty. The potential of
+the game is Phi(S) = r - mean of phi over S, with Phi(empty) = 0; members of S with phi = inf do not count. Phi(S) is
 largest for S = {i*}. Integrals run from 0 to the end of the run.
 
 With several evaders, there is one such game for each evader that is not yet captured. S_j is the set of the pursuers
-that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.assignment`). Phi is largest for
-a profile (the actions of all pursuers) with at most one pursuer on each evader. These are the relay pursuers of the
+that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.game.assignment`). Phi is largest
+for a profile (the actions of all pursuers) with at most one pursuer on each evader. These are the relay pursuers of the
 evaders if they all differ, otherwise the pursuers that `optimal_assignment` gives.
 
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
@@ -33,10 +33,10 @@ from desim.analysis.activity import decisions
 from desim.analysis.timeline import Timeline, timeline
 from desim.analysis.trace_index import ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.links import Links
-from desim.kernel.propagation import TYPICAL_SIZE, LinkSampler
-from desim.kernel.units import SECOND, nanoseconds, seconds
-from desim.pursuit.assignment import optimal_assignment
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.link_layer.propagation import TYPICAL_SIZE, LinkSampler
+from desim.kernel.models.links import Links
+from desim.pursuit.game.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 NO_PURSUER = -1
@@ -90,8 +90,8 @@ def hindsight(result: Result) -> Hindsight:
 def gains(part: Timeline) -> Floats:
     """Return the (k, N) gain, s, of each pursuer from chasing the evader in each piece, given the others' actions.
 
-    The gain is U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.gain`, but 0 for a
-    pursuer that cannot capture the evader (phi = inf), because it can only be inactive.
+    The gain is U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.game.gain`, but 0
+    for a pursuer that cannot capture the evader (phi = inf), because it can only be inactive.
     """
     able = np.isfinite(part.phi)
     phi = np.where(able, part.phi, 0.0)
@@ -129,7 +129,7 @@ def _relayed(part: Timeline, best: Integers) -> Bools:
 
 
 def _potential(part: Timeline) -> Floats:
-    """Return the (k,) potential, s, of the pursuers that chase the evader, as `desim.pursuit.game.potential` does."""
+    """Return the (k,) potential, s, of the pursuers that chase the evader, as `game.potential` does."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
     mean = np.where(counted, part.phi, 0.0).sum(axis=1) / np.maximum(n, 1)

@@ -1,6 +1,6 @@
 """The newest record that each pursuer had of every other pursuer, over time.
 
-A record is a state, such as an action, that a pursuer has announced (`desim.kernel.records`). This pursuer is its
+A record is a state, such as an action, that a pursuer has announced (`desim.kernel.core.records`). This pursuer is its
 source; a reader receives the record directly or over several hops. Of the records of one source that have arrived, a
 reader keeps the one with the highest sequence number. An older record that arrives later is ignored.
 """
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from desim.analysis.deception import first_lies
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
-from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
-from desim.kernel.faults import Crash, FaultEnded, clock_errors
-from desim.kernel.records import Record
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import action_in_game, records_in, relayed_records
+from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, FaultEnded, clock_errors
+from desim.pursuit.team.announcements import action_in_game, records_in, relayed_records
 from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]

@@ -41,7 +41,7 @@ from desim.analysis.trace_index import (
     positions_known,
     trace_index,
 )
-from desim.analysis.transport import (
+from desim.analysis.transport_metrics import (
     acknowledgements,
     deadlines_missed,
     delivery_delay,
@@ -57,9 +57,9 @@ from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
-from desim.kernel.events import Cause
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.units import seconds
+from desim.kernel.core.events import Cause
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import seconds
 from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result

@@ -3,10 +3,10 @@
 import numpy as np
 
 from desim.config.arrays import Points
-from desim.kernel.units import seconds
-from desim.pursuit.events import Sampled, Started
-from desim.pursuit.flow import NoFlow, is_uniform
-from desim.pursuit.state import complex_points
+from desim.kernel.core.units import seconds
+from desim.pursuit.core.events import Sampled, Started
+from desim.pursuit.core.state import complex_points
+from desim.pursuit.motion.flow import NoFlow, is_uniform
 from desim.scenario.scenario import Scenario
 
 

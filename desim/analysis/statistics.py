@@ -46,7 +46,7 @@ from typing import TypeGuard
 import numpy as np
 
 from desim.config.arrays import Floats
-from desim.kernel.portable_math import portable_sum
+from desim.kernel.core.portable_math import portable_sum
 
 NORMAL_975 = 1.959963984540054
 """The 97.5 % quantile of the standard normal distribution."""

@@ -7,7 +7,7 @@ from typing import Any
 from desim.analysis.metrics import METRICS, Summary, title, users_metrics, words
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.config.json_numbers import json_number
-from desim.kernel.portable_math import portable_sum
+from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 
 PER_EVADER = {"captures", "mean_capture_time"}

@@ -3,10 +3,10 @@
 A piece is the time between two successive breakpoints. The breakpoints are the start and the end of the run, changes of
 action, samples of positions, crashes and recoveries of robots, and captures. No action changes within a piece, so
 metrics of the actions alone are exact. The capture time phi of a pursuer is the time that it needs for a capture from
-now on (`desim.pursuit.capture`), in a flow as the pursuers compute it (`desim.pursuit.flow_capture`). It is evaluated
-in the middle of a piece, at positions interpolated between the samples, and for pursuers with inertia with the mean
-courses between the samples. It is exact in a static game; for other games `desim.analysis.hindsight` gives examples of
-the error. Each evader has its own timeline; the timelines of all evaders have the same pieces.
+now on (`desim.pursuit.motion.capture`), in a flow as the pursuers compute it (`desim.pursuit.motion.flow_capture`). It
+is evaluated in the middle of a piece, at positions interpolated between the samples, and for pursuers with inertia with
+the mean courses between the samples. It is exact in a static game; for other games `desim.analysis.hindsight` gives
+examples of the error. Each evader has its own timeline; the timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,13 +19,13 @@ from desim.analysis.activity import changes, evader_pursuits
 from desim.analysis.relative_places import RelativePlaces
 from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
 from desim.config.arrays import Bools, Floats, Integers, Points
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.capture import RadialTime
-from desim.pursuit.dynamics import Courses
-from desim.pursuit.flow_capture import capture_times_in_flow
-from desim.pursuit.geometry import SMALLEST
-from desim.pursuit.state import lengths
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.capture import RadialTime
+from desim.pursuit.motion.dynamics import Courses
+from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.simulation.run import Result
 
 ROUNDING = 1e-9

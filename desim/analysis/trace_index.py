@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, TypeVar
 
-from desim.kernel.events import MESSAGES, MessageCounts, TransportCounts
-from desim.pursuit.events import Captured, Ended, Sampled, Started
+from desim.kernel.core.events import MESSAGES, MessageCounts, TransportCounts
+from desim.pursuit.core.events import Captured, Ended, Sampled, Started
 from desim.simulation.run import Result
 
 Derived = TypeVar("Derived")

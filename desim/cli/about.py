@@ -35,7 +35,7 @@ def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...])
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
         from desim.scenario.overrides import ScenarioError
-        from desim.study.configurations import configurations
+        from desim.study.plan.configurations import configurations
 
         try:
             configurations(source)
@@ -50,8 +50,8 @@ def _draw_links(scenario: "Scenario", file: Path, out: Path | None) -> None:
     """Draw the measured links of a scenario, and print the paths of the files."""
     paths = picture_paths(file, out, "trajectory", "links")
     with making("picture"):
-        from desim.analysis.link_figures import link_traces
-        from desim.analysis.plots import save
+        from desim.analysis.drawing.plots import save
+        from desim.view.pictures.link_traces import link_traces
 
         figure = link_traces(scenario)
         write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths, err=True)

@@ -61,10 +61,10 @@ def explain(
     from desim.results import provenance
     from desim.results.run_folder import can_plot
     from desim.scenario.overrides import ScenarioError
-    from desim.study.configurations import with_place
-    from desim.study.explain import RUNS, Variants
-    from desim.study.explanation import EXPLAINED
-    from desim.study.store import Store
+    from desim.study.ablation.explain import RUNS, Variants
+    from desim.study.plan.configurations import with_place
+    from desim.study.results.explanation import EXPLAINED
+    from desim.study.store.store import Store
 
     source, scenario = source_of(file, overrides, metrics)
     shown = shown_metrics(scenario, metrics, tuple(EXPLAINED))
@@ -86,8 +86,8 @@ def explain(
         write_whole(folder / "explain.json", f"{text}\n".encode())
         write_whole(folder / "explain.txt", f"{found.table()}\n".encode())
         if can_plot():
-            from desim.analysis.plots import save
-            from desim.study.figures import waterfall
+            from desim.analysis.drawing.plots import save
+            from desim.study.results.figures import waterfall
 
             for each in save(waterfall(found), folder / "explain"):
                 echo(f"wrote {each}", err=True)

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from desim.analysis.knowledge import Pieces
-    from desim.kernel.events import Event
-    from desim.view.headings import Headings
+    from desim.kernel.core.events import Event
+    from desim.view.data.headings import Headings
 
 KINDS = (
     *("Started", "Decided", "BrokeDown", "Sampled", "Estimated", "Captured", "Distrusted", "Ended"),
@@ -72,7 +72,7 @@ def _is_run(source: Path) -> bool:
 
 def _export_run(source: Path, file: Path, kinds: tuple[str, ...], seed: int | None, overrides: tuple[str, ...]) -> None:
     """Write the events of a run to a file; end the program if that is not possible."""
-    from desim.view import export as formats
+    from desim.view.formats import export as formats
 
     try:
         formats.check_suffix(file)
@@ -110,7 +110,7 @@ def _run_of(
     from desim.analysis.knowledge import knowledge
     from desim.analysis.trace_index import lacks_messages
     from desim.results import run_folder
-    from desim.view.headings import Headings
+    from desim.view.data.headings import Headings
 
     if is_recorded(source):
         check_recorded_options(seed, overrides)
@@ -138,8 +138,8 @@ def _fits_memory(folder: Path) -> bool:
 
 def _export_sweep(source: Path, file: Path) -> None:
     """Write the runs of a sweep to a file, one row per run; end the program if that is not possible."""
-    from desim.study.result import SweepResult
-    from desim.study.store import Store
+    from desim.study.results.result import SweepResult
+    from desim.study.store.store import Store
 
     path, *others = store_files((source,))
     if others:

@@ -36,8 +36,8 @@ from desim.config.file_names import STORE, TRACE
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
-    from desim.study.result import SweepResult
-    from desim.study.sweep import Job, SweepPlan
+    from desim.study.results.result import SweepResult
+    from desim.study.sweeps.sweep import Job, SweepPlan
 
 
 PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
@@ -124,9 +124,9 @@ def sweep(
     """
     from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
-    from desim.study.runs import SHOWN
-    from desim.study.store import Store
-    from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
+    from desim.study.results.runs import SHOWN
+    from desim.study.store.store import Store
+    from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
     if until and ":" in until[0]:
         given, width = until
@@ -198,7 +198,7 @@ def sweep(
 def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""
     from desim.results import provenance
-    from desim.study.store import Store
+    from desim.study.store.store import Store
 
     with storing(), ExitStack() as opened:
         parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
@@ -223,7 +223,7 @@ def store_files(stores: tuple[Path, ...]) -> list[Path]:
 
 def _stores_in(folder: Path) -> list[Path]:
     """Return the files of the stores in a folder; end the program if it has none."""
-    from desim.study.folder import contents
+    from desim.study.sweeps.folder import contents
 
     found = sorted(folder.glob("sweep*.sqlite"))
     if not found:
@@ -264,7 +264,7 @@ def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) 
 
     write_whole(folder / "sweep.txt", f"{table}\n".encode())
     if can_plot():
-        from desim.analysis.plots import save
-        from desim.study.figures import file_name
+        from desim.analysis.drawing.plots import save
+        from desim.study.results.figures import file_name
 
         save(found.plot(metric), folder / file_name("means", metric))

@@ -58,8 +58,8 @@ def netem(
 
 def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | None) -> None:
     """Print the commands for the links of a scenario; write their tables to a folder, if one is given."""
-    from desim.kernel.netem_tables import TABLES, table_text
-    from desim.kernel.tc_writer import script
+    from desim.kernel.models.netem_tables import TABLES, table_text
+    from desim.kernel.tc.writer import script
 
     _, scenario = source_of(file, overrides)
     try:
@@ -84,8 +84,8 @@ def _read(text: str, source: str, folder: Path | None) -> None:
     """Print the table `[network]` that commands of tc describe."""
     import tomli_w
 
-    from desim.kernel.tc_reader import read_script
-    from desim.kernel.tc_syntax import TcError
+    from desim.kernel.tc.reader import read_script
+    from desim.kernel.tc.syntax import TcError
 
     try:
         found = read_script(text, source, folder)

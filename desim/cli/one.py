@@ -152,8 +152,8 @@ def _run_several(
     from functools import partial
 
     from desim.results import provenance, run_folder
-    from desim.study.batch import run_many, seeds_from
-    from desim.study.dispatch import simulation
+    from desim.study.workers.batch import run_many, seeds_from
+    from desim.study.workers.dispatch import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     if into is None:

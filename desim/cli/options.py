@@ -18,8 +18,8 @@ from desim.simulation.watchdog import checked_limit, within
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
     from desim.scenario.scenario import Scenario
-    from desim.study.store import Store
-    from desim.study.workers import Workers
+    from desim.study.store.store import Store
+    from desim.study.workers.workers import Workers
 
 COUNT = click.IntRange(1, 1_000_000)
 """The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
@@ -299,8 +299,8 @@ def working(jobs: int, cluster: str | None, store: "Store", runs: int) -> Iterat
 
     A KeyboardInterrupt receives a note on how to resume. A RunError, such as that of --fail-fast, ends the program.
     """
-    from desim.study.sweep import RunError
-    from desim.study.workers import workers_for
+    from desim.study.sweeps.sweep import RunError
+    from desim.study.workers.workers import workers_for
 
     try:
         with workers_for(jobs if cluster is None else cluster, runs) as workers:

@@ -32,8 +32,8 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
 
     Of two, make a page that plays both side by side on one clock, and names what differs between their scenarios.
     """
-    from desim.view import pair
-    from desim.view import replay as single
+    from desim.view.pages import pair
+    from desim.view.pages import replay as single
 
     path = page_at(out, _usual_page(sources))
     if path.resolve() in [each.resolve() for each in sources]:
@@ -64,7 +64,7 @@ def _usual_page(sources: tuple[Path, ...]) -> Path:
 def _size(result: "Result") -> str:
     """Return the number of pursuers, the duration and the number of messages of a run as text."""
     from desim.analysis.trace_index import messages, started
-    from desim.kernel.units import seconds
+    from desim.kernel.core.units import seconds
 
     counts = messages(result)
     return f"{len(started(result).active)} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages"
@@ -76,8 +76,8 @@ def _size(result: "Result") -> str:
 @limited
 def report(folder: Path, out: Path | None) -> None:
     """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
-    from desim.view.report import Study
-    from desim.view.report import report as page_of
+    from desim.view.pages.report import Study
+    from desim.view.pages.report import report as page_of
 
     path = page_at(out, folder / "report.html")
     _check_merged(folder)

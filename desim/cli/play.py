@@ -25,9 +25,9 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
     """
     from desim.scenario.examples import example
     from desim.scenario.toml import read
-    from desim.study.workers import Processes
-    from desim.view.play import Playground, Session
-    from desim.view.play_server import PlayServer, page
+    from desim.study.workers.workers import Processes
+    from desim.view.pages.play_server import PlayServer, page
+    from desim.view.pages.playground import Playground, Session
 
     path = example("relay") if file is None else file
     source_of(path, overrides)  # ends the program if the file or an override is invalid

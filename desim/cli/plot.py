@@ -13,7 +13,7 @@ from desim.config.file_names import PICTURE_SUFFIXES, files
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
-    from desim.study.result import SweepResult
+    from desim.study.results.result import SweepResult
 
 OF_RUNS: Mapping[str, Sequence[str]] = {
     "trajectory": ["size"],
@@ -190,16 +190,16 @@ def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[
 
     def make() -> None:
         if kind == "film":
-            from desim.view.animation import animate
+            from desim.view.pictures.animation import animate
 
             animate(indexed, paths[0], **options)
         elif kind == "perfetto":
-            from desim.view.perfetto import write
+            from desim.view.formats.perfetto import write
 
             write(indexed, paths[0])
         else:
-            from desim.analysis.plots import save
-            from desim.view.run_figure import plot
+            from desim.analysis.drawing.plots import save
+            from desim.view.pictures.run_figure import plot
 
             figure = plot(indexed, kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
             for path in paths:
@@ -209,8 +209,8 @@ def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[
 
 
 def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None, options: dict[str, Any]) -> None:
-    from desim.analysis.plots import save
-    from desim.study.figures import file_name
+    from desim.analysis.drawing.plots import save
+    from desim.study.results.figures import file_name
 
     if "against" in options:
         options["against"] = dict(options["against"])
@@ -228,7 +228,7 @@ def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str
     A value of the sweep may contain "=", so the label is split after its shortest beginning that is a value of the
     sweep. If no beginning is a value, the label is split at the first "=".
     """
-    from desim.study.runs import text
+    from desim.study.results.runs import text
 
     values = {text(each) for key in result.keys for each in result.values(key)}
     parts = f"{first}={second}".split("=")

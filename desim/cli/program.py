@@ -44,7 +44,7 @@ class Program(click.Command):
         except HiddenPackageError as error:
             fail(str(error))
         except ValueError as error:
-            from desim.kernel.playback import TraceEndError  # slow to import
+            from desim.kernel.measured.playback import TraceEndError  # slow to import
 
             if not isinstance(error, TraceEndError):
                 raise

@@ -11,7 +11,7 @@ from desim.config.file_names import STORE, TRACE
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
-    from desim.study.result import SweepResult
+    from desim.study.results.result import SweepResult
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 MAX_REPLAYED = 2
@@ -74,7 +74,7 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
     if not is_recorded(source):
         return _simulated(source, seed, overrides)
     check_recorded_options(seed, overrides)
-    from desim.study.folder import open as open_results
+    from desim.study.sweeps.folder import open as open_results
 
     try:
         return open_results(source, allow_import=is_import_allowed())
@@ -93,6 +93,6 @@ def check_recorded_options(seed: int | None, overrides: tuple[str, ...]) -> None
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Run a scenario file with messages and trajectories recorded, and return the result."""
     from desim.simulation.run import run
-    from desim.view.replay import with_recordings
+    from desim.view.pages.replay import with_recordings
 
     return run(with_recordings(source_of(file, overrides)[1]), seed)

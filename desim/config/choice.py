@@ -183,8 +183,8 @@ class OneOf:
     def _check_base(self, value: Any) -> None:
         """Raise ValueError if a value defines a method that is never called.
 
-        A model that is not called, such as `desim.kernel.access.Ideal`, stands for code of the simulator. A class that
-        derives from it inherits this code, and cannot replace it by a method that the model lacks.
+        A model that is not called, such as `desim.kernel.models.access.Ideal`, stands for code of the simulator. A
+        class that derives from it inherits this code, and cannot replace it by a method that the model lacks.
         """
         base = next((model for model in self.models if isinstance(value, model)), None)
         if base is None:

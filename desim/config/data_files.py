@@ -1,7 +1,7 @@
 """Data files of models; their content is part of the identity of a run.
 
 The identity of a run is a hash by which a sweep recognises stored results of the same run; see
-`desim.study.config_hash`.
+`desim.study.plan.config_hash`.
 """
 
 import hashlib

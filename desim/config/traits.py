@@ -49,7 +49,8 @@ class Follows:
 
     A class overrides a method if a base class has it, too. The trait counts if it is defined in the class that
     overrides the method or below it. It also counts if it is defined above all overridden methods: these then override
-    what it calls, as `quantile` of `desim.kernel.latency.Uniform` overrides a method that the inherited `draw` calls.
+    what it calls, as `quantile` of `desim.kernel.models.latency.Uniform` overrides a method that the inherited `draw`
+    calls.
 
     Args:
         methods: the names of the methods.

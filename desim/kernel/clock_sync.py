@@ -22,16 +22,16 @@ from pydantic import Field
 
 from desim.config.choice import OneOf
 from desim.config.model import Period, Value
-from desim.kernel.clock import Clock, NodeClock, Phase, Timer
-from desim.kernel.events import ClockCorrected, Trace
-from desim.kernel.inbox import Message
-from desim.kernel.message_size import HEADER, NUMBER
+from desim.kernel.core.clock import Clock, NodeClock, Phase, Timer
+from desim.kernel.core.events import ClockCorrected, Trace
+from desim.kernel.core.message_size import HEADER, NUMBER
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.records import Record
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.transport import BestEffort
 from desim.kernel.network import Network
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.ports import ReservedPort
-from desim.kernel.records import Record
-from desim.kernel.seeds import stream
-from desim.kernel.transport import BestEffort
+from desim.kernel.state.inbox import Message
 
 PORT = ReservedPort("clock synchronisation", __name__)
 """The port at which requests and answers arrive."""

@@ -6,12 +6,12 @@ from functools import partial
 import simpy
 
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Trace
-from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Trace
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
+from desim.kernel.models.traits import FaultTraits
 from desim.kernel.network import Network
-from desim.kernel.traits import FaultTraits
-from desim.kernel.units import nanoseconds
 
 Hook = Callable[[Crash], object]
 

@@ -6,31 +6,32 @@ that time. A *message* stands for an event. Its arrival wakes the processes that
 
 `publish` sends a record, and `send` a message. Both use the same links. SimPy events are used only to wait for a
 busy transmitter, to decide losses on arrival, and to wake processes. A read in the decision phase of an instant
-(`desim.kernel.clock.Phase`), or in a later phase, takes into account every arrival up to and including that instant.
+(`desim.kernel.core.clock.Phase`), or in a later phase, takes into account every arrival up to and including that
+instant.
 """
 
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.clock import Clock, NodeClock
-from desim.kernel.estimates import Estimates
-from desim.kernel.events import MessageCounts, Trace, TransportCounts
-from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message
-from desim.kernel.link_layer import LinkLayer, Listener
-from desim.kernel.links import Links
-from desim.kernel.message_body import as_sent
-from desim.kernel.network_state import NetworkState
-from desim.kernel.positions import PositionFunction, as_position_source
-from desim.kernel.propagation import LinkSampler
-from desim.kernel.received_records import Records
+from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
+from desim.kernel.core.message_body import as_sent
+from desim.kernel.core.positions import PositionFunction, as_position_source
+from desim.kernel.core.records import Predicate, Record
+from desim.kernel.core.seeds import seed_of
+from desim.kernel.core.units import SECOND
+from desim.kernel.link_layer.estimates import Estimates
+from desim.kernel.link_layer.link_layer import LinkLayer, Listener
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.links import Links
+from desim.kernel.models.transport import Transport
 from desim.kernel.receiving_nodes import ReceivingNodes
-from desim.kernel.records import Predicate, Record
-from desim.kernel.seeds import seed_of
-from desim.kernel.topology import Topology
-from desim.kernel.transport import Transport
-from desim.kernel.transport_layer import TransportLayer
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.inbox import Inboxes, Message
+from desim.kernel.state.network_state import NetworkState
+from desim.kernel.state.received_records import Records
+from desim.kernel.topology.topology import Topology
+from desim.kernel.transport.layer import TransportLayer
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -47,10 +48,12 @@ class Network(ReceivingNodes):
 
     Args:
         env: the clock of the simulation.
-        graph: the communication graph of the nodes 0 .. n - 1; see `desim.kernel.graphs.Edge` for edge attributes.
+        graph: the communication graph of the nodes 0 .. n - 1; see `desim.kernel.models.graphs.Edge` for edge
+        attributes.
         links: the models of the links; an ideal network if None.
         seed: the seed of all random draws of the network.
-        positions: returns the current (n, 2) positions, m, see `desim.kernel.positions`; required for a finite range.
+        positions: returns the current (n, 2) positions, m, see `desim.kernel.core.positions`; required for a finite
+        range.
         trace: receives the events of messages, if its `wants_messages` is true.
         fault_state: the active faults; None: the network has no faults.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
@@ -58,7 +61,7 @@ class Network(ReceivingNodes):
 
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
-            and `desim.kernel.propagation.LinkSampler`.
+            and `desim.kernel.link_layer.propagation.LinkSampler`.
 
     Attributes:
         topology: the links of the graph, and which of them are within range.
@@ -118,8 +121,8 @@ class Network(ReceivingNodes):
         Args:
             src: the node that publishes.
             body: its state. Each receiver gets a copy, unless the body is immutable; later changes by the sender have
-                no effect, see `desim.kernel.message_body.as_sent`.
-            size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
+                no effect, see `desim.kernel.core.message_body.as_sent`.
+            size: the size of the message, bytes; computed from the body if None, see `desim.kernel.core.message_size`.
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
 
         Raises:
@@ -142,15 +145,15 @@ class Network(ReceivingNodes):
         """Send a message to one node, or to all neighbours (None); its arrival wakes the processes that wait for it.
 
         The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
-        transport, which may retransmit it (`desim.kernel.transport`); None: that of the links (`Links.transport`). All
-        messages at a port should have the same transport. `only` restricts a message to all neighbours to some of them:
-        it is transmitted as any broadcast, and all others ignore it; a transport that needs acknowledgements sends it
-        to each of them.
+        transport, which may retransmit it (`desim.kernel.models.transport`); None: that of the links
+        (`Links.transport`). All messages at a port should have the same transport. `only` restricts a message to all
+        neighbours to some of them: it is transmitted as any broadcast, and all others ignore it; a transport that needs
+        acknowledgements sends it to each of them.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
         is one that fails the range check (see `Links.range_check`). Each receiver gets a copy of the body, unless it is
-        immutable; later changes by the sender have no effect, see `desim.kernel.message_body.as_sent`.
+        immutable; later changes by the sender have no effect, see `desim.kernel.core.message_body.as_sent`.
 
         Raises:
             ValueError: if the receiver is the sender, the size is not an integer of at least 0, the body has no size or
@@ -180,7 +183,7 @@ class Network(ReceivingNodes):
         return _new(Record, (src, seq, self._env.now if stamp is None else stamp, self._own(body)))
 
     def overhear(self, listener: Listener) -> None:
-        """Register a function to call whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
+        """Register a function to call whenever a transmission starts; see `link_layer.Listener`."""
         self._link_layer.overhear(listener)
 
     # Faults and counts.

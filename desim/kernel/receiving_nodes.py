@@ -3,11 +3,11 @@
 from typing import Any
 
 from desim.config.python_numbers import whole
-from desim.kernel.arrivals import Arrivals
-from desim.kernel.inbox import Inbox
-from desim.kernel.message_body import as_sent, own_copy
-from desim.kernel.network_state import NetworkState
-from desim.kernel.records import Record, Table
+from desim.kernel.core.message_body import as_sent, own_copy
+from desim.kernel.core.records import Record, Table
+from desim.kernel.link_layer.arrivals import Arrivals
+from desim.kernel.state.inbox import Inbox
+from desim.kernel.state.network_state import NetworkState
 
 
 class ReceivingNodes:

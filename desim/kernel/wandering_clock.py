@@ -13,11 +13,11 @@ from math import sqrt
 
 import numpy as np
 
-from desim.kernel.clock import Clock, NodeClock
-from desim.kernel.faults import MIN_DRIFT, ClockSkew, clock_errors
-from desim.kernel.portable_math import portable_sum
-from desim.kernel.seeds import stream
-from desim.kernel.units import SECOND, nanoseconds, seconds
+from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.models.faults import MIN_DRIFT, ClockSkew, clock_errors
 
 TICK = nanoseconds(0.01)
 """Time between two states of a walk, ns."""

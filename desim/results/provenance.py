@@ -221,8 +221,8 @@ def _given(scenario: Document) -> Document:
     Values equal to those of the preset (or, if there is no preset, to the defaults) are removed. Otherwise they would
     take precedence over the values of a preset given by an override.
     """
-    from desim.kernel.links import Links
-    from desim.kernel.presets import PRESETS
+    from desim.kernel.models.links import Links
+    from desim.kernel.models.presets import PRESETS
 
     tables: Document = {key: each if key == "name" else from_json(each) for key, each in scenario.items()}
     network = tables.get("network")

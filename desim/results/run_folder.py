@@ -14,7 +14,7 @@ from pydantic import Field
 from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
 from desim.config.trust import regular_or_missing, without_symlink
-from desim.kernel.events import (
+from desim.kernel.core.events import (
     LOST,
     MESSAGES,
     TRANSPORT,
@@ -28,9 +28,19 @@ from desim.kernel.events import (
     Trace,
     TransportCounts,
 )
-from desim.kernel.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
-from desim.kernel.trace_file import Limits, TraceFile, events_of
-from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
+from desim.kernel.core.trace_file import Limits, TraceFile, events_of
+from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
+from desim.pursuit.core.events import (
+    FORMAT,
+    BrokeDown,
+    Captured,
+    Decided,
+    Distrusted,
+    Ended,
+    Estimated,
+    Sampled,
+    Started,
+)
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
@@ -137,7 +147,7 @@ def write(
     if made is None:
         made = provenance.document(provenance.RUN, resolved, seed=result.seed)
     if can_plot() and result.trace.of(Sampled):
-        from desim.analysis.plots import save, trajectory
+        from desim.analysis.drawing.plots import save, trajectory
 
         save(trajectory(result), folder / "trajectory")
     provenance.write(folder, provenance.of_one(made, result.seed))

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 
 import networkx as nx
 
-from desim.kernel.access import Tdma
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
-from desim.kernel.implicit_complete import is_complete
-from desim.kernel.medium import Medium, Radio
-from desim.kernel.propagation import LinkSampler
-from desim.kernel.reception import Disk
-from desim.kernel.topology import Topology
-from desim.kernel.traits import InterferenceTraits
-from desim.pursuit.traits import Assuming, DisseminationTraits
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
+from desim.kernel.models.implicit_complete import is_complete
+from desim.kernel.models.medium import Medium, Radio
+from desim.kernel.models.reception import Disk
+from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.topology.topology import Topology
+from desim.pursuit.core.traits import Assuming, DisseminationTraits
 
 if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario

@@ -10,27 +10,35 @@ from pydantic import BaseModel
 from desim.config.choice import choices_of
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.config.traits import inherits
-from desim.kernel.access import Csma, SlottedAloha, Tdma
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.faults import ClockSkew, Fault
-from desim.kernel.graph_attributes import unread_attributes
-from desim.kernel.graphs import Complete, Edges, as_model, links_with_attributes
-from desim.kernel.interference import Collision, Faded
-from desim.kernel.latency import mean_latency
-from desim.kernel.link_trace_base import LinkTrace
-from desim.kernel.links import Links
-from desim.kernel.medium import LoRa, Radio
-from desim.kernel.presets import PRESETS
-from desim.kernel.reception import Disk
-from desim.kernel.transport import BestEffort, Coded, Reliable
-from desim.kernel.units import nanoseconds
-from desim.pursuit.announcements import DISSEMINATIONS
-from desim.pursuit.guidance import PurePursuit
-from desim.pursuit.lies import ByzantineFault, FalseAnnouncements, Liar, RandomLies, Selective, Silent, Slander
-from desim.pursuit.sensing import Sensing
-from desim.pursuit.tracking import Estimator
-from desim.pursuit.traits import DisseminationTraits
-from desim.pursuit.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.graph_files.graph_attributes import unread_attributes
+from desim.kernel.measured.base import LinkTrace
+from desim.kernel.models.access import Csma, SlottedAloha, Tdma
+from desim.kernel.models.faults import ClockSkew, Fault
+from desim.kernel.models.graphs import Complete, Edges, as_model, links_with_attributes
+from desim.kernel.models.interference import Collision, Faded
+from desim.kernel.models.latency import mean_latency
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import LoRa, Radio
+from desim.kernel.models.presets import PRESETS
+from desim.kernel.models.reception import Disk
+from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.pursuit.byzantine.lies import (
+    ByzantineFault,
+    FalseAnnouncements,
+    Liar,
+    RandomLies,
+    Selective,
+    Silent,
+    Slander,
+)
+from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.motion.guidance import PurePursuit
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import Estimator
+from desim.pursuit.team.announcements import DISSEMINATIONS
+from desim.pursuit.team.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
 from desim.scenario.assumptions import initial_graph, is_relayed, violations
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.simultaneous import simultaneous_warnings

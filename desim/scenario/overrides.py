@@ -14,7 +14,7 @@ from desim.config.choice import choices_of
 from desim.config.error_texts import text_of
 from desim.config.model import Value, fields_of, models_in
 from desim.config.python_numbers import as_python
-from desim.kernel.presets import PRESETS
+from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_lines import KeyPath

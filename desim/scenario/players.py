@@ -20,13 +20,13 @@ from pydantic import (
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Box, FirstError, Limit, Probability, Speed, Time, Value
 from desim.config.python_numbers import as_python
-from desim.kernel.seeds import stream
-from desim.pursuit.dynamics import DYNAMICS, Dynamics, Simple, headings_with
-from desim.pursuit.evader import EvaderController
-from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
-from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
-from desim.pursuit.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
-from desim.pursuit.traits import StrategyTraits
+from desim.kernel.core.seeds import stream
+from desim.pursuit.core.traits import StrategyTraits
+from desim.pursuit.evaders.evader import EvaderController
+from desim.pursuit.evaders.evasion import STRATEGIES, PureEvasion, Strategy
+from desim.pursuit.evaders.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
+from desim.pursuit.motion.dynamics import DYNAMICS, Dynamics, Simple, headings_with
+from desim.pursuit.motion.guidance import ConstantBearing, Guidance, PurePursuit
 
 
 class Speeds(Value):

@@ -26,23 +26,23 @@ from desim.config.model import (
     Value,
 )
 from desim.config.traits import kind_of
-from desim.kernel.access import Tdma
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
-from desim.kernel.faults import Partition, nodes_of
-from desim.kernel.graphs import Edges
-from desim.kernel.link_checks import link_misfits
-from desim.kernel.links import Links
-from desim.kernel.medium import Radio, airtime_of
-from desim.kernel.node_names import shortened
-from desim.kernel.topology import Topology
-from desim.kernel.units import nanoseconds, seconds
-from desim.pursuit.agent import Behaviour
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Dynamics, Simple
-from desim.pursuit.flow import Environment
-from desim.pursuit.lies import PURSUER_FAULTS, ByzantineFault, is_lie
-from desim.pursuit.sensing import Sensing
-from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.graph_files.node_names import shortened
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import Partition, nodes_of
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.link_checks import link_misfits
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Radio, airtime_of
+from desim.kernel.topology.topology import Topology
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS, ByzantineFault, is_lie
+from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
+from desim.pursuit.motion.dynamics import Dynamics, Simple
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.team.agent import Behaviour
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.named_metrics import MetricName
 from desim.scenario.players import Evader, Team
 from desim.scenario.sweep_table import Sweep

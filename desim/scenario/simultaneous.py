@@ -13,13 +13,13 @@ import numpy as np
 
 from desim.config.arrays import Floats
 from desim.config.traits import inherits
-from desim.kernel.access import Aloha, CarrierSensing, Csma, Ideal, SlottedAloha
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.graphs import Complete
-from desim.kernel.medium import Medium, Radio
-from desim.kernel.traits import LinkTraits
-from desim.kernel.transport import Reliable
+from desim.kernel.models.access import Aloha, CarrierSensing, Csma, Ideal, SlottedAloha
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.graphs import Complete
+from desim.kernel.models.medium import Medium, Radio
+from desim.kernel.models.traits import LinkTraits
+from desim.kernel.models.transport import Reliable
 from desim.scenario.scenario import Scenario
 
 DRAWS = 4000

@@ -65,7 +65,7 @@ desim protocols NAME:CLASS --allow-import        its parameters and traits
 from collections.abc import Iterator
 
 from desim.config.model import Probability
-from desim.pursuit.agent import Agent
+from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
 
@@ -100,7 +100,7 @@ desim sweep NAME.toml --allow-import             the grid of its parameters
 import numpy as np
 
 from desim.config.model import Probability, Time, Value
-from desim.kernel.link_context import LinkContext
+from desim.kernel.core.link_context import LinkContext
 
 
 class CLASS(Value):
@@ -139,7 +139,7 @@ import numpy as np
 from pydantic import Field
 
 from desim.config.model import Value
-from desim.pursuit.observation import EvaderObservation
+from desim.pursuit.evaders.observation import EvaderObservation
 
 
 class CLASS(Value):
@@ -172,8 +172,8 @@ desim sweep FILE --metric NAME:NAME --allow-import           its mean in each co
 """
 
 from desim.analysis.metrics import Metric
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Decided
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Decided
 from desim.simulation.run import Result
 
 

@@ -5,10 +5,10 @@ from typing import Literal
 
 import simpy
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.units import nanoseconds
-from desim.pursuit.evader import EvaderBody
-from desim.pursuit.world_state import WorldState
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.units import nanoseconds
+from desim.pursuit.evaders.evader import EvaderBody
+from desim.pursuit.sensing.world_state import WorldState
 
 
 class CaptureForecast:

@@ -5,8 +5,8 @@ from typing import cast
 
 import simpy
 
-from desim.kernel.clock import Clock, Phase
-from desim.pursuit.agent import Agent, Behaviour, Process
+from desim.kernel.core.clock import Clock, Phase
+from desim.pursuit.team.agent import Agent, Behaviour, Process
 
 
 class RestartableProcess(simpy.Process):

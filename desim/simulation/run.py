@@ -8,30 +8,30 @@ from desim.config.arrays import Floats, Integers
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
 from desim.config.trust import escaped
-from desim.kernel.clock import Clock, NodeClock, Phase
 from desim.kernel.clock_sync import synchronise
-from desim.kernel.events import Trace, Watcher
+from desim.kernel.core.clock import Clock, NodeClock, Phase
+from desim.kernel.core.events import Trace, Watcher
+from desim.kernel.core.positions import Nodes, PositionSource
+from desim.kernel.core.seeds import seed_of
+from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, draw_faults
-from desim.kernel.medium import Radio
+from desim.kernel.models.faults import Crash, draw_faults
+from desim.kernel.models.medium import Radio
 from desim.kernel.network import Network
-from desim.kernel.positions import Nodes, PositionSource
-from desim.kernel.seeds import seed_of
-from desim.kernel.units import nanoseconds, seconds
+from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
-from desim.pursuit.agent import Agent, repeat
-from desim.pursuit.announcements import announced_action
-from desim.pursuit.events import Captured, Ended
-from desim.pursuit.evidence import Witness
-from desim.pursuit.lies import draw_lies
-from desim.pursuit.lying import LyingTeam
-from desim.pursuit.noisy_sensing import NoisySensor, Sensor
-from desim.pursuit.sensing import TeamSensor
-from desim.pursuit.state import coordinates
-from desim.pursuit.trust import judge_of
-from desim.pursuit.views import GlobalState, View
-from desim.pursuit.world_state import WorldState
+from desim.pursuit.byzantine.evidence import Witness
+from desim.pursuit.byzantine.lies import draw_lies
+from desim.pursuit.byzantine.lying import LyingTeam
+from desim.pursuit.core.events import Captured, Ended
+from desim.pursuit.core.state import coordinates
+from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sensor
+from desim.pursuit.sensing.sensing import TeamSensor
+from desim.pursuit.sensing.views import GlobalState, View
+from desim.pursuit.sensing.world_state import WorldState
+from desim.pursuit.team.agent import Agent, repeat
+from desim.pursuit.team.announcements import announced_action
+from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
 from desim.simulation.restartable import RestartableProcess
 from desim.simulation.run_end import RunEnd
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     import simpy
 
-    from desim.pursuit.trust import Judge
+    from desim.pursuit.team.trust import Judge
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,7 +178,7 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
 
 
 class _PursuerPositions(PositionSource):
-    """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
+    """The positions of the pursuers for the network; see `desim.kernel.core.positions.PositionSource`."""
 
     looks_back = True
 

@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.pursuit.events import Ended
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.pursuit.core.events import Ended
 
 
 class RunEnd:

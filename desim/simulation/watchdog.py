@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from desim.config.python_numbers import real
 
 if TYPE_CHECKING:
-    from desim.kernel.clock import Clock
+    from desim.kernel.core.clock import Clock
     from desim.simulation.restartable import RestartableProcess
 
 
@@ -202,7 +202,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
         error: the exception as it was raised.
         processes: the processes of each pursuer.
     """
-    from desim.kernel.units import seconds  # slow to import, and needed only here
+    from desim.kernel.core.units import seconds  # slow to import, and needed only here
 
     due = env.scheduled()
     alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
@@ -214,7 +214,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
 
 def _line(process: "RestartableProcess") -> str:
     """Return the source line at which a process waits, in the innermost of its nested generators."""
-    from desim.kernel.clock import generator_of
+    from desim.kernel.core.clock import generator_of
 
     at = generator_of(process)
     inner = process.behaviour or at.gi_yieldfrom
@@ -226,8 +226,8 @@ def _line(process: "RestartableProcess") -> str:
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:
     """Return ", at ... s", the time of the first scheduled event that a process waits for; "" if none is scheduled."""
-    from desim.kernel.clock import parts_of
-    from desim.kernel.units import seconds
+    from desim.kernel.core.clock import parts_of
+    from desim.kernel.core.units import seconds
 
     times = [due[id(each)] for each in parts_of(process.target) if id(each) in due]
     return f", at {seconds(min(times)):.9g} s" if times else ""

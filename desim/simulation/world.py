@@ -6,25 +6,25 @@ from itertools import count
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Trace
-from desim.kernel.seeds import stream
-from desim.kernel.units import nanoseconds
-from desim.pursuit.announcements import Eavesdropper
-from desim.pursuit.dead_reckoning import EvaderTrack
-from desim.pursuit.dynamics import Simple
-from desim.pursuit.evader import EvaderBody
-from desim.pursuit.events import BrokeDown, Captured, Decided, Point, Sampled, Started
-from desim.pursuit.inertia import InertialKinematics
-from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.noisy_sensing import NoisySensor, Sensor
-from desim.pursuit.state import complex_points, coordinates
-from desim.pursuit.steering import Steering
-from desim.pursuit.views import View
-from desim.pursuit.world_state import Actions, WorldState
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Trace
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import nanoseconds
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Point, Sampled, Started
+from desim.pursuit.core.state import complex_points, coordinates
+from desim.pursuit.evaders.evader import EvaderBody
+from desim.pursuit.motion.dead_reckoning import EvaderTrack
+from desim.pursuit.motion.dynamics import Simple
+from desim.pursuit.motion.inertia import InertialKinematics
+from desim.pursuit.motion.kinematics import Kinematics
+from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sensor
+from desim.pursuit.sensing.views import View
+from desim.pursuit.sensing.world_state import Actions, WorldState
+from desim.pursuit.team.announcements import Eavesdropper
 from desim.scenario.scenario import Scenario
 from desim.simulation.capture_forecast import CaptureForecast
 from desim.simulation.run_end import RunEnd
+from desim.simulation.steering import Steering
 
 
 class World:

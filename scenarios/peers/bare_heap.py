@@ -9,7 +9,7 @@ now at once. If later arrivals of this broadcast remain, it goes back into the h
 
 from heapq import heappop, heappush, heapreplace
 
-from desim.kernel.latency import Constant
+from desim.kernel.models.latency import Constant
 from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Workload
 
 

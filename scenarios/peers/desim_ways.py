@@ -5,13 +5,13 @@ from math import sqrt
 import numpy as np
 
 from desim.config.arrays import Floats, Integers
-from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.positions import Nodes, PositionSource
+from desim.kernel.core.units import SECOND, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.links import Links
+from desim.kernel.models.links import Links
 from desim.kernel.network import Network
-from desim.kernel.positions import Nodes, PositionSource
-from desim.kernel.units import SECOND, seconds
+from desim.kernel.state.fault_state import FaultState
 from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
 
 

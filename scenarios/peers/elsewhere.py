@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
-from desim.kernel.latency import Constant
+from desim.kernel.models.latency import Constant
 from scenarios.peers.workloads import TICK, Workload
 
 PROGRAMS = Path(__file__).parent

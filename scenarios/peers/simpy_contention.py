@@ -13,9 +13,9 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim.kernel.access import CsmaCa
-from desim.kernel.interference import CaptureEffect
-from desim.kernel.latency import Lognormal
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.interference import CaptureEffect
+from desim.kernel.models.latency import Lognormal
 from scenarios.peers.workloads import note
 
 Steps = Generator[simpy.Event, Any, None]

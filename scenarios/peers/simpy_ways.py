@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import simpy
 
-from desim.kernel.latency import Constant
-from desim.kernel.link_context import LinkContext
-from desim.kernel.seeds import stream
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.latency import Constant
 from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
 
 

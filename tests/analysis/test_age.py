@@ -22,26 +22,36 @@ from desim.analysis.age import (
 )
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
-from desim.kernel.graphs import Ring
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import (
+    LOST,
+    Broadcast,
+    ClockCorrected,
+    Delivered,
+    Lost,
+    MessageCounts,
+    Queued,
+    Sent,
+    Trace,
+)
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
+from desim.kernel.models.graphs import Ring
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
 from desim.kernel.network import Network
-from desim.kernel.records import Record
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import STARTS, Announcements, Assignment, Forwarded
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.pursuit.lies import LIES, Slander
+from desim.pursuit.byzantine.lies import LIES, Slander
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, Forwarded
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run
 from protocols.dissemination import Flooding, Gossip, OneHop
-from protocols.mutex import LocalMutex
-from protocols.schedules import Poisson
-from protocols.token import TokenRing, TokenWalk
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Poisson
+from protocols.schedules.token import TokenRing, TokenWalk
 
 pytestmark = pytest.mark.own_trace
 ACTIVE, INACTIVE = Assignment(True), Assignment(False)

@@ -5,17 +5,17 @@ import pytest
 from desim import Scenario, run, summary
 from desim.analysis.deception import captures_lost, damage_per_liar, false_accusations, first_lies, time_to_detect
 from desim.analysis.metrics import active_time, capture_time
-from desim.kernel.events import MessageCounts
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Misbehaviour
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Distrusted, Ended
-from desim.pursuit.lies import Liar, Silent
-from desim.pursuit.trust import Plausible
+from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Misbehaviour
+from desim.pursuit.byzantine.lies import Liar, Silent
+from desim.pursuit.core.events import Distrusted, Ended
+from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.trust import Plausible
 from desim.scenario.players import Team
 from desim.simulation.run import Result
 from protocols.local_min import LocalMin
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 
 class Made(list):

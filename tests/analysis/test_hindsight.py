@@ -18,22 +18,22 @@ from desim.analysis.hindsight import (
 from desim.analysis.metrics import active_time, capture_time, summary
 from desim.analysis.timeline import timeline
 from desim.config.model import Value
-from desim.kernel.events import MessageCounts, Trace
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
-from desim.kernel.graphs import Link, Ring
-from desim.kernel.latency import Constant, Lognormal, Propagation
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled, Started
+from desim.kernel.core.events import MessageCounts, Trace
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
+from desim.kernel.models.graphs import Link, Ring
+from desim.kernel.models.latency import Constant, Lognormal, Propagation
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.pursuit.core.events import BrokeDown, Decided, Ended, Sampled, Started
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording, Scenario
 from desim.simulation.run import Result, run
 from protocols.centralised import Centralised
 from protocols.geometric import Voronoi
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from protocols.server import Server
 
 pytestmark = pytest.mark.own_trace

@@ -7,7 +7,24 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.analysis.invariants import (
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Sampled, Started
+from desim.pursuit.evaders.evader import EvaderBody
+from desim.pursuit.game.utility import EdgePenalty
+from desim.pursuit.motion.dynamics import DYNAMICS, Acceleration, TurnRate, coasts
+from desim.pursuit.motion.guidance import apollonius_disc
+from desim.pursuit.motion.kinematics import Kinematics
+from desim.pursuit.team.announcements import Announcements
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import Motion, Recording
+from desim.simulation.run import Result
+from desim.simulation.steering import Steering
+from desim.simulation.world import World
+from desim.testing.pursuits import (
     ActiveTimeWatcher,
     ApolloniusWatcher,
     InertiaWatcher,
@@ -15,27 +32,10 @@ from desim.analysis.invariants import (
     PotentialWatcher,
     watched,
 )
-from desim.kernel.faults import Crash
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import DYNAMICS, Acceleration, TurnRate, coasts
-from desim.pursuit.evader import EvaderBody
-from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
-from desim.pursuit.guidance import apollonius_disc
-from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.steering import Steering
-from desim.pursuit.utility import EdgePenalty
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Motion, Recording
-from desim.simulation.run import Result
-from desim.simulation.world import World
 from protocols.best_response import BestResponse
 from protocols.regret_matching import RegretMatching
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds
+from protocols.schedules.periodic import Periodic, Poisson, Rounds
 from protocols.temperature import ConstantTau
 
 S = SECOND
@@ -111,8 +111,8 @@ def test_a_trace_with_missing_or_wrong_events_is_detected(kind, words):
 @pytest.mark.parametrize(
     ("name", "wrong", "words"),
     [
-        ("desim.analysis.invariants.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
-        ("desim.analysis.invariants.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
+        ("desim.testing.pursuits.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
+        ("desim.testing.pursuits.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
         ("desim.kernel.network.Network.message_counts", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
         ("desim.simulation.world.Steering.redirect", lambda right: lambda *order: None, "no player exceeds its speed"),
     ],

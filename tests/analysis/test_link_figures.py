@@ -3,9 +3,9 @@
 import pytest
 
 from desim import LatencyTrace, Links, LossTrace, Scenario, SignalTrace
-from desim.analysis import link_figures
-from desim.analysis.link_figures import link_traces
-from desim.kernel.graphs import Link
+from desim.kernel.models.graphs import Link
+from desim.view.pictures import link_traces as link_figures
+from desim.view.pictures.link_traces import link_traces
 from scenarios.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.drawn import described

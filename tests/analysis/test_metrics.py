@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.analysis import transport
+from desim.analysis import transport_metrics as transport
 from desim.analysis.metrics import (
     METRICS,
     Summary,
@@ -29,11 +29,11 @@ from desim.analysis.metrics import (
     words,
 )
 from desim.analysis.trace_index import ended, remembered, trace_index
-from desim.kernel.events import MessageCounts, Trace, TransportCounts
-from desim.kernel.faults import FaultStarted, Jamming
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import BrokeDown, Decided, Ended, Started
+from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.models.faults import FaultStarted, Jamming
+from desim.pursuit.core.events import BrokeDown, Decided, Ended, Started
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.simulation.run import Result, run

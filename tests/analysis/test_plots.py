@@ -10,10 +10,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from desim.analysis.plots import save, size_of, styled, trajectory
-from desim.kernel.events import Trace
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Captured, Ended, Sampled, Started
+from desim.analysis.drawing.plots import save, size_of, styled, trajectory
+from desim.kernel.core.events import Trace
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Captured, Ended, Sampled, Started
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from tests.drawn import described
@@ -121,7 +121,7 @@ def test_a_picture_named_by_its_suffix_is_that_one(tmp_path):
 PDF = """
 import sys
 from pathlib import Path
-from desim.analysis.plots import save, styled
+from desim.analysis.drawing.plots import save, styled
 with styled((2, 2)) as figure:
     figure.add_subplot().set(title="many different letters: \u03c4")
 save(figure, Path(sys.argv[1]))

@@ -12,20 +12,20 @@ from desim.analysis.hindsight import hindsight, network_regret, settling_window,
 from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap, summary
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import trace_index
-from desim.kernel.events import MessageCounts, Trace
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.assignment import welfare
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.kernel.core.events import MessageCounts, Trace
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.game.assignment import welfare
+from desim.pursuit.motion.capture import capture_time
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Scenario
 from desim.simulation.run import Result, run
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 pytestmark = pytest.mark.own_trace
 

@@ -10,8 +10,8 @@ from desim.analysis.trace_index import (
     sampled,
     samples,
 )
-from desim.kernel.events import MessageCounts, Trace
-from desim.pursuit.events import Sampled, Started
+from desim.kernel.core.events import MessageCounts, Trace
+from desim.pursuit.core.events import Sampled, Started
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run

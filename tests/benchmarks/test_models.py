@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from desim.kernel.latency import (
+from desim.kernel.measured.models import LatencyTrace, LossTrace
+from desim.kernel.models.latency import (
     Constant,
     Empirical,
     Gamma,
@@ -23,10 +24,9 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
-from desim.kernel.link_traces import LatencyTrace, LossTrace
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
-from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
 from scenarios.peers.ways import WAYS
 from scenarios.peers.workloads import LOGNORMAL, workloads
 from tests.benchmarks.conftest import BY_MODEL

@@ -5,12 +5,12 @@ import gc
 import networkx as nx
 import pytest
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.latency import Uniform
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.units import SECOND
 
 GAP = 0.001
 """Time between two messages of `TRICKLES`, s."""

@@ -7,10 +7,10 @@ import pytest
 from desim.analysis.metrics import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
-from desim.study.dispatch import drive
-from desim.study.workers import workers_for
+from desim.study.workers.dispatch import drive
+from desim.study.workers.workers import workers_for
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 LAPS = 5
 SHORT = Scenario(

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from desim.cli import main
 from desim.cli.program import Program
 from desim.config.trust import write_whole
-from desim.kernel.trace_file import TraceFile
+from desim.kernel.core.trace_file import TraceFile
 from desim.scenario.toml import load
 from tests.command import accepted, desim, refused
 

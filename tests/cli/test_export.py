@@ -10,11 +10,11 @@ from scapy.utils import RawPcapNgReader
 
 from desim import load
 from desim.cli.export import KINDS
-from desim.kernel.events import LOST, Broadcast, MessageCounts
-from desim.pursuit.events import Ended, Started
+from desim.kernel.core.events import LOST, Broadcast, MessageCounts
+from desim.pursuit.core.events import Ended, Started
 from desim.results import run_folder
-from desim.view import trace_table
-from desim.view.export import export
+from desim.view.formats import trace_table
+from desim.view.formats.export import export
 from scenarios.study import SCENARIOS
 from tests.command import accepted, desim, refused
 

@@ -4,8 +4,8 @@ import tomllib
 
 import pytest
 
-from desim.kernel.links import Links
-from desim.kernel.netem_tables import read_table
+from desim.kernel.models.links import Links
+from desim.kernel.models.netem_tables import read_table
 from desim.scenario.toml import load
 from scenarios.study import SCENARIOS
 from tests.command import accepted, desim, refused

@@ -7,9 +7,9 @@ import pytest
 from pydantic import ConfigDict, ValidationError
 
 from desim.config.model import Value
-from desim.kernel.latency import Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from tests.models import MODELS, NEEDED, made

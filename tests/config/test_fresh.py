@@ -17,11 +17,11 @@ from desim import Evader, Scenario, Team, run, summary, sweep
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
-from desim.kernel.graphs import Ring
-from desim.kernel.links import Links
+from desim.kernel.models.graphs import Ring
+from desim.kernel.models.links import Links
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import Motion
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 
 
 class Remembering:

@@ -333,18 +333,18 @@ def test_without_a_group_nothing_is_looked_up(monkeypatch):
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"protocol": {"kind": "sap", "tau": {"kind": "protocols.schedules:Poisson"}}}, "call with (eta)"),
+        ({"protocol": {"kind": "sap", "tau": {"kind": "protocols.schedules.periodic:Poisson"}}}, "call with (eta)"),
         (
-            {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules:owned_slots"}}},
+            {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules.periodic:owned_slots"}}},
             "should have mean_slot",
         ),
-        ({"protocol": {"kind": "desim.pursuit.geometry:within"}}, "call with (me)"),
+        ({"protocol": {"kind": "desim.pursuit.core.geometry:within"}}, "call with (me)"),
         (
-            {"team": {"guidance": {"kind": "desim.pursuit.geometry:within"}}},
+            {"team": {"guidance": {"kind": "desim.pursuit.core.geometry:within"}}},
             "call with (gaps, aims, evader_velocity, speeds)",
         ),
-        ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:toward"}}}, None),
-        ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:first_contact"}}}, "call with (state, rng)"),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.core.geometry:toward"}}}, None),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.core.geometry:first_contact"}}}, "call with (state, rng)"),
     ],
 )
 def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):

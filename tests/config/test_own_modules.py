@@ -10,13 +10,13 @@ import pytest
 
 from desim import load, run, summary, sweep
 from desim.config.own_modules import folder_of, module_beside, plain_name
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
 from desim.scenario.toml import dump, read, validate
-from desim.study.config_hash import identify
-from desim.study.configurations import configurations
-from desim.study.serialization import called, packed
-from desim.view.play import Playground
+from desim.study.plan.config_hash import identify
+from desim.study.plan.configurations import configurations
+from desim.study.workers.serialization import called, packed
+from desim.view.pages.playground import Playground
 
 SCENARIO = """
 protocol = "myrule:Rule"
@@ -31,7 +31,7 @@ RULE = """
 import helper, shapes.names
 import shapes.graphs as drawn
 from desim.config.model import Value
-from desim.kernel.latency import Constant
+from desim.kernel.models.latency import Constant
 from shapes import names
 from math import pi
 

@@ -20,8 +20,8 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import Value
 from desim.config.python_numbers import as_python, real, whole
-from desim.kernel.latency import LatencyMatrix
-from desim.kernel.netem import Netem
+from desim.kernel.models.latency import LatencyMatrix
+from desim.kernel.models.netem import Netem
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep

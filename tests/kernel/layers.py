@@ -2,11 +2,11 @@
 
 from unittest.mock import patch
 
-from desim.kernel.arrival_losses import ArrivalLosses
-from desim.kernel.arrivals import Arrivals
-from desim.kernel.delivery import Delivery
-from desim.kernel.link_layer import LinkLayer
-from desim.kernel.message_log import MessageLog
+from desim.kernel.link_layer.arrival_losses import ArrivalLosses
+from desim.kernel.link_layer.arrivals import Arrivals
+from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.link_layer.link_layer import LinkLayer
+from desim.kernel.link_layer.message_log import MessageLog
 from desim.kernel.network import Network
 
 
@@ -17,10 +17,10 @@ def network_over(layer):
         layer: a subclass of `ArrivalLosses`, `Arrivals`, `Delivery`, `MessageLog` or `LinkLayer`.
     """
     places = {
-        ArrivalLosses: "arrivals.ArrivalLosses",
-        Arrivals: "delivery.Arrivals",
-        Delivery: "link_layer.Delivery",
-        MessageLog: "link_layer.MessageLog",
+        ArrivalLosses: "link_layer.arrivals.ArrivalLosses",
+        Arrivals: "link_layer.delivery.Arrivals",
+        Delivery: "link_layer.link_layer.Delivery",
+        MessageLog: "link_layer.link_layer.MessageLog",
         LinkLayer: "network.LinkLayer",
     }
     (place,) = (place for base, place in places.items() if issubclass(layer, base))

@@ -14,22 +14,22 @@ from pydantic import ValidationError
 from scipy.optimize import brentq
 
 from desim.config.model import MAX_TIME
-from desim.kernel.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase
-from desim.kernel.events import Broadcast, Lost, Sent, Trace
+from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.events import Broadcast, Lost, Sent, Trace
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Jamming, Partition
-from desim.kernel.implicit_complete import complete_graph
-from desim.kernel.interference import CaptureEffect, Collision, LoRaInterference, Sinr
-from desim.kernel.invariants import Conservation, OneFrame
-from desim.kernel.latency import ShiftedExponential
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate, LoRa
+from desim.kernel.models.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
+from desim.kernel.models.faults import Jamming, Partition
+from desim.kernel.models.implicit_complete import complete_graph
+from desim.kernel.models.interference import CaptureEffect, Collision, LoRaInterference, Sinr
+from desim.kernel.models.latency import ShiftedExponential
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate, LoRa
 from desim.kernel.network import Network
-from desim.kernel.seeds import stream
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
+from desim.testing.messages import Conservation, OneFrame
 from tests.kernel.dcf import Timing, one_round
 
 MS, US = 1_000_000, 1000

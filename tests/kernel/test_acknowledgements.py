@@ -9,12 +9,12 @@ import pytest
 from pydantic import ValidationError
 from scipy.optimize import brentq
 
-from desim.kernel.access import CsmaCa
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.fault_state import FaultState
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
 from tests.kernel.dcf import Timing, saturated
 
 TIMING = Timing()

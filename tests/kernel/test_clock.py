@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import simpy
 
-from desim.kernel.clock import GC_THRESHOLDS, Clock, Instant, NodeClock, Phase, Timer
-from desim.kernel.units import SECOND, nanoseconds, seconds
+from desim.kernel.core.clock import GC_THRESHOLDS, Clock, Instant, NodeClock, Phase, Timer
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
 
 SOURCE = Path(__file__).parents[2] / "desim"
 
@@ -132,7 +132,7 @@ def test_an_exception_is_not_replaced_by_its_cause():
 
 
 def test_the_private_parts_of_simpy_are_as_the_clock_uses_them():
-    """A failure names what another version of SimPy has changed; `desim.kernel.clock` is the only user."""
+    """A failure names what another version of SimPy has changed; `desim.kernel.core.clock` is the only user."""
     env = simpy.Environment()
     which = f"SimPy {version('simpy')}: "
     timeout = env.timeout(3)

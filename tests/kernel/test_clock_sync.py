@@ -8,19 +8,19 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run, summary
-from desim.kernel.access import Tdma
-from desim.kernel.clock import Clock, NodeClock
 from desim.kernel.clock_sync import TwoWay, synchronise
-from desim.kernel.events import ClockCorrected, Sent, Trace
-from desim.kernel.faults import ClockSkew
-from desim.kernel.graphs import Link
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
+from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.events import ClockCorrected, Sent, Trace
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.graphs import Link
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Clocks, Motion, Recording
 

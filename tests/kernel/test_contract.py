@@ -38,21 +38,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.delivery import Delivery
-from desim.kernel.events import Lost, Trace
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Lost, Trace
+from desim.kernel.core.positions import PositionSource
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, Jamming, Partition
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate, Unlimited
+from desim.kernel.link_layer.arrivals import Arrivals
+from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.models.faults import Crash, Jamming, Partition
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate, Unlimited
+from desim.kernel.models.reception import Disk, QuasiUnitDisk
 from desim.kernel.network import Network
-from desim.kernel.positions import PositionSource
-from desim.kernel.reception import Disk, QuasiUnitDisk
-from desim.kernel.units import SECOND, nanoseconds, seconds
+from desim.kernel.state.fault_state import FaultState
 from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.kernel.events import LOST, Broadcast, MessageCounts, Sent, Trace
+from desim.kernel.core.events import LOST, Broadcast, MessageCounts, Sent, Trace
 
 pytestmark = pytest.mark.own_trace
 

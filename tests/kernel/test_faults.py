@@ -11,11 +11,12 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Trace
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Trace
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import (
+from desim.kernel.models.faults import (
     MIN_DRIFT,
     ClockSkew,
     Crash,
@@ -28,11 +29,10 @@ from desim.kernel.faults import (
     clock_errors,
     draw_faults,
 )
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.seeds import stream
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
 from desim.scenario.players import Team
 
 PERIOD = SECOND // 10

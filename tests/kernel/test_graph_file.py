@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import Scenario, Team
 from desim.scenario.toml import load

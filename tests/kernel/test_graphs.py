@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.graphs import Complete, Edge, Edges, Grid, Link, Ring, Star, as_model
-from desim.kernel.latency import Constant, Gamma
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.models.graphs import Complete, Edge, Edges, Grid, Link, Ring, Star, as_model
+from desim.kernel.models.latency import Constant, Gamma
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
 
 SIZES = [1, 2, 3, 4, 7, 12]
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Broadcast, Lost, Queued, Trace
-from desim.kernel.fault_state import FaultState
-from desim.kernel.latency import Constant, Netem, ShiftedExponential, Uniform
-from desim.kernel.links import Links, Processing
-from desim.kernel.medium import Bitrate, Unlimited
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Broadcast, Lost, Queued, Trace
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.latency import Constant, Netem, ShiftedExponential, Uniform
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
-from desim.kernel.propagation import LinkSampler
+from desim.kernel.state.fault_state import FaultState
 
 MS = 1_000_000
 """Nanoseconds in a millisecond."""

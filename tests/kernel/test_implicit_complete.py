@@ -8,7 +8,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.implicit_complete import complete_digraph, complete_graph, is_complete, is_implicit
+from desim.kernel.models.implicit_complete import complete_digraph, complete_graph, is_complete, is_implicit
 
 PAIRS = [(complete_graph, nx.Graph), (complete_digraph, nx.DiGraph)]
 SIZES = [0, 1, 2, 3, 7]

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import Clock
-from desim.kernel.inbox import Inboxes, Message
+from desim.kernel.core.clock import Clock
+from desim.kernel.state.inbox import Inboxes, Message
 
 
 def put(boxes, arrival, number):

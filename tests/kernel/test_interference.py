@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from scipy.integrate import quad
 from scipy.stats import chi2, f, gamma, ncx2
 
-from desim.kernel.access import Aloha, Csma, CsmaCa
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Broadcast, Lost, Trace
-from desim.kernel.interference import (
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Broadcast, Lost, Trace
+from desim.kernel.models.access import Aloha, Csma, CsmaCa
+from desim.kernel.models.interference import (
     ISOLATION,
     CaptureEffect,
     Collision,
@@ -23,8 +23,8 @@ from desim.kernel.interference import (
     Overlap,
     Sinr,
 )
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate, LoRa
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate, LoRa
 from desim.kernel.network import Network
 
 US, MS = 1000, 1_000_000

@@ -10,22 +10,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.arrival_losses import ArrivalLosses
-from desim.kernel.arrivals import Arrivals
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
-from desim.kernel.invariants import Conservation, OneToken
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.link_layer import LinkLayer
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate, Unlimited
-from desim.kernel.message_log import MessageLog
+from desim.kernel.link_layer.arrival_losses import ArrivalLosses
+from desim.kernel.link_layer.arrivals import Arrivals
+from desim.kernel.link_layer.link_layer import LinkLayer
+from desim.kernel.link_layer.message_log import MessageLog
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
+from desim.testing.messages import Conservation, OneToken
 from tests.kernel.layers import network_over
 
 pytestmark = pytest.mark.own_trace

@@ -10,7 +10,8 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
-from desim.kernel.latency import (
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.models.latency import (
     Constant,
     Empirical,
     Gamma,
@@ -22,10 +23,9 @@ from desim.kernel.latency import (
     Uniform,
     mean_latency,
 )
-from desim.kernel.link_context import LinkContext
-from desim.kernel.links import Links
-from desim.kernel.netem import Netem
-from desim.kernel.traits import LinkTraits
+from desim.kernel.models.links import Links
+from desim.kernel.models.netem import Netem
+from desim.kernel.models.traits import LinkTraits
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump
 
@@ -277,7 +277,7 @@ def test_the_jitter_is_drawn_independently_for_every_message():
 @pytest.mark.parametrize("room", [2**22, 60, 0])
 def test_a_run_caches_the_latency_of_each_pair(symmetric, room, monkeypatch):
     """Draw by draw, in any order of senders and receivers and with any cache size; the control is another seed."""
-    monkeypatch.setattr("desim.kernel.latency.ROOM", room)
+    monkeypatch.setattr("desim.kernel.models.latency.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.start_run(30), np.random.default_rng(2), np.random.default_rng(2)
     contexts = [

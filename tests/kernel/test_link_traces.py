@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import LatencyTrace, LossTrace, SignalTrace
-from desim.kernel.access import CsmaCa
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Sent, Trace
-from desim.kernel.graphs import Link
-from desim.kernel.latency import Constant, mean_latency
-from desim.kernel.link_context import LinkContext
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import LOST, Sent, Trace
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.units import SECOND
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.measured.playback import TraceEndError
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.graphs import Link
+from desim.kernel.models.latency import Constant, mean_latency
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.playback import TraceEndError
-from desim.kernel.propagation import LinkSampler
-from desim.kernel.units import SECOND
 
 STEPS = "t,value\n10,0.1\n11,0.3\n13,0.2\n"
 """Measured at 0, 1 and 3 s; it ends at 4.5 s."""

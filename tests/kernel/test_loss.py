@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim.kernel.correlation import RANGE, CorrelatedNumbers
-from desim.kernel.link_context import LinkContext
-from desim.kernel.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
+from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
 
 SEEDS = range(5)
 LINKS = 4000

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
-from desim.kernel.clock import Clock
-from desim.kernel.csv_tables import _csv_of
-from desim.kernel.links import Links
-from desim.kernel.measurements import LAST_CLOCK, start_of, time_of
+from desim.kernel.core.clock import Clock
+from desim.kernel.measured.csv_tables import _csv_of
+from desim.kernel.measured.measurements import LAST_CLOCK, start_of, time_of
+from desim.kernel.measured.playback import Playback
+from desim.kernel.models.links import Links
 from desim.kernel.network import Network
-from desim.kernel.playback import Playback
 from desim.scenario.checks import warnings
 
 PER_LINK = "t,src,dst,value\n0,0,1,0.1\n0,1,0,0.3\n1,0,1,0.2\n"
@@ -89,7 +89,7 @@ def test_the_cells_of_a_parquet_file_are_bounded_before_they_are_read(tmp_path, 
     table = pa.table({"t": range(rows), "value": [0.1] * rows})
     parquet.write_table(table, tmp_path / "long.parquet")
     assert LatencyTrace(file=tmp_path / "long.parquet").read_from == "long.parquet"
-    monkeypatch.setattr("desim.kernel.csv_tables.MAX_CELLS", 2 * rows - 1)
+    monkeypatch.setattr("desim.kernel.measured.csv_tables.MAX_CELLS", 2 * rows - 1)
     _csv_of.cache_clear()
     with pytest.raises(ValidationError, match="10,000 rows of 2 columns are 20,000 cells, above 19,999"):
         LatencyTrace(file=tmp_path / "long.parquet")

@@ -12,12 +12,12 @@ from pydantic import ValidationError
 
 from desim import Scenario, Team, run
 from desim.analysis.trace_index import messages
-from desim.kernel.access import Aloha, CsmaCa, Tdma
-from desim.kernel.interference import LoRaInterference
-from desim.kernel.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate, LoRa, Unlimited
-from desim.kernel.presets import PRESETS
+from desim.kernel.models.access import Aloha, CsmaCa, Tdma
+from desim.kernel.models.interference import LoRaInterference
+from desim.kernel.models.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate, LoRa, Unlimited
+from desim.kernel.models.presets import PRESETS
 from tests.golden import golden
 
 DATA_SHEET = {7: 61.7, 8: 113.2, 9: 205.8, 10: 370.7, 11: 823.3, 12: 1482.8}

@@ -15,18 +15,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import Clock
-from desim.kernel.events import Broadcast, Delivered, Sent, Trace
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.message_body import MAX_DEPTH, as_sent, content, in_json_types, is_immutable
-from desim.kernel.message_size import HEADER, size, size_of
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import Broadcast, Delivered, Sent, Trace
+from desim.kernel.core.message_body import MAX_DEPTH, as_sent, content, in_json_types, is_immutable
+from desim.kernel.core.message_size import HEADER, size, size_of
+from desim.kernel.core.records import Record
+from desim.kernel.core.trace_file import body_json, events_of, line_of
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.transport import Coded, Reliable
 from desim.kernel.network import Network
-from desim.kernel.records import Record
-from desim.kernel.trace_file import body_json, events_of, line_of
-from desim.kernel.transport import Coded, Reliable
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Forwarded
+from desim.pursuit.team.announcements import Forwarded
 from tests.message_bodies import BODIES, IMMUTABLE, MUTABLE, Bid, ByIdentity, Named, Plan, Slotted
 
 each_body = pytest.mark.parametrize("name", BODIES)
@@ -292,7 +292,7 @@ def test_a_recorded_body_is_read_again(name):
 
 WRITTEN = """
 import numpy as np
-from desim.kernel.trace_file import body_json
+from desim.kernel.core.trace_file import body_json
 from tests.message_bodies import BODIES
 np.set_printoptions(precision={precision}, threshold={precision})
 for name, (body, *_) in BODIES.items():

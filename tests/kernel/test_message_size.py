@@ -5,7 +5,7 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from desim.kernel.message_size import MAX_SIZE, checked_size, size_of
+from desim.kernel.core.message_size import MAX_SIZE, checked_size, size_of
 
 
 def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.mobility import Waypoint
-from desim.kernel.mobility_file import read_mobility
-from desim.kernel.ns2_file import Move, legs
-from desim.kernel.units import nanoseconds
+from desim.kernel.core.units import nanoseconds
+from desim.pursuit.mobility.mobility import Waypoint
+from desim.pursuit.mobility.mobility_file import read_mobility
+from desim.pursuit.mobility.ns2_file import Move, legs
 
 START = "$node_(3) set X_ 1.0\n$node_(3) set Y_ 2.0\n$node_(3) set Z_ 7.0\n"
 

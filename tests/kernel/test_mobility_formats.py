@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.mobility import Waypoint
-from desim.kernel.mobility_file import read_mobility
+from desim.pursuit.mobility.mobility import Waypoint
+from desim.pursuit.mobility.mobility_file import read_mobility
 from tests.kernel.test_mobility_file import interpolated
 
 NAMES = ["uav3", "base", "n0"]

@@ -7,12 +7,12 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
-from desim.kernel.correlation import CorrelatedNumbers
-from desim.kernel.latency import Empirical, Gamma, Lognormal, ShiftedExponential, Uniform, mean_latency
-from desim.kernel.link_context import LinkContext
-from desim.kernel.netem import Netem
-from desim.kernel.netem_tables import HIGHEST, LOWEST, SCALE, SIZE, TABLES, fit, read_table, table_text
-from desim.kernel.traits import LinkTraits
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.models.correlation import CorrelatedNumbers
+from desim.kernel.models.latency import Empirical, Gamma, Lognormal, ShiftedExponential, Uniform, mean_latency
+from desim.kernel.models.netem import Netem
+from desim.kernel.models.netem_tables import HIGHEST, LOWEST, SCALE, SIZE, TABLES, fit, read_table, table_text
+from desim.kernel.models.traits import LinkTraits
 from tests.kernel.test_latency import errors
 from tests.kernel.test_loss import below
 

@@ -9,22 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.access import Csma
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
-from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inboxes, Message
-from desim.kernel.latency import Constant
-from desim.kernel.link_context import LinkContext
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate, Unlimited
-from desim.kernel.message_size import size_of
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import LOST, Broadcast, Lost, Sent, Trace
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.message_size import size_of
+from desim.kernel.core.records import Record
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import Csma
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
-from desim.kernel.records import Record
-from desim.kernel.seeds import stream
-from desim.kernel.topology import Topology
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.inbox import Inboxes, Message
+from desim.kernel.topology.topology import Topology
 
 CONTENDED = Bitrate(bitrate=8.0 * size_of(0), access=Csma())
 
@@ -454,7 +454,7 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
 
 def test_arrivals_at_a_node_that_never_reads_are_decided_now_and_then(monkeypatch):
     """Half duplex decides arrivals at reads; node 0 reads after each of 1,000 broadcasts, node 4 never."""
-    monkeypatch.setattr("desim.kernel.arrivals.MAX_KEPT", 100)
+    monkeypatch.setattr("desim.kernel.link_layer.arrivals.MAX_KEPT", 100)
     clock, medium = Clock(), Bitrate(bitrate=1e6, half_duplex=True)
     network = Network(clock, nx.complete_graph(5), Links(latency=Uniform(0.01), medium=medium))
 

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Empirical, LatencyTrace, LossTrace
-from desim.kernel.ping import MAX_PROBES, WRAP, probes_of
+from desim.kernel.measured.ping import MAX_PROBES, WRAP, probes_of
 
 LINUX = """\
 PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from desim.kernel.portable_math import exp, inner_product, portable_sum, power
+from desim.kernel.core.portable_math import exp, inner_product, portable_sum, power
 
 NUMBERS = np.array([0.0, 1e-300, *np.random.default_rng(1).random(1000), 1.0])
 

@@ -8,7 +8,7 @@ import pytest
 import desim
 import protocols
 from desim import Scenario, run
-from desim.kernel.ports import ReservedPort
+from desim.kernel.core.ports import ReservedPort
 from tests.test_pickling import copies_of
 
 MODULES = [

@@ -6,10 +6,10 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.fault_state import FaultState
-from desim.kernel.link_context import LinkContext
-from desim.kernel.positions import PositionSource, as_position_source, distances
-from desim.kernel.topology import Topology
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.positions import PositionSource, as_position_source, distances
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.topology.topology import Topology
 
 AT = np.array([[0.0, 0.0], [3.0, 4.0], [-6.0, 8.0], [0.0, 1.0]])
 

@@ -8,10 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import LOST, Sent, Trace
-from desim.kernel.graphs import Edge, Edges, Link
-from desim.kernel.latency import (
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import LOST, Sent, Trace
+from desim.kernel.core.positions import PositionSource
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.graphs import Edge, Edges, Link
+from desim.kernel.models.latency import (
     Constant,
     Empirical,
     Gamma,
@@ -21,15 +25,11 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
-from desim.kernel.link_draws import BLOCK
-from desim.kernel.link_memory import LinkMemory
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.models.link_draws import BLOCK
+from desim.kernel.models.link_memory import LinkMemory
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.network import Network
-from desim.kernel.positions import PositionSource
-from desim.kernel.propagation import LinkSampler
-from desim.kernel.seeds import stream
-from desim.kernel.units import SECOND
 
 DRAWN = [
     Uniform(),

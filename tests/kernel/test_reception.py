@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from scipy.special import i0e
 from scipy.stats import gamma
 
-from desim.kernel.reception import Disk, LogDistance, Nakagami, QuasiUnitDisk, Rice, bound
-from desim.kernel.topology import Topology
+from desim.kernel.models.reception import Disk, LogDistance, Nakagami, QuasiUnitDisk, Rice, bound
+from desim.kernel.topology.topology import Topology
 
 SEEDS = range(5)
 MODELS = [Disk(), QuasiUnitDisk(), LogDistance(), Nakagami(), Nakagami(m=4.0), Rice(), Rice(k=30.0)]
@@ -104,7 +104,7 @@ def test_reception_is_a_decreasing_probability_of_the_distance_in_units_of_the_r
 
 @pytest.mark.parametrize("model", [*MODELS, LogDistance(exponent=2.0, shadowing=1.0), LogDistance(shadowing=12.0)])
 def test_beyond_its_bound_nothing_is_received_and_a_little_nearer_something_may(model):
-    """A pair's uniform is at least 2^-53, see `desim.kernel.seeds`; a message arrives if its probability is greater."""
+    """A pair's uniform is at least 2^-53, see `core.seeds`; a message arrives if its probability is greater."""
     far = bound(model, 10.0)
     assert model(np.array([np.nextafter(far, inf)]), 10.0) < 2.0**-53
     assert model(np.array([0.9 * far]), 10.0) > 2.0**-53

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from desim.kernel.received_records import Records
-from desim.kernel.record_tables import SharedTable
-from desim.kernel.records import Record
+from desim.kernel.core.records import Record
+from desim.kernel.state.received_records import Records
+from desim.kernel.state.record_tables import SharedTable
 
 HISTORIES = 1000
 

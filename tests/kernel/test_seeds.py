@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from desim.kernel.seeds import _key, pair_uniform, stream
+from desim.kernel.core.seeds import _key, pair_uniform, stream
 
 
 def test_equal_names_give_equal_draws_and_different_ones_do_not():

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.positions import PositionSource, as_position_source
-from desim.kernel.spatial_hash import MIN_SIDE, VERLET_SKIN, CellList
+from desim.kernel.core.positions import PositionSource, as_position_source
+from desim.kernel.topology.spatial_hash import MIN_SIDE, VERLET_SKIN, CellList
 
 
 def near(at, node, radius):

@@ -9,18 +9,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.access import Csma
-from desim.kernel.graphs import Edges, Link, Ring
-from desim.kernel.latency import Constant, Empirical, Lognormal, PerPair, Propagation, Uniform
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
-from desim.kernel.medium import Bitrate, LoRa
-from desim.kernel.netem import Netem
-from desim.kernel.netem_tables import SCALE, table_text
-from desim.kernel.tc_reader import read_script
-from desim.kernel.tc_syntax import NOT_MODELLED, OPTIONS, TcError
-from desim.kernel.tc_units import share_of, share_word, steps_of
-from desim.kernel.tc_writer import script
+from desim.kernel.models.access import Csma
+from desim.kernel.models.graphs import Edges, Link, Ring
+from desim.kernel.models.latency import Constant, Empirical, Lognormal, PerPair, Propagation, Uniform
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
+from desim.kernel.models.medium import Bitrate, LoRa
+from desim.kernel.models.netem import Netem
+from desim.kernel.models.netem_tables import SCALE, table_text
+from desim.kernel.tc.reader import read_script
+from desim.kernel.tc.syntax import NOT_MODELLED, OPTIONS, TcError
+from desim.kernel.tc.units import share_of, share_word, steps_of
+from desim.kernel.tc.writer import script
 from tests.command import JARGON
 
 SIZE = 4

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel import topology as topology_module
-from desim.kernel.clock import Clock
-from desim.kernel.graphs import Complete
-from desim.kernel.links import Links
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.positions import PositionSource
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.graphs import Complete
+from desim.kernel.models.links import Links
+from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.network import Network
-from desim.kernel.positions import PositionSource
-from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
-from desim.kernel.topology import Topology
-from desim.kernel.units import SECOND
+from desim.kernel.topology import topology as topology_module
+from desim.kernel.topology.topology import Topology
 
 
 def test_without_a_range_the_graph_decides():
@@ -246,7 +246,7 @@ def test_neighbour_lists_are_cached_for_few_nodes_and_up_to_a_limit_for_many():
 def test_pair_uniforms_are_the_same_with_and_without_caching():
     at = scattered(40)
     kept = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
-    with patch("desim.kernel.range_check.ROOM", 100):
+    with patch("desim.kernel.topology.range_check.ROOM", 100):
         scarce = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
         assert [scarce.hearers(node) for node in range(40)] == [kept.hearers(node) for node in range(40)]
         assert len(scarce._received._drawn) == 2

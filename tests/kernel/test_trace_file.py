@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.faults import Crash, FaultStarted
-from desim.kernel.records import Record
-from desim.kernel.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Decided, Ended, Started
+from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.core.records import Record
+from desim.kernel.core.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, FaultStarted
+from desim.pursuit.core.events import Decided, Ended, Started
 
 pytestmark = pytest.mark.own_trace
 

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.clock import Clock, Instant, Phase
-from desim.kernel.events import Broadcast, Lost, Queued, Sent, Trace
-from desim.kernel.fault_state import FaultState
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links, Processing
-from desim.kernel.medium import Bitrate
+from desim.kernel.channel.transmitter import Transmitter
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Broadcast, Lost, Queued, Sent, Trace
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.transmitter import Transmitter
-from desim.kernel.units import SECOND
+from desim.kernel.state.fault_state import FaultState
 
 SEEDS = range(6)
 BYTE = Bitrate(bitrate=8.0)

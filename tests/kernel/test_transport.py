@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase
-from desim.kernel.events import (
+from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.events import (
     DeadlineMissed,
     Delivered,
     Expired,
@@ -25,24 +25,24 @@ from desim.kernel.events import (
     Sent,
     Trace,
 )
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, FaultEnded, Partition
-from desim.kernel.graphs import Link
-from desim.kernel.inbox import Message
-from desim.kernel.invariants import Conservation, DeliveredOnce, OneToken
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.kernel.medium import Bitrate
+from desim.kernel.models.faults import Crash, FaultEnded, Partition
+from desim.kernel.models.graphs import Link
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.kernel.network import Network
-from desim.kernel.records import Record
-from desim.kernel.transport import BestEffort, Coded, Reliable
-from desim.kernel.transport_frames import Acknowledgement, Piece, Segment, Skip
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Assignment, Eavesdropper, Forwarded
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.inbox import Message
+from desim.kernel.transport.frames import Acknowledgement, Piece, Segment, Skip
+from desim.pursuit.team.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
-from protocols.token_messages import Token
+from desim.testing.messages import Conservation, DeliveredOnce, OneToken
+from protocols.schedules.token_messages import Token
 
 L, TIMEOUT = 0.1, 0.5
 """s"""

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, summary
-from desim.analysis.invariants import watched
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase
-from desim.kernel.faults import ClockSkew
-from desim.kernel.units import SECOND
+from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import ClockSkew
 from desim.kernel.wandering_clock import TICK, WanderingClock, node_clocks
+from desim.testing.pursuits import watched
 
 UNTIL = 100 * SECOND
 NODES = 1000

@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.analysis.metrics import excess_time, idle_time, misassigned_time
-from desim.kernel.events import Broadcast, MessageCounts
-from desim.kernel.faults import Crash, Partition
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.records import Record
-from desim.pursuit.announcements import STARTS, Announcements, Assignment
-from desim.pursuit.assignment import greedy_assignment
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.pursuit.game import relay_profile
+from desim.kernel.core.events import Broadcast, MessageCounts
+from desim.kernel.core.records import Record
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.game.assignment import greedy_assignment
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import STARTS, Announcements, Assignment
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
@@ -32,9 +32,9 @@ from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, lists_o
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
-from protocols.synchronous import Synchronous
-from protocols.token import TokenRing
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.synchronous import Synchronous
+from protocols.schedules.token import TokenRing
 from scenarios import rivals_runs
 from tests.many import LOSSY, at_rest, by_evader, chased, easy
 from tests.many import times as times_of_all

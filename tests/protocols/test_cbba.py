@@ -7,19 +7,19 @@ import networkx as nx
 import pytest
 
 from desim import run
-from desim.kernel.events import Broadcast
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.graphs import Edges
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.records import Record
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.assignment import greedy_assignment
-from desim.pursuit.events import Decided
+from desim.kernel.core.events import Broadcast
+from desim.kernel.core.records import Record
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided
+from desim.pursuit.game.assignment import greedy_assignment
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA, StampedClaim, decision
-from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from tests.many import at_rest, by_evader, chased, times
 from tests.protocols.test_cbaa import SCHEDULES, chasing, frozen, puppet
 

@@ -3,11 +3,11 @@
 import pytest
 
 from desim import Scenario, run, summary
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.assignment import greedy_assignment, optimal_assignment
-from desim.pursuit.events import Decided
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided
+from desim.pursuit.game.assignment import greedy_assignment, optimal_assignment
 from desim.scenario.players import Evader, Team
 from protocols.centralised import Centralised
 from tests.many import at_rest, by_evader, chased, times

@@ -14,15 +14,15 @@ from scipy.stats import kstest
 
 from desim import Scenario, run, summary
 from desim.analysis.age import age_mean
-from desim.kernel.events import GivenUp, MessageCounts, Sent
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.transport import Coded, Reliable
-from desim.kernel.units import seconds
-from desim.pursuit.announcements import Announcements
+from desim.kernel.core.events import GivenUp, MessageCounts, Sent
+from desim.kernel.core.units import seconds
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.transport import Coded, Reliable
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, OneHop, ReliableOneHop

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from desim import Scenario, run, summary
-from desim.kernel.faults import ClockSkew, Crash
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import STARTS, Announcements
-from desim.pursuit.assignment import greedy_assignment
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Sampled, Started
-from desim.pursuit.flow import Environment
-from desim.pursuit.game import relay_profile
+from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided, Sampled, Started
+from desim.pursuit.game.assignment import greedy_assignment
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording

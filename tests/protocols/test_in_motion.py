@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run, summary
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.server import Server

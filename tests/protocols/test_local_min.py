@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.beliefs import Belief
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import greedy_maximal_independent_set, relay_profile
-from desim.pursuit.utility import EdgePenalty, LocalMean
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import greedy_maximal_independent_set, relay_profile
+from desim.pursuit.game.utility import EdgePenalty, LocalMean
+from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.beliefs import Belief
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, OneHop
 from protocols.local_min import ArgminKnown, LocalMin
-from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
 
 

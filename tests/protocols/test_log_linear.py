@@ -4,13 +4,13 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.graphs import Edges
-from desim.kernel.links import Links
-from desim.pursuit.game import profiles
-from desim.pursuit.utility import EdgePenalty, Mean, Minimum
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.links import Links
+from desim.pursuit.game.game import profiles
+from desim.pursuit.game.utility import EdgePenalty, Mean, Minimum
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, Rounds
+from protocols.schedules.periodic import Poisson, Rounds
 from protocols.temperature import ConstantTau
 from tests.law import (
     HORIZON,

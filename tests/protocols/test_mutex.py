@@ -9,18 +9,18 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
-from desim.kernel.access import Tdma
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
-from desim.kernel.graphs import Complete, Grid, Star
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.message_size import size_of
-from desim.pursuit.events import Decided
+from desim.kernel.core.message_size import size_of
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import ClockSkew, Crash, Partition, RandomFaults
+from desim.kernel.models.graphs import Complete, Grid, Star
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.pursuit.core.events import Decided
 from desim.scenario.players import Team
-from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request, request_and_reply
-from protocols.schedules import Poisson
+from protocols.schedules.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request, request_and_reply
+from protocols.schedules.periodic import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing
 
 frozen = partial(standing, count=7)

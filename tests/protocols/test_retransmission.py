@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from protocols.retransmission import RetransmissionTimer, arrival_or_timeout
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from protocols.schedules.retransmission import RetransmissionTimer, arrival_or_timeout
 
 
 def test_the_first_time_out_is_5_4_of_a_round_trip_and_each_later_one_has_3_2_of_the_sending_time():

@@ -14,14 +14,14 @@ from pydantic import ValidationError
 
 from desim import Scenario, run
 from desim.config.model import MAX_COORDINATE
-from desim.kernel.faults import Crash
-from desim.kernel.graphs import Edges
-from desim.kernel.links import Links
-from desim.pursuit.announcements import Announcements, Assignment, TimedAssignment
-from desim.pursuit.beliefs import Belief
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import gain, relay_profile
-from desim.pursuit.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import gain, relay_profile
+from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
+from desim.pursuit.team.announcements import Announcements, Assignment, TimedAssignment
+from desim.pursuit.team.beliefs import Belief
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.best_response import BestResponse, BetterReply
@@ -30,7 +30,7 @@ from protocols.fictitious_play import FictitiousPlay, JointStrategyFictitiousPla
 from protocols.regret_matching import GeneralisedRegretMatching, RegretMatching
 from protocols.rule import LearningRule, Rule, argmax, current_action
 from protocols.sap import SpatialAdaptivePlay, categorical
-from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau
 from tests.protocols.test_local_min import changes_of
 from tests.protocols.test_local_min import static_game as game_on

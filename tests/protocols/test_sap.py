@@ -5,18 +5,18 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
-from desim.kernel.faults import ClockSkew
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import relay_profile
+from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from protocols.temperature import PaperTau
 
 

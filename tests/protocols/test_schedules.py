@@ -9,15 +9,15 @@ import pytest
 from scipy.stats import kstest
 
 from desim import Scenario, run
-from desim.kernel.seeds import stream
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import gain
+from desim.kernel.core.seeds import stream
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import gain
+from desim.pursuit.motion.capture import capture_time
 from desim.scenario.checks import warnings
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed, owned_slots
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed, owned_slots
 from protocols.temperature import ConstantTau
 
 

@@ -9,21 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.kernel.access import Tdma
-from desim.kernel.events import Sent
-from desim.kernel.faults import Crash, Partition
-from desim.kernel.graphs import Ring, Star
-from desim.kernel.latency import Constant, Lognormal, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.seeds import stream
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.assignment import greedy_assignment, optimal_assignment
-from desim.pursuit.beliefs import Belief
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import BrokeDown, Captured, Decided, Started
-from desim.pursuit.game import relay_profile
+from desim.kernel.core.events import Sent
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.graphs import Ring, Star
+from desim.kernel.models.latency import Constant, Lognormal, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
+from desim.pursuit.game.assignment import greedy_assignment, optimal_assignment
+from desim.pursuit.game.game import relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.beliefs import Belief
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording

@@ -4,23 +4,23 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.events import Sent
-from desim.kernel.faults import ClockSkew
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Decided
-from desim.pursuit.game import relay_profile
+from desim.kernel.core.events import Sent
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided
+from desim.pursuit.game.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
-from desim.study.imperfections import without_serial_decisions
+from desim.study.ablation.imperfections import without_serial_decisions
 from protocols.best_response import BestResponse
-from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Rounds, SharedSeed
-from protocols.synchronous import Synchronous
-from protocols.token import TokenRing, TokenWalk
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Rounds, SharedSeed
+from protocols.schedules.synchronous import Synchronous
+from protocols.schedules.token import TokenRing, TokenWalk
 from tests.test_protocols import outcome
 
 SLOT = 0.25

@@ -15,25 +15,25 @@ import pytest
 from hypothesis import settings
 
 from desim import run
-from desim.kernel.access import Aloha, Tdma
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
-from desim.kernel.graphs import Complete, Grid, Ring, Star
-from desim.kernel.invariants import OneToken
-from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate, LoRa
-from desim.kernel.message_size import size_of
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import gain, relay_profile
-from protocols import token_passing
+from desim.kernel.core.message_size import size_of
+from desim.kernel.models.access import Aloha, Tdma
+from desim.kernel.models.faults import ClockSkew, Crash, Partition, RandomFaults
+from desim.kernel.models.graphs import Complete, Grid, Ring, Star
+from desim.kernel.models.latency import Constant, Lognormal, ShiftedExponential, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate, LoRa
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import gain, relay_profile
+from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.team.announcements import Announcements
+from desim.testing.messages import OneToken
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules import token_passing
+from protocols.schedules.periodic import Poisson
+from protocols.schedules.token import TokenRing, TokenWalk, metropolis
+from protocols.schedules.token_messages import Token, TokenNotice, TokenReceipt, longest_absent, not_absent
+from protocols.schedules.token_passing import TokenNode, circulate, full_token
 from protocols.temperature import ConstantTau
-from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_messages import Token, TokenNotice, TokenReceipt, longest_absent, not_absent
-from protocols.token_passing import TokenNode, circulate, full_token
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 

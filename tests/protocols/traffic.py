@@ -1,11 +1,11 @@
 """What tests of protocols that talk have in common."""
 
 from desim import Scenario
-from desim.kernel.events import Sent
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided
+from desim.kernel.core.events import Sent
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion
 

@@ -10,22 +10,22 @@ import pandas as pd
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.events import Broadcast, Sent
-from desim.kernel.faults import Crash
-from desim.kernel.graphs import Edges, Ring
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.seeds import stream
-from desim.pursuit.agent import repeat
-from desim.pursuit.announcements import STARTS, Announcements, Assignment, records_in
-from desim.pursuit.events import Decided
-from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
+from desim.kernel.core.events import Broadcast, Sent
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.graphs import Edges, Ring
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided
+from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
+from desim.pursuit.team.agent import repeat
+from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, records_in
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 
 def play(protocol, latency=0.0, **changes):

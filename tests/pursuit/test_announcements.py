@@ -13,15 +13,16 @@ import pytest
 from scipy.stats import kstest
 
 from desim import Scenario, run
-from desim.kernel.access import Tdma
-from desim.kernel.events import Broadcast
-from desim.kernel.faults import Crash
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.medium import Bitrate
-from desim.kernel.records import Record
-from desim.kernel.units import nanoseconds, seconds
-from desim.pursuit.announcements import (
+from desim.kernel.core.events import Broadcast
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Bitrate
+from desim.pursuit.motion.dynamics import Acceleration, Simple, TurnRate
+from desim.pursuit.team.announcements import (
     STARTS,
     Announcements,
     Forwarded,
@@ -30,7 +31,6 @@ from desim.pursuit.announcements import (
     announced_action,
     relayed_records,
 )
-from desim.pursuit.dynamics import Acceleration, Simple, TurnRate
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 

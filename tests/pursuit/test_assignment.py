@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit import game
-from desim.pursuit.assignment import (
+from desim.pursuit.game import game
+from desim.pursuit.game.assignment import (
     equilibria,
     gibbs,
     greedy_assignment,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.capture import NO_SPEED, RadialTime, capture_time, intercept_time
+from desim.pursuit.motion.capture import NO_SPEED, RadialTime, capture_time, intercept_time
 
 coordinates = st.floats(-20.0, 20.0)
 speeds_of_players = st.floats(0.0, 3.0).map(lambda v: round(v, 6))

@@ -12,9 +12,9 @@ import pytest
 from scipy.optimize import brentq
 
 from desim import Scenario, run
-from desim.pursuit.dynamics import TurnRate
-from desim.pursuit.events import Ended
-from desim.pursuit.turning import least_capture_radius
+from desim.pursuit.core.events import Ended
+from desim.pursuit.motion.dynamics import TurnRate
+from desim.pursuit.motion.turning import least_capture_radius
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 

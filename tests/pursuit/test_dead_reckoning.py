@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.units import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, MotionState, TrackSegment, moved_towards
-from desim.pursuit.dynamics import Simple
-from desim.pursuit.flow import Environment
-from desim.pursuit.geometry import toward
-from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.pursuit.core.geometry import toward
+from desim.pursuit.motion.dead_reckoning import MAX_RETRACINGS, EvaderTrack, MotionState, TrackSegment, moved_towards
+from desim.pursuit.motion.dynamics import Simple
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 
 LAWS = [PurePursuit(), ConstantBearing()]
 STEP = nanoseconds(0.25)

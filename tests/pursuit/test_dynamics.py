@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from desim import load
-from desim.pursuit.capture import RadialTime, accelerated_capture_times
-from desim.pursuit.dynamics import Acceleration, Course, Courses, Piece, Simple, TurnRate
+from desim.pursuit.motion.capture import RadialTime, accelerated_capture_times
+from desim.pursuit.motion.dynamics import Acceleration, Course, Courses, Piece, Simple, TurnRate
 
 TIMES = np.linspace(0.0, 4.0, 81)
 complexes = st.builds(complex, st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))

@@ -10,7 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from desim.config.choice import kind_of
-from desim.pursuit.evasion import (
+from desim.pursuit.core.state import State, complex_points, coordinates
+from desim.pursuit.evaders.evasion import (
     STRATEGIES,
     ConstantHeading,
     Diffusion,
@@ -23,8 +24,7 @@ from desim.pursuit.evasion import (
     Zigzag,
     first_captures,
 )
-from desim.pursuit.observation import EvaderObservation
-from desim.pursuit.state import State, complex_points, coordinates
+from desim.pursuit.evaders.observation import EvaderObservation
 from desim.scenario.players import Evader
 from desim.scenario.toml import load
 

@@ -26,13 +26,13 @@ from desim import (
     run,
     summary,
 )
-from desim.analysis.invariants import watched
-from desim.kernel.units import SECOND
-from desim.pursuit.capture import RadialTime, intercept_times
-from desim.pursuit.events import Captured, Decided, Sampled, Started
-from desim.pursuit.flow import NoFlow
-from desim.pursuit.flow_capture import capture_times_in_flow, expanding_capture_times
-from desim.study.imperfections import without_flow
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Captured, Decided, Sampled, Started
+from desim.pursuit.motion.capture import RadialTime, intercept_times
+from desim.pursuit.motion.flow import NoFlow
+from desim.pursuit.motion.flow_capture import capture_times_in_flow, expanding_capture_times
+from desim.study.ablation.imperfections import without_flow
+from desim.testing.pursuits import watched
 
 STEADY = SteadyFlow(velocity=(0.3, -0.2))
 TIDE = HarmonicFlow(velocity=(0.1, 0.2), amplitude=(0.5, -0.4), period=3.0, phase=0.3)

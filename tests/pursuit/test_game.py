@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from desim.pursuit.game import (
+from desim.pursuit.game.game import (
     equilibria,
     gain,
     gibbs,
@@ -22,7 +22,7 @@ from desim.pursuit.game import (
     relay_pursuer,
     wonderful_life_utility,
 )
-from desim.pursuit.utility import EdgePenalty, LocalMean, Minimum
+from desim.pursuit.game.utility import EdgePenalty, LocalMean, Minimum
 
 times = st.floats(0.0, 60.0, allow_nan=False)
 rewards = st.floats(0.0, 60.0)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.geometry import first_contact, toward, within
+from desim.pursuit.core.geometry import first_contact, toward, within
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
 plane = st.builds(complex, numbers, numbers)

@@ -6,10 +6,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.pursuit import guidance
-from desim.pursuit.events import Ended
-from desim.pursuit.geometry import toward
-from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.core.events import Ended
+from desim.pursuit.core.geometry import toward
+from desim.pursuit.motion import guidance
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from desim.kernel.clock import Clock
-from desim.kernel.units import SECOND, seconds
-from desim.pursuit.dynamics import Acceleration, Course, Piece, Simple, TurnRate
-from desim.pursuit.inertia import InertialKinematics, first_contact
-from desim.pursuit.kinematics import Kinematics
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.units import SECOND, seconds
+from desim.pursuit.motion.dynamics import Acceleration, Course, Piece, Simple, TurnRate
+from desim.pursuit.motion.inertia import InertialKinematics, first_contact
+from desim.pursuit.motion.kinematics import Kinematics
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -9,20 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.kernel.clock import Clock
-from desim.kernel.links import Links
-from desim.kernel.units import SECOND
-from desim.pursuit import evader, steering
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.evasion import Still
-from desim.pursuit.events import Ended
-from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.state import lengths
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Ended
+from desim.pursuit.core.state import lengths
+from desim.pursuit.evaders import evader
+from desim.pursuit.evaders.evasion import Still
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.motion.kinematics import Kinematics
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion
+from desim.simulation import steering
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import SharedSeed
+from protocols.schedules.periodic import SharedSeed
 from tests.worlds import world_of
 
 numbers = st.floats(-10.0, 10.0)

@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run, summary
-from desim.analysis.invariants import watched
-from desim.kernel.access import CsmaCa
 from desim.kernel.clock_sync import TimeRequest, TwoWay
-from desim.kernel.events import Broadcast, MessageCounts, Sent, TransportCounts
-from desim.kernel.faults import ClockSkew, Crash, FaultEnded, FaultStarted
-from desim.kernel.latency import Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.transport import Coded, Reliable
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import DISSEMINATIONS, Announcements, LocatedAssignment, records_in, relayed_records
-from desim.pursuit.capture import capture_time, least_capture_time
-from desim.pursuit.events import Decided
-from desim.pursuit.falsehoods import (
+from desim.kernel.core.events import Broadcast, MessageCounts, Sent, TransportCounts
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.faults import ClockSkew, Crash, FaultEnded, FaultStarted
+from desim.kernel.models.latency import Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.transport import Coded, Reliable
+from desim.pursuit.byzantine.falsehoods import (
     ConstantPosition,
     ConstantTime,
     PlausibleTime,
@@ -31,7 +27,7 @@ from desim.pursuit.falsehoods import (
     ScaledTime,
     ShiftedPosition,
 )
-from desim.pursuit.lies import (
+from desim.pursuit.byzantine.lies import (
     LIES,
     Equivocate,
     Liar,
@@ -43,17 +39,27 @@ from desim.pursuit.lies import (
     Spoof,
     draw_lies,
 )
-from desim.pursuit.trust import Accusation, Accusations, Plausible
+from desim.pursuit.core.events import Decided
+from desim.pursuit.motion.capture import capture_time, least_capture_time
+from desim.pursuit.team.announcements import (
+    DISSEMINATIONS,
+    Announcements,
+    LocatedAssignment,
+    records_in,
+    relayed_records,
+)
+from desim.pursuit.team.trust import Accusation, Accusations, Plausible
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Clocks, Recording
+from desim.testing.pursuits import watched
 from protocols.cbaa import CBAA, Claim
 from protocols.cbba import CBBA
 from protocols.dissemination import Flooding, Gossip
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
+from protocols.schedules.token import TokenRing
 from protocols.server import Server
-from protocols.token import TokenRing
 
 POISSON = Poisson(rate=5.0)
 HALF = round(0.5 * SECOND)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ive
 
-from desim.pursuit.noise import LEAST, PositionNoise, RangeBearingNoise, expected_distance
-from desim.pursuit.views import EvaderEstimate
+from desim.pursuit.sensing.noise import LEAST, PositionNoise, RangeBearingNoise, expected_distance
+from desim.pursuit.sensing.views import EvaderEstimate
 
 DRAWS = 20_000
 

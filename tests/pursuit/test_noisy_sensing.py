@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run, summary
-from desim.analysis.invariants import watched
-from desim.kernel.events import Sent
-from desim.kernel.faults import Crash
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Estimated, Sampled
-from desim.pursuit.noise import PositionNoise, RangeBearingNoise
-from desim.pursuit.noisy_sensing import Sighted, Tracked
-from desim.pursuit.sensing import Sensing, spiral
-from desim.pursuit.tracking import AlphaBeta, Kalman
+from desim.kernel.core.events import Sent
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Estimated, Sampled
+from desim.pursuit.sensing.noise import PositionNoise, RangeBearingNoise
+from desim.pursuit.sensing.noisy_sensing import Sighted, Tracked
+from desim.pursuit.sensing.sensing import Sensing, spiral
+from desim.pursuit.sensing.tracking import AlphaBeta, Kalman
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Capture, Motion, Recording
+from desim.testing.pursuits import watched
 from protocols.local_min import LocalMin
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 NOISE = PositionNoise(deviation=0.3)
 

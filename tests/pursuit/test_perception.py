@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from scipy.stats import ncx2
 
 from desim import Scenario, run, summary
-from desim.kernel.graphs import Edges, Link
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import DelayedState, InferredActivity
-from desim.pursuit.evasion import (
+from desim.kernel.models.graphs import Edges, Link
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Sampled
+from desim.pursuit.core.state import State
+from desim.pursuit.evaders.evader import DelayedState, InferredActivity
+from desim.pursuit.evaders.evasion import (
     ConstantHeading,
     Diffusion,
     Listener,
@@ -27,9 +28,8 @@ from desim.pursuit.evasion import (
     VoronoiVertex,
     Zigzag,
 )
-from desim.pursuit.events import Sampled
-from desim.pursuit.observation import EvaderObservation
-from desim.pursuit.state import State
+from desim.pursuit.evaders.observation import EvaderObservation
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion
 from protocols.dissemination import Flooding, Gossip

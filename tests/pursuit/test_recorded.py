@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import Evader, Motion, RecordedMotion, Recording, RelayNode, Scenario, Team, load, run, summary
-from desim.analysis.invariants import watched
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Captured, Decided, Sampled
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Captured, Decided, Sampled
 from desim.scenario.checks import warnings
-from desim.study.config_hash import identify
+from desim.study.plan.config_hash import identify
+from desim.testing.pursuits import watched
 from tests.kernel.test_mobility_file import Waypoint, interpolated
 
 times = st.lists(st.floats(0.0, 3.0), min_size=1, max_size=5, unique_by=lambda t: round(t * 1e6)).map(sorted)

@@ -8,19 +8,19 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.clock import NodeClock
-from desim.kernel.events import Sent
-from desim.kernel.faults import Crash, Partition
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
+from desim.kernel.core.clock import NodeClock
+from desim.kernel.core.events import Sent
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
 from desim.kernel.network import Network
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dead_reckoning import MotionState
-from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
-from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
+from desim.pursuit.core.events import Decided, Ended, Sampled, Started
+from desim.pursuit.evaders.evasion import ConstantHeading, Diffusion, Still
+from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.sensing.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.centralised import Centralised

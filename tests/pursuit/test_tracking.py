@@ -7,9 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.units import SECOND
-from desim.pursuit.noise import Covariance, PositionNoise, RangeBearingNoise
-from desim.pursuit.tracking import AlphaBeta, Filter, Kalman, Measurement, Track, corrected, fused, gains, merged
+from desim.kernel.core.units import SECOND
+from desim.pursuit.sensing.noise import Covariance, PositionNoise, RangeBearingNoise
+from desim.pursuit.sensing.tracking import (
+    AlphaBeta,
+    Filter,
+    Kalman,
+    Measurement,
+    Track,
+    corrected,
+    fused,
+    gains,
+    merged,
+)
 
 STEP = SECOND // 10
 ISOTROPIC = Covariance(0.25, 0.0, 0.25)

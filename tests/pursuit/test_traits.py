@@ -11,18 +11,18 @@ from pydantic import ValidationError
 import desim
 from desim import Scenario
 from desim.config.model import fields_of
-from desim.kernel.access import Aloha
-from desim.kernel.interference import INTERFERENCES
-from desim.kernel.latency import LATENCIES
-from desim.kernel.links import Links
-from desim.kernel.loss import LOSSES
-from desim.kernel.medium import Bitrate
-from desim.kernel.reception import RECEPTION_MODELS
-from desim.kernel.traits import InterferenceTraits, LinkTraits, ReceptionTraits
-from desim.pursuit.announcements import DISSEMINATIONS, Announcements
-from desim.pursuit.evasion import STRATEGIES
-from desim.pursuit.traits import DisseminationTraits, ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
-from desim.pursuit.utility import UTILITIES
+from desim.kernel.models.access import Aloha
+from desim.kernel.models.interference import INTERFERENCES
+from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import LOSSES
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.reception import RECEPTION_MODELS
+from desim.kernel.models.traits import InterferenceTraits, LinkTraits, ReceptionTraits
+from desim.pursuit.core.traits import DisseminationTraits, ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
+from desim.pursuit.evaders.evasion import STRATEGIES
+from desim.pursuit.game.utility import UTILITIES
+from desim.pursuit.team.announcements import DISSEMINATIONS, Announcements
 from desim.scenario.players import Evader
 from desim.scenario.scenario import PROTOCOLS
 from protocols.rule import SCHEDULES, LearningRule

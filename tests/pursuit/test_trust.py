@@ -10,17 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.analysis.invariants import watched
-from desim.kernel.faults import ClockSkew
-from desim.kernel.latency import Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.records import Record
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements, Assignment
-from desim.pursuit.events import Distrusted
-from desim.pursuit.lies import Liar, Slander
-from desim.pursuit.trust import (
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.latency import Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.byzantine.lies import Liar, Slander
+from desim.pursuit.core.events import Distrusted
+from desim.pursuit.team.announcements import Announcements, Assignment
+from desim.pursuit.team.trust import (
     TRUSTS,
     Accusation,
     Accusations,
@@ -32,10 +31,11 @@ from desim.pursuit.trust import (
 )
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
+from desim.testing.pursuits import watched
 from protocols.dissemination import Gossip
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 POISSON = Poisson(rate=5.0)
 THERE_AT_ONCE = {"action": "chase", "phi": 0.0, "acts": "stay", "start": 0.0}

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from desim.pursuit.capture import RadialTime
-from desim.pursuit.turning import shortest_paths, turning_capture_times
+from desim.pursuit.motion.capture import RadialTime
+from desim.pursuit.motion.turning import shortest_paths, turning_capture_times
 
 seeds = st.integers(0, 2**32 - 1)
 ANGLES = np.linspace(0.0, 2.0 * pi, 1_441)

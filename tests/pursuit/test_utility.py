@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.game import logit, potential, profiles
-from desim.pursuit.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
+from desim.pursuit.game.game import logit, potential, profiles
+from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
 
 times = st.floats(0.0, 60.0)
 rewards = st.floats(0.0, 60.0)

@@ -203,11 +203,16 @@ def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monk
 
     before = code()
     assert before == environment.code()
-    for name in ("desim/cli/one.py", "desim/study/dispatch.py", "desim/analysis/metrics.py"):
+    for name in ("desim/cli/one.py", "desim/study/workers/dispatch.py", "desim/analysis/metrics.py"):
         (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
     assert code() == before
     seen = {before}
-    for name in ("protocols/sap.py", "desim/kernel/loss.py", "desim/simulation/world.py", "desim/analysis/timeline.py"):
+    for name in (
+        "protocols/sap.py",
+        "desim/kernel/models/loss.py",
+        "desim/simulation/world.py",
+        "desim/analysis/timeline.py",
+    ):
         (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
         found = code()
         assert found not in seen

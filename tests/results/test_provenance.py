@@ -14,9 +14,9 @@ import pytest
 
 from desim.config.model import Value
 from desim.config.own_modules import plain_name
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.seeds import run_seed
+from desim.kernel.core.seeds import run_seed
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
 from desim.results import environment, provenance
 from desim.results.provenance import ProvenanceError, differences, document, of_one, read, source, write
 from desim.scenario.overrides import ScenarioError
@@ -24,7 +24,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import dump, load, validate
-from desim.study.configurations import configurations
+from desim.study.plan.configurations import configurations
 from tests.command import accepted, refused, strict_json
 
 ROOT = Path(__file__).parents[2]

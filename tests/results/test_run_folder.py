@@ -14,19 +14,19 @@ from click.testing import CliRunner
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import plain, summary
 from desim.cli import main
-from desim.kernel.events import MESSAGES, Trace
-from desim.kernel.records import Record
-from desim.kernel.trace_file import line_of
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Captured
+from desim.kernel.core.events import MESSAGES, Trace
+from desim.kernel.core.records import Record
+from desim.kernel.core.trace_file import line_of
+from desim.pursuit.core.events import Captured
+from desim.pursuit.team.announcements import Announcements
 from desim.results import provenance
 from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump, load
 from desim.simulation.run import Result, run
-from desim.view.replay import replay_page
-from desim.view.spacetime import spacetime
+from desim.view.pages.replay import replay_page
+from desim.view.pictures.spacetime import spacetime
 from tests.command import accepted
 from tests.conftest import undraw
 

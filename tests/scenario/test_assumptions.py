@@ -7,17 +7,17 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario
-from desim.kernel.access import CsmaCa, Tdma
-from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
-from desim.kernel.graphs import Edge, Edges, Link, Ring
-from desim.kernel.interference import Sinr
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.kernel.medium import Bitrate
-from desim.kernel.reception import QuasiUnitDisk
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.traits import AssumptionName
-from desim.pursuit.utility import Component, EdgePenalty, LocalMean
+from desim.kernel.models.access import CsmaCa, Tdma
+from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
+from desim.kernel.models.graphs import Edge, Edges, Link, Ring
+from desim.kernel.models.interference import Sinr
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.reception import QuasiUnitDisk
+from desim.pursuit.core.traits import AssumptionName
+from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.assumptions import (
     ASSUMPTIONS,
     component_heard,
@@ -40,11 +40,11 @@ from protocols.best_response import BestResponse, BetterReply
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, ReliableOneHop
 from protocols.fictitious_play import FictitiousPlay
 from protocols.local_min import ArgminKnown, LocalMin
-from protocols.mutex import LocalMutex
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
-from protocols.token import TokenRing, TokenWalk
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.token import TokenRing, TokenWalk
 
 FOUR = Team(positions=[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
 """On a line, 1 m apart."""

@@ -5,12 +5,12 @@ from math import inf
 
 import pytest
 
-from desim.kernel.latency import Gamma
+from desim.kernel.models.latency import Gamma
 from desim.results import provenance
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, load, read
-from desim.study.configurations import configurations
+from desim.study.plan.configurations import configurations
 from protocols.cbba import CBBA
 from scenarios.study import SCENARIOS
 from tests.command import accepted, refused, strict_json

@@ -7,37 +7,37 @@ import networkx as nx
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.access import Aloha, Csma, SlottedAloha, Tdma
 from desim.kernel.clock_sync import TwoWay
-from desim.kernel.events import Broadcast
-from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
-from desim.kernel.graphs import Ring
-from desim.kernel.interference import CaptureEffect
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.reception import QuasiUnitDisk
-from desim.kernel.transport import Reliable
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Acceleration, TurnRate
-from desim.pursuit.evasion import ConstantHeading
-from desim.pursuit.lies import Liar, ReplayAttack, Selective, Silent, Slander
-from desim.pursuit.noise import PositionNoise
-from desim.pursuit.sensing import Sensing
-from desim.pursuit.tracking import AlphaBeta, Kalman
-from desim.pursuit.trust import Accusations, Reputation, Trimmed
+from desim.kernel.core.events import Broadcast
+from desim.kernel.models.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.models.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.models.graphs import Ring
+from desim.kernel.models.interference import CaptureEffect
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.reception import QuasiUnitDisk
+from desim.kernel.models.transport import Reliable
+from desim.pursuit.byzantine.lies import Liar, ReplayAttack, Selective, Silent, Slander
+from desim.pursuit.evaders.evasion import ConstantHeading
+from desim.pursuit.motion.dynamics import Acceleration, TurnRate
+from desim.pursuit.sensing.noise import PositionNoise
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import AlphaBeta, Kalman
+from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.trust import Accusations, Reputation, Trimmed
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Clocks, Motion, Recording
-from desim.study.sweep import SweepPlan
+from desim.study.sweeps.sweep import SweepPlan
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import CodedOneHop, Flooding, ReliableOneHop
 from protocols.geometric import Argmin, Voronoi
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Rounds
+from protocols.schedules.periodic import Periodic, Rounds
+from protocols.schedules.token import TokenRing
 from protocols.server import Server
-from protocols.token import TokenRing
 
 JITTER = {"jitter": 0.1}
 BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.config.model import Positive, Value
-from desim.kernel.faults import Crash, RandomCrashes
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
+from desim.kernel.models.faults import Crash, RandomCrashes
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
@@ -22,7 +22,7 @@ from desim.scenario.toml_lines import key_lines
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from protocols.temperature import ConstantTau, PaperTau
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))

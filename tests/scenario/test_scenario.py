@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim.config.choice import kind_of
-from desim.kernel.latency import Constant as ConstantLatency
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided, Ended
+from desim.kernel.models.latency import Constant as ConstantLatency
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided, Ended
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.checks import warnings
 from desim.scenario.players import Evader, Speeds, Team
 from desim.scenario.scenario import PROTOCOLS, Recording, Scenario
 from desim.simulation.run import run
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import SharedSeed
+from protocols.schedules.periodic import SharedSeed
 from protocols.temperature import PaperTau
 
 SEEDS = st.integers(0, 2**63)

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.events import Broadcast, Lost, Queued
-from desim.kernel.medium import MEDIA
-from desim.kernel.presets import PRESETS
+from desim.kernel.core.events import Broadcast, Lost, Queued
+from desim.kernel.models.medium import MEDIA
+from desim.kernel.models.presets import PRESETS
 from desim.scenario.checks import warnings
 
 FAST = {"kind": "bitrate", "bitrate": 1e6, "header": 50}

@@ -14,10 +14,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.latency import Constant as ConstantLatency
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.pursuit.announcements import STARTS, Announcements
+from desim.kernel.models.latency import Constant as ConstantLatency
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Evader, Speeds, Team
@@ -26,7 +26,7 @@ from desim.scenario.toml import dump, load, read, validate
 from desim.scenario.toml_lines import key_lines
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, SharedSeed
+from protocols.schedules.periodic import Poisson, SharedSeed
 from protocols.temperature import ConstantTau, PaperTau
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
@@ -584,7 +584,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 
 from desim.config.model import Positive, Probability, Value
-from desim.kernel.latency import LATENCIES
+from desim.kernel.models.latency import LATENCIES
 from protocols.rule import LearningRule
 
 

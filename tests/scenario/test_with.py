@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.faults import Crash
-from desim.kernel.latency import Constant, Uniform
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Constant, Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario

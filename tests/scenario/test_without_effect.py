@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.faults import FaultEnded, FaultStarted
-from desim.kernel.transport import TRANSPORTS
-from desim.pursuit.announcements import DISSEMINATIONS
-from desim.pursuit.lies import LIES
-from desim.pursuit.trust import TRUSTS
+from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.models.transport import TRANSPORTS
+from desim.pursuit.byzantine.lies import LIES
+from desim.pursuit.team.announcements import DISSEMINATIONS
+from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS
 from protocols.rule import SCHEDULES

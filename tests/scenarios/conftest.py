@@ -5,7 +5,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 
 
 @pytest.fixture

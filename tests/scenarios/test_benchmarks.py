@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from desim import run
 from desim.analysis.metrics import end_time
-from desim.kernel.access import CsmaCa
-from desim.kernel.clock import Clock
-from desim.kernel.latency import Constant
-from desim.kernel.seeds import stream
-from desim.kernel.units import SECOND
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.latency import Constant
 from scenarios import benchmarks, benchmarks_runs, costs, measuring, sweep_costs
 from scenarios.peers import elsewhere, ways
 from scenarios.peers.bare_loop import bare_loop

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from desim import run, summary
+from desim.analysis.drawing.plots import COLUMN
 from desim.analysis.metrics import end_time
-from desim.analysis.plots import COLUMN
 from desim.analysis.statistics import estimate
-from desim.kernel.events import Sent, Trace
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Ended, Sampled, Started
-from desim.pursuit.sensing import Sighting
+from desim.kernel.core.events import Sent, Trace
+from desim.pursuit.core.events import Ended, Sampled, Started
+from desim.pursuit.sensing.sensing import Sighting
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.scenario import Motion
 from desim.simulation.run import Result
-from desim.study.batch import run_many
+from desim.study.workers.batch import run_many
 from scenarios import evaders, evaders_runs
 from scenarios.evaders_runs import CLAIMED, IDEAL, REFERENCE
 from tests.scenarios.patching import patch_study

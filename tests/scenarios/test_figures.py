@@ -10,11 +10,11 @@ from matplotlib.transforms import Bbox
 
 from desim import run, summary
 from desim.analysis.activity import active_time, relays
-from desim.analysis.plots import COLUMN
+from desim.analysis.drawing.plots import COLUMN
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import started, trace_index
-from desim.kernel.units import SECOND
-from desim.pursuit.game import wonderful_life_utility
+from desim.kernel.core.units import SECOND
+from desim.pursuit.game.game import wonderful_life_utility
 from scenarios import figures, table1
 
 
@@ -160,7 +160,7 @@ DELTAS = (0.2, 0.1, 0.05)
 PROGRAM = f"""
 import sys
 from pathlib import Path
-from desim.analysis.plots import save
+from desim.analysis.drawing.plots import save
 from scenarios import figures
 figures.DELTAS = {DELTAS}
 for name, figure in figures.pictures(20, 0):

@@ -5,7 +5,7 @@ import pytest
 from desim import load, summary
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
-from desim.study.sweep import SweepPlan
+from desim.study.sweeps.sweep import SweepPlan
 from scenarios.study import SCENARIOS
 
 FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))

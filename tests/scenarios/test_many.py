@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from desim import run
-from desim.pursuit.assignment import optimal_assignment, welfare
-from desim.pursuit.events import Captured, Started
+from desim.pursuit.core.events import Captured, Started
+from desim.pursuit.game.assignment import optimal_assignment, welfare
 from scenarios import many, many_runs
 from tests.scenarios.patching import patch_study
 

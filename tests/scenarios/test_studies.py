@@ -9,10 +9,10 @@ from click.testing import CliRunner
 
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time, network_regret
-from desim.kernel.events import Broadcast, Sent, Trace
-from desim.kernel.units import nanoseconds
-from desim.pursuit.events import Decided, Ended, Started
-from desim.pursuit.state import complex_points
+from desim.kernel.core.events import Broadcast, Sent, Trace
+from desim.kernel.core.units import nanoseconds
+from desim.pursuit.core.events import Decided, Ended, Started
+from desim.pursuit.core.state import complex_points
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Recording
 from desim.simulation.run import Result

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.access import Aloha
-from desim.kernel.events import Broadcast, MessageCounts
-from desim.kernel.faults import Crash
-from desim.kernel.graphs import Ring
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import PAYLOADS, STARTS, Announcements, Assignment
-from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.lies import Equivocate, Liar, Silent, Spoof
+from desim.kernel.core.events import Broadcast, MessageCounts
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import Aloha
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.graphs import Ring
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.pursuit.byzantine.lies import Equivocate, Liar, Silent, Spoof
+from desim.pursuit.core.events import Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.team.announcements import PAYLOADS, STARTS, Announcements, Assignment
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, OneHop, ReliableOneHop

@@ -22,7 +22,7 @@ from pydantic import BaseModel, field_serializer
 from pydantic_core import PydanticSerializationError
 
 from desim.cli import main
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
 from desim.results import provenance, run_folder
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Scenario
@@ -30,8 +30,8 @@ from desim.simulation import run as run_module
 from desim.simulation import watchdog
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut, place_of, within
-from desim.study import dispatch
-from desim.study.sweep import sweep
+from desim.study.sweeps.sweep import sweep
+from desim.study.workers import dispatch
 
 
 def spin(me):

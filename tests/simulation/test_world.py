@@ -6,18 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim import Scenario, load, run, summary
-from desim.analysis.invariants import watched
 from desim.analysis.metrics import active_time
-from desim.kernel.events import MessageCounts
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.received_records import Records
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.geometry import toward
-from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.kernel.core.events import MessageCounts
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.state.received_records import Records
+from desim.pursuit.core.events import Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.core.geometry import toward
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
+from desim.testing.pursuits import watched
 from scenarios.study import SCENARIOS
 
 

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.analysis.metrics import active_time, summary
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import run
-from desim.study.batch import run_many, seeds_from
+from desim.study.workers.batch import run_many, seeds_from
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 SMALL = Scenario(
     horizon=0.5,

@@ -23,9 +23,9 @@ import pytest
 from pydantic import BaseModel, PrivateAttr
 
 from desim.config.model import Value
-from desim.study import user_code
-from desim.study.config_hash import StablePickler
-from desim.study.user_code import UserCode
+from desim.study.plan import user_code
+from desim.study.plan.config_hash import StablePickler
+from desim.study.plan.user_code import UserCode
 
 
 def stable_hash(value):
@@ -444,8 +444,8 @@ from enum import Enum
 from functools import cache, cached_property, partial
 import numpy as np
 from desim.config.model import Value
-from desim.study.config_hash import StablePickler
-from desim.study.user_code import UserCode
+from desim.study.plan.config_hash import StablePickler
+from desim.study.plan.user_code import UserCode
 FACTOR = {factor}
 OTHER = {other}
 def helper():

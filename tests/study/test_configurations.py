@@ -17,16 +17,16 @@ from hypothesis import strategies as st
 
 from desim import LatencyTrace, LossTrace, SignalTrace
 from desim.config.model import Value
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load, read
-from desim.study import configurations as module
-from desim.study.config_hash import identify
-from desim.study.configurations import configurations, label
+from desim.study.plan import configurations as module
+from desim.study.plan.config_hash import identify
+from desim.study.plan.configurations import configurations, label
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
@@ -351,7 +351,7 @@ def plain(me):
 def other_process(file: Path, seed: int) -> dict[str, str]:
     """Return the identity of a scenario with each of some protocols, as another process finds it."""
     script = (
-        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import identify\n"
+        "import sys; from desim.scenario.toml import load; from desim.study.plan.config_hash import identify\n"
         "for kind in sys.argv[2:]:\n"
         "    print(identify(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)).key)"
     )

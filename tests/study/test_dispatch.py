@@ -14,10 +14,10 @@ from desim.analysis.metrics import summary
 from desim.scenario.toml import load
 from desim.simulation.run import run
 from desim.simulation.watchdog import OUT_OF_MEMORY
-from desim.study import dispatch
-from desim.study.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
-from desim.study.row import Row
-from desim.study.workers import InProcess, Workers, workers_for
+from desim.study.store.row import Row
+from desim.study.workers import dispatch
+from desim.study.workers.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
+from desim.study.workers.workers import InProcess, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command
 

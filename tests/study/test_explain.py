@@ -13,46 +13,46 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
 from desim import Scenario, explain, run
+from desim.analysis.drawing.palette import GREEN, ORANGE, VERMILION
+from desim.analysis.drawing.plots import Figure
 from desim.analysis.metrics import Metric, active_time, end_time, summary
-from desim.analysis.palette import GREEN, ORANGE, VERMILION
-from desim.analysis.plots import Figure
 from desim.analysis.statistics import Estimate, estimate
 from desim.cli import main
-from desim.kernel.access import Aloha
-from desim.kernel.faults import Crash
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.transport import Reliable
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Acceleration
-from desim.pursuit.flow import Environment, SteadyFlow
-from desim.pursuit.lies import Liar, Silent
-from desim.pursuit.noise import PositionNoise
-from desim.pursuit.sensing import Sensing
-from desim.pursuit.tracking import Kalman
+from desim.kernel.models.access import Aloha
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.transport import Reliable
+from desim.pursuit.byzantine.lies import Liar, Silent
+from desim.pursuit.motion.dynamics import Acceleration
+from desim.pursuit.motion.flow import Environment, SteadyFlow
+from desim.pursuit.sensing.noise import PositionNoise
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import Kalman
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read, validate
-from desim.study.batch import seeds_from
-from desim.study.explain import Variants
-from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
-from desim.study.figures import draw_waterfall, waterfall
-from desim.study.imperfections import IMPERFECTIONS
-from desim.study.row import Row
-from desim.study.store import Store
-from desim.study.store_file import StoreError
-from desim.study.sweep import RunError, sweep
-from desim.study.workers import workers_for
+from desim.study.ablation.explain import Variants
+from desim.study.ablation.imperfections import IMPERFECTIONS
+from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
+from desim.study.results.figures import draw_waterfall, waterfall
+from desim.study.store.file import StoreError
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import RunError, sweep
+from desim.study.workers.batch import seeds_from
+from desim.study.workers.workers import workers_for
 from protocols.cbba import CBBA
 from protocols.dissemination import CodedOneHop
 from protocols.local_min import LocalMin
-from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Rounds, SharedSeed
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Rounds, SharedSeed
+from protocols.schedules.token import TokenRing, TokenWalk
 from protocols.server import Server
-from protocols.token import TokenRing, TokenWalk
 from tests.summaries import changed
 
 ROUNDS = Rounds(period=0.2)

@@ -7,15 +7,15 @@ from math import inf, isnan
 import numpy as np
 import pytest
 
+from desim.analysis.drawing.plots import save
 from desim.analysis.metrics import summary
-from desim.analysis.plots import save
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.figures import INK, _cell_text, means, multiples, phase
-from desim.study.result import SweepResult
-from desim.study.row import Row
-from desim.study.runs import Group
+from desim.study.results.figures import INK, _cell_text, means, multiples, phase
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import Group
+from desim.study.store.row import Row
 from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))

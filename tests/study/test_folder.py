@@ -10,8 +10,8 @@ from desim.results.run_folder import write
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
-from desim.study.result import SweepResult
-from desim.study.sweep import sweep
+from desim.study.results.result import SweepResult
+from desim.study.sweeps.sweep import sweep
 from tests.command import accepted
 
 SCENARIO = Scenario(name="small", horizon=0.1, team=Team(count=2))

@@ -9,30 +9,30 @@ import pytest
 
 from desim import Scenario, load, run
 from desim.config.model import Value
-from desim.kernel.access import Csma, SlottedAloha
-from desim.kernel.events import Broadcast, MessageCounts, Queued, Sent
-from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
-from desim.kernel.graphs import Edge, Edges, Grid, Link, Ring, Star
-from desim.kernel.interference import CaptureEffect, LoRaInterference
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links, Processing
-from desim.kernel.loss import Bernoulli, GilbertElliott
-from desim.kernel.medium import Bitrate, LoRa, Unlimited
-from desim.kernel.reception import Disk, QuasiUnitDisk
-from desim.kernel.transport import Coded
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.dynamics import Acceleration, TurnRate
-from desim.pursuit.events import Started
-from desim.pursuit.flow import Environment, SteadyFlow
-from desim.pursuit.lies import Silent
-from desim.pursuit.noise import PositionNoise
-from desim.pursuit.sensing import Sensing
-from desim.pursuit.tracking import Kalman
-from desim.pursuit.utility import Component
+from desim.kernel.core.events import Broadcast, MessageCounts, Queued, Sent
+from desim.kernel.models.access import Csma, SlottedAloha
+from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
+from desim.kernel.models.graphs import Edge, Edges, Grid, Link, Ring, Star
+from desim.kernel.models.interference import CaptureEffect, LoRaInterference
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
+from desim.kernel.models.medium import Bitrate, LoRa, Unlimited
+from desim.kernel.models.reception import Disk, QuasiUnitDisk
+from desim.kernel.models.transport import Coded
+from desim.pursuit.byzantine.lies import Silent
+from desim.pursuit.core.events import Started
+from desim.pursuit.game.utility import Component
+from desim.pursuit.motion.dynamics import Acceleration, TurnRate
+from desim.pursuit.motion.flow import Environment, SteadyFlow
+from desim.pursuit.sensing.noise import PositionNoise
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import Kalman
+from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from desim.scenario.sweep_table import Sweep
-from desim.study.imperfections import (
+from desim.study.ablation.imperfections import (
     IMPERFECTIONS,
     without_contention,
     without_faults,
@@ -44,16 +44,16 @@ from desim.study.imperfections import (
     without_staleness,
     without_transport,
 )
-from desim.study.sweep_properties import flat
+from desim.study.store.properties import flat
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import CodedOneHop, Gossip, ReliableOneHop
-from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.mutex import LocalMutex
+from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
+from protocols.schedules.synchronous import Synchronous
+from protocols.schedules.token import TokenRing, TokenWalk
 from protocols.server import Server
-from protocols.synchronous import Synchronous
-from protocols.token import TokenRing, TokenWalk
 from scenarios.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))

@@ -15,12 +15,12 @@ from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.metric_code import units_and_codes
-from desim.study.result import SweepResult
-from desim.study.row import Row
-from desim.study.runs import SHOWN, Group
-from desim.study.store import Store
-from desim.study.store_file import StoreError
+from desim.study.plan.metric_code import units_and_codes
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import SHOWN, Group
+from desim.study.store.file import StoreError
+from desim.study.store.row import Row
+from desim.study.store.store import Store
 from tests.command import strict_json
 from tests.summaries import changed
 

@@ -4,8 +4,8 @@ import importlib
 from functools import partial
 from threading import Event, Thread
 
-from desim.study import serialization
-from desim.study.serialization import packed
+from desim.study.workers import serialization
+from desim.study.workers.serialization import packed
 
 
 def test_a_call_packed_while_another_thread_packs_includes_its_code(tmp_path, monkeypatch):

@@ -22,22 +22,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic_core import core_schema
 
-import desim.study.store_file as module
+import desim.study.store.file as module
 from desim.analysis.metrics import summary
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
 from desim.results import environment
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
 from desim.simulation.run import run
-from desim.study import store_connection
-from desim.study.explain import explain
-from desim.study.result import SweepResult
-from desim.study.row import Row
-from desim.study.store import Store
-from desim.study.store_file import StoreError
-from desim.study.sweep import SweepPlan, sweep
-from desim.view.report import Study, report
+from desim.study.ablation.explain import explain
+from desim.study.results.result import SweepResult
+from desim.study.store import connection as store_connection
+from desim.study.store.file import StoreError
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import SweepPlan, sweep
+from desim.view.pages.report import Study, report
 from tests.study import sweeps
 from tests.study.test_workers import command
 
@@ -114,8 +114,8 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
 
 
 ANOTHER = {
-    "desim.study.store.FORMAT": "0",
-    "desim.study.store_file.TABLES": module.TABLES.replace("unit TEXT", "scale TEXT"),
+    "desim.study.store.store.FORMAT": "0",
+    "desim.study.store.file.TABLES": module.TABLES.replace("unit TEXT", "scale TEXT"),
 }
 
 

@@ -19,21 +19,21 @@ from desim import run, summary
 from desim import sweep as sweep_of_package
 from desim.analysis.statistics import estimate, paired, runs_needed
 from desim.config.model import Value
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.pursuit.announcements import STARTS
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.team.announcements import STARTS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import read
-from desim.study import sweep as module
-from desim.study.batch import run_many, seeds_from
-from desim.study.result import SweepResult
-from desim.study.store import Store
-from desim.study.store_file import StoreError
-from desim.study.sweep import MAX_RUNS, RunError, SweepPlan, sweep
-from desim.study.workers import workers_for
+from desim.study.results.result import SweepResult
+from desim.study.store.file import StoreError
+from desim.study.store.store import Store
+from desim.study.sweeps import sweep as module
+from desim.study.sweeps.sweep import MAX_RUNS, RunError, SweepPlan, sweep
+from desim.study.workers.batch import run_many, seeds_from
+from desim.study.workers.workers import workers_for
 from protocols.rule import Rule
 
 # Chance in positions, slots and decisions; about 3 ms each.

@@ -25,18 +25,18 @@ from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
-from desim.study import metric_code
-from desim.study import sweep as module
-from desim.study.config_hash import identify
-from desim.study.configurations import without_metrics
-from desim.study.figures import means
-from desim.study.metric_code import units_and_codes
-from desim.study.result import SweepResult
-from desim.study.row import Row
-from desim.study.store import Store
-from desim.study.store_file import StoreError
-from desim.study.sweep import RunError, SweepPlan
-from desim.view.report import Study, report
+from desim.study.plan import metric_code
+from desim.study.plan.config_hash import identify
+from desim.study.plan.configurations import without_metrics
+from desim.study.plan.metric_code import units_and_codes
+from desim.study.results.figures import means
+from desim.study.results.result import SweepResult
+from desim.study.store.file import StoreError
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps import sweep as module
+from desim.study.sweeps.sweep import RunError, SweepPlan
+from desim.view.pages.report import Study, report
 from tests.analysis import of_users
 from tests.command import accepted, refused
 from tests.view.elements import Elements

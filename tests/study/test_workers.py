@@ -20,9 +20,9 @@ from click.testing import CliRunner
 import desim
 from desim.cli import main
 from desim.scenario.toml import load
-from desim.study import workers as places
-from desim.study.serialization import called, packed
-from desim.study.workers import InProcess, Processes, workers_for
+from desim.study.workers import workers as places
+from desim.study.workers.serialization import called, packed
+from desim.study.workers.workers import InProcess, Processes, workers_for
 from tests.digests import LONG
 from tests.study import sweeps
 
@@ -88,7 +88,7 @@ from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from my_trouble import WAYS
 from protocols.rule import Rule
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 
 BIAS = 0.5
 

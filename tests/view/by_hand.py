@@ -1,9 +1,9 @@
 """Runs of one second in which everything happens that can be drawn, made by hand; times in ms."""
 
-from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
-from desim.pursuit.announcements import Assignment
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.team.announcements import Assignment
 from desim.scenario.players import Evader
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result

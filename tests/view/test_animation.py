@@ -6,8 +6,8 @@ import pytest
 from matplotlib.text import Text
 from PIL import Image
 
-from desim.analysis.plots import styled
-from desim.view.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _Scene, animate, frames
+from desim.analysis.drawing.plots import styled
+from desim.view.pictures.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _Scene, animate, frames
 from tests.drawn import described, line_of, text_of
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair

@@ -12,12 +12,12 @@ import pytest
 from scapy.utils import PcapNgReader
 
 from desim import Scenario, Team, TraceFile, run, summary
-from desim.kernel.trace_file import line_of
-from desim.kernel.transport import Coded, Reliable
-from desim.pursuit.announcements import Announcements
+from desim.kernel.core.trace_file import line_of
+from desim.kernel.models.transport import Coded, Reliable
+from desim.pursuit.team.announcements import Announcements
 from desim.results import run_folder
-from desim.view.export import export
-from desim.view.perfetto import perfetto
+from desim.view.formats.export import export
+from desim.view.formats.perfetto import perfetto
 from tests.message_bodies import BODIES
 from tests.view.test_foxglove import read
 
@@ -131,7 +131,7 @@ def test_a_trace_file_has_the_trace_and_is_read_again(result, tmp_path):
 PROGRAM = """
 from hashlib import sha256
 from desim import run
-from desim.kernel.trace_file import line_of
+from desim.kernel.core.trace_file import line_of
 from tests.view.test_bodies_in_files import SCENARIO
 print(sha256("".join(map(line_of, run(SCENARIO, 1).trace)).encode()).hexdigest())
 """

@@ -5,10 +5,10 @@ from math import pi
 import pytest
 
 from desim import Announcements, Links, Scenario, Team, load
-from desim.kernel.latency import Gamma
+from desim.kernel.models.latency import Gamma
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read, validate
-from desim.view.controls import FIRST, Slider, controls
+from desim.view.pages.controls import FIRST, Slider, controls
 from scenarios.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))

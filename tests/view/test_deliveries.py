@@ -5,11 +5,11 @@ from collections import Counter
 import pytest
 
 from desim import summary
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import announced_action
-from desim.pursuit.events import Decided
-from desim.view.deliveries import (
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming
+from desim.pursuit.core.events import Decided
+from desim.pursuit.team.announcements import announced_action
+from desim.view.data.deliveries import (
     Chase,
     Delivery,
     Interval,
@@ -18,7 +18,7 @@ from desim.view.deliveries import (
     handover_events,
     outages,
 )
-from desim.view.paths import active_periods
+from desim.view.pictures.paths import active_periods
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
 SHORT = ("horizon=1.0", "record.messages=true")

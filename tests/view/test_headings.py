@@ -6,13 +6,13 @@ from math import pi
 import pytest
 
 from desim import Scenario
-from desim.kernel.units import SECOND
-from desim.pursuit.dynamics import Acceleration, Course, TurnRate
-from desim.pursuit.events import Sampled
-from desim.pursuit.flow import AffineFlow, Environment, GyreFlow, HarmonicFlow, SteadyFlow
-from desim.pursuit.recorded import RecordedMotion, RelayNode
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Sampled
+from desim.pursuit.evaders.recorded import RecordedMotion, RelayNode
+from desim.pursuit.motion.dynamics import Acceleration, Course, TurnRate
+from desim.pursuit.motion.flow import AffineFlow, Environment, GyreFlow, HarmonicFlow, SteadyFlow
 from desim.scenario.players import Evader, Team
-from desim.view.headings import Headings
+from desim.view.data.headings import Headings
 
 PERIOD = 50_000_000
 """Time between two samples, ns."""

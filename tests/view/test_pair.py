@@ -8,20 +8,20 @@ import pytest
 
 from desim import Scenario, run
 from desim.analysis.trace_index import ended, messages
-from desim.kernel.events import Trace
-from desim.kernel.faults import Crash, Partition
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.units import SECOND
-from desim.pursuit.events import Decided
+from desim.kernel.core.events import Trace
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.core.events import Decided
 from desim.results.run_folder import write
 from desim.scenario.players import Evader, Speeds, Team
 from desim.scenario.scenario import Recording
 from desim.scenario.sweep_table import Sweep
 from desim.simulation.run import Result
-from desim.view.pair import MAX_DIFFERENCES, MAX_TEXT, differences, side_by_side
-from desim.view.replay import replay_page
+from desim.view.pages.pair import MAX_DIFFERENCES, MAX_TEXT, differences, side_by_side
+from desim.view.pages.replay import replay_page
 from tests.command import accepted, refused
 from tests.view.browser import in_chromium
 from tests.view.by_hand import chase, history, pair

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from desim.analysis.palette import EVADER_MARKS, HUES
-from desim.analysis.plots import COLUMN, styled
-from desim.view.labels import label_points
-from desim.view.paths import EvaderStyle, Paths, draw_pursuit, label_handovers
+from desim.analysis.drawing.palette import EVADER_MARKS, HUES
+from desim.analysis.drawing.plots import COLUMN, styled
+from desim.view.pictures.labels import label_points
+from desim.view.pictures.paths import EvaderStyle, Paths, draw_pursuit, label_handovers
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair

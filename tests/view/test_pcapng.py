@@ -9,10 +9,10 @@ import scapy.layers.inet  # registers IP for the link type
 from scapy.utils import PcapNgReader
 
 from desim import summary
-from desim.kernel.events import Broadcast, MessageCounts, Sent
-from desim.kernel.trace_file import body_json
-from desim.kernel.units import SECOND
-from desim.view.pcapng import HEADERS, MAX_PAYLOAD, PORT, write
+from desim.kernel.core.events import Broadcast, MessageCounts, Sent
+from desim.kernel.core.trace_file import body_json
+from desim.kernel.core.units import SECOND
+from desim.view.formats.pcapng import HEADERS, MAX_PAYLOAD, PORT, write
 from tests.view.by_hand import history
 
 IP, UDP = scapy.layers.inet.IP, scapy.layers.inet.UDP

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.kernel.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted, Sent
-from desim.pursuit.events import Decided
+from desim.kernel.core.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted, Sent
+from desim.pursuit.core.events import Decided
 from desim.scenario.scenario import Recording
-from desim.view.deliveries import chasing, deliveries
-from desim.view.perfetto import FIRST, PURSUERS, _microseconds, perfetto, trace_events, write
+from desim.view.data.deliveries import chasing, deliveries
+from desim.view.formats.perfetto import FIRST, PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from tests.golden import golden
 from tests.view.by_hand import INACTIVE, MS, history, pair

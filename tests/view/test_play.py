@@ -27,11 +27,12 @@ from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read
-from desim.study.batch import seeds_from
-from desim.study.workers import InProcess, Processes
-from desim.view import play, play_server
-from desim.view.play import Playground, Session, _differences
-from desim.view.play_server import PlayServer
+from desim.study.workers.batch import seeds_from
+from desim.study.workers.workers import InProcess, Processes
+from desim.view.pages import play_server
+from desim.view.pages import playground as play
+from desim.view.pages.play_server import PlayServer
+from desim.view.pages.playground import Playground, Session, _differences
 from scenarios.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.view.browser import Page, in_chromium

@@ -9,12 +9,12 @@ from PIL import Image
 
 import desim
 from desim import load, run
-from desim.analysis.plots import save
+from desim.analysis.drawing.plots import save
 from desim.cli.plot import plot
 from desim.results.run_folder import write
-from desim.view.animation import animate
-from desim.view.perfetto import perfetto
-from desim.view.spacetime import spacetime
+from desim.view.formats.perfetto import perfetto
+from desim.view.pictures.animation import animate
+from desim.view.pictures.spacetime import spacetime
 from tests.command import accepted, refused
 
 TOML = """

@@ -20,27 +20,27 @@ from desim import Scenario, load, run
 from desim.analysis.age import belief_error
 from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
-from desim.kernel.access import Tdma
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
-from desim.kernel.graphs import Edge, Edges, Link, Ring
-from desim.kernel.interference import CaptureEffect
-from desim.kernel.latency import Constant, Lognormal
-from desim.kernel.links import Links
-from desim.kernel.loss import Bernoulli
-from desim.kernel.medium import Bitrate
-from desim.kernel.reception import LogDistance, QuasiUnitDisk
-from desim.kernel.topology import Topology
-from desim.kernel.units import SECOND
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.evasion import Still
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Estimated, Sampled
-from desim.pursuit.sensing import Sensing
+from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
+from desim.kernel.models.graphs import Edge, Edges, Link, Ring
+from desim.kernel.models.interference import CaptureEffect
+from desim.kernel.models.latency import Constant, Lognormal
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.reception import LogDistance, QuasiUnitDisk
+from desim.kernel.topology.topology import Topology
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Estimated, Sampled
+from desim.pursuit.evaders.evasion import Still
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.team.announcements import Announcements
 from desim.results.run_folder import write
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
-from desim.view.headings import Headings
-from desim.view.replay import (
+from desim.view.data.headings import Headings
+from desim.view.pages.replay import (
     MAX_REPLAY_TIME,
     _column,
     _document,
@@ -52,7 +52,7 @@ from desim.view.replay import (
     with_recordings,
 )
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson
+from protocols.schedules.periodic import Poisson
 from tests.golden import golden
 from tests.view.browser import in_chromium
 from tests.view.by_hand import ACTIVE, MS, chase, history, pair
@@ -567,7 +567,7 @@ def test_forty_pursuers_and_ten_thousand_messages_take_less_than_a_megabyte():
 @pytest.mark.slow
 def test_a_page_is_the_same_bytes_whatever_the_hash_seed(run_of):
     program = (
-        "import sys; from desim import load, run; from desim.view.replay import replay_page;"
+        "import sys; from desim import load, run; from desim.view.pages.replay import replay_page;"
         f"sys.stdout.buffer.write(replay_page(run(load({str(SCENARIOS / 'faults.toml')!r}, {[*SHORT]}))).encode())"
     )
     environment = os.environ | {"PYTHONHASHSEED": "1"}

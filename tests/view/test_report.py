@@ -23,13 +23,13 @@ from desim.cli.many import merge
 from desim.cli.pages import report as command
 from desim.results import provenance
 from desim.scenario.players import Team
-from desim.study.explain import Variants
-from desim.study.history import shell_lines, wanted
-from desim.study.row import Row
-from desim.study.store import Store
-from desim.study.sweep import SweepPlan
-from desim.study.workers import workers_for
-from desim.view.report import MAX_FAILURES, Study, findings, report
+from desim.study.ablation.explain import Variants
+from desim.study.store.history import shell_lines, wanted
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import SweepPlan
+from desim.study.workers.workers import workers_for
+from desim.view.pages.report import MAX_FAILURES, Study, findings, report
 from tests.golden import golden
 from tests.summaries import changed
 from tests.view.browser import in_chromium
@@ -295,7 +295,7 @@ def test_hostile_names_and_settings_are_text_also_in_pictures(full):
 @pytest.mark.slow
 def test_the_same_store_gives_the_same_bytes_in_another_process(full, explained):
     program = (
-        "import sys; from pathlib import Path; from desim.view.report import Study, report;"
+        "import sys; from pathlib import Path; from desim.view.pages.report import Study, report;"
         "sys.stdout.buffer.write(report(Study.read(Path(sys.argv[1]))).encode())"
     )
     folder, environment = full.path.parent / "explain", os.environ | {"PYTHONHASHSEED": "1"}

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
-from desim.analysis.palette import COLLISION_MARK, LOST, LOST_MARK
-from desim.kernel.events import Broadcast, Lost, Queued
-from desim.kernel.faults import Crash, FaultStarted, Partition
-from desim.pursuit.events import Decided
-from desim.view.deliveries import deliveries
-from desim.view.spacetime import MAX_DENSITY, spacetime
+from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
+from desim.kernel.core.events import Broadcast, Lost, Queued
+from desim.kernel.models.faults import Crash, FaultStarted, Partition
+from desim.pursuit.core.events import Decided
+from desim.view.data.deliveries import deliveries
+from desim.view.pictures.spacetime import MAX_DENSITY, spacetime
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import ACTIVE, MS, history, pair

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, Team, run
-from desim.kernel.events import (
+from desim.kernel.core.events import (
     LOST,
     Broadcast,
     ClockCorrected,
@@ -26,15 +26,15 @@ from desim.kernel.events import (
     Sent,
     TransportCounts,
 )
-from desim.kernel.faults import Crash, FaultStarted
-from desim.kernel.trace_file import events_of, line_of
-from desim.kernel.transport import Reliable
-from desim.kernel.units import SECOND, nanoseconds
-from desim.pursuit.events import FORMAT, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
+from desim.kernel.core.trace_file import events_of, line_of
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.transport import Reliable
+from desim.pursuit.core.events import FORMAT, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results.run_folder import EVENTS
-from desim.view import trace_table
-from desim.view.export import export
-from desim.view.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
+from desim.view.formats import trace_table
+from desim.view.formats.export import export
+from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
 from tests.kernel.test_trace_file import EVENTS as MESSAGE_EVENTS
 from tests.kernel.test_trace_file import NODES, TIMES
 from tests.view.by_hand import MS, history

@@ -7,9 +7,9 @@ import pytest
 
 import desim
 from desim import Scenario, Team
-from desim.study.workers import InProcess
-from desim.view.play import Playground
-from desim.view.widget import PlayWidget
+from desim.study.workers.workers import InProcess
+from desim.view.pages.playground import Playground
+from desim.view.pages.widget import PlayWidget
 from tests.view.browser import in_chromium
 
 SMALL = Scenario(name="small", team=Team(count=5, speeds=1.2), horizon=1.0)

@@ -23,9 +23,9 @@ from desim import (
 )
 from desim.analysis.metrics import Metric, end_time, handovers
 from desim.config.model import Probability, Time, Value
-from desim.kernel.link_context import LinkContext
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.observation import EvaderObservation
+from desim.kernel.core.link_context import LinkContext
+from desim.pursuit.evaders.observation import EvaderObservation
+from desim.pursuit.team.agent import Agent, Process
 from protocols import CBBA, Poisson, SpatialAdaptivePlay
 from protocols.rule import LearningRule, argmax
 

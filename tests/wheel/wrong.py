@@ -1,7 +1,7 @@
 """Mistakes that a type checker finds: each line with a comment has an error of that kind, no other has one."""
 
 from desim import Links, Lognormal, Scenario, Team, run, summary, sweep
-from desim.pursuit.agent import Agent
+from desim.pursuit.team.agent import Agent
 
 
 def silent(me: Agent) -> None:

@@ -1,0 +1,239 @@
+"""Drawing with matplotlib: the common style of all figures, the writing of their files, and the paths of a run.
+
+Files are reproducible byte by byte.
+"""
+
+import re
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
+
+from desim.analysis.drawing.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    EVADER,
+    EVADER_MARK,
+    INACTIVE,
+    PURSUER_MARK,
+)
+from desim.analysis.trace_index import captures, sampled
+from desim.config.file_names import PICTURE_SUFFIXES, files
+from desim.config.trust import escaped, write_whole
+from desim.kernel.core.units import seconds
+from desim.simulation.run import Result
+
+__all__ = [
+    "COLUMN",
+    "EVADER_PATH",
+    "NARROW",
+    "Axes",
+    "Figure",
+    "as_it_is",
+    "draw_trajectory",
+    "html_image",
+    "save",
+    "set_plane",
+    "size_of",
+    "styled",
+    "trajectory",
+]
+
+COLUMN = 8.5 / 2.54
+"""The width of a column of a paper, inches."""
+NARROW = 12.0 / 2.54
+"""The minimum width, inches, of a figure with the usual size of text and several columns in its legend."""
+STYLE: dict[Any, Any] = {
+    "text.usetex": False,  # a matplotlibrc in the working folder may set it; names would then run as TeX
+    "svg.fonttype": "none",
+    "svg.hashsalt": "desim",
+    "pdf.fonttype": 42,  # TrueType; publishers refuse Type 3
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+EVADER_PATH: Mapping[str, Any] = {
+    **{"color": EVADER, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
+    **{"marker": EVADER_MARK, "markevery": [0]},
+}
+"""Style of an evader's path: a diamond at its start, and dashes that distinguish it from pursuers in greyscale, too."""
+UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
+"""The option `metadata` of `savefig` for each format: None leaves out the date."""
+
+
+@contextmanager
+def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
+    """Yield an empty figure in the common style.
+
+    Its layout is computed at the end of the block, and again at each drawing if its size or a text has changed.
+
+    Args:
+        figsize: width and height, inches.
+        font: size of text, points.
+    """
+    small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
+    with mpl.rc_context(STYLE | small | {"font.size": font}):
+        figure = _StyledFigure(figsize=figsize, layout=_SettledLayout())
+        yield figure
+        for _ in range(2):  # the first layout may change the ticks of the axes
+            figure.draw_without_rendering()
+
+
+class _StyledFigure(Figure):
+    """A figure that `savefig` always writes in the common style, for example with TrueType fonts in a PDF."""
+
+    def savefig(self, *args: Any, **options: Any) -> None:
+        """Write the figure; see `matplotlib.figure.Figure.savefig`."""
+        with mpl.rc_context(STYLE):
+            super().savefig(*args, **options)
+
+
+class _SettledLayout(ConstrainedLayoutEngine):
+    """A constrained layout that is computed anew only if the size or a text of the figure has changed.
+
+    Repeated layouts of one figure differ by rounding errors, so its files would differ, too.
+    """
+
+    _known: object = None
+
+    def execute(self, figure: Figure) -> None:
+        if _extent(figure) != self._known:
+            super().execute(figure)
+            self._known = _extent(figure)
+
+
+def _extent(figure: Figure) -> object:
+    """Return the size of a figure, inches, and its texts with their font sizes, points."""
+    texts = figure.findobj(Text)
+    return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
+
+
+def as_it_is(text: str) -> dict[str, Any]:
+    """Return the options of a title whose "$" is shown as it is; a long title is wrapped unless it has a "$"."""
+    return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
+
+
+SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.\d+)?)(?P<last>cm|mm|in)?)?")
+UNITS = {"cm": 2.54, "mm": 25.4, "in": 1.0}
+"""Units of length per inch."""
+LENGTHS = 1.0, 100.0
+"""The least and the greatest width and height of a figure, inches."""
+
+
+def size_of(text: str) -> tuple[float, float | None]:
+    """Return the width and the height, inches, of a size such as "8.5cm", "8.5cmx6cm", "85x60mm" or "3.5in".
+
+    The height is None if only a width is given.
+
+    Raises:
+        ValueError: if the text is not a size, or the width or the height is not from 1 in to 100 in.
+    """
+    found = SIZE.fullmatch(str(text).replace(" ", ""))
+    units = [found["unit"], found["last"]] if found else []
+    if found is None or not any(units):
+        raise ValueError(f"a size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm, got {text!r}")
+    unit, last = (each or units[1 - k] for k, each in enumerate(units))
+    width = float(found["width"]) / UNITS[unit]
+    height = None if found["height"] is None else float(found["height"]) / UNITS[last]
+    if not all(LENGTHS[0] <= each <= LENGTHS[1] for each in (width, height) if each is not None):
+        raise ValueError(f"a width and a height should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, got {text!r}")
+    return width, height
+
+
+def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
+    """Write a figure without a date, as SVG and PNG if the path has no suffix, and return the paths of the files.
+
+    Args:
+        figure: a figure made by `styled`.
+        path: the path of the file, with a suffix of `PICTURE_SUFFIXES` or without one.
+        dpi: dots per inch of a PNG.
+
+    Raises:
+        ValueError: if the suffix is not one of `PICTURE_SUFFIXES`.
+        OSError: if a file cannot be written.
+    """
+    paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
+    with mpl.rc_context(STYLE):
+        figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
+        for each in paths:
+            kind = each.suffix.lower()
+            stream = BytesIO()  # on a full disk, the writer of PDF would raise an AttributeError
+            figure.savefig(stream, format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
+            write_whole(each, stream.getvalue())
+    return paths
+
+
+def html_image(figure: Figure, name: str) -> str:
+    """Return a figure as an HTML image: a PNG at twice the resolution of the page, with `name` as alternative text."""
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=2 * 72)
+    width = 72.0 * figure.get_figwidth()
+    source = f"data:image/png;base64,{b64encode(stream.getvalue()).decode()}"
+    return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'
+
+
+def trajectory(result: Result, size: str | None = None) -> Figure:
+    """Draw the paths of the evaders, their capturers and all other pursuers that moved, and return the figure.
+
+    Args:
+        result: the result of a run with recorded positions.
+        size: the width and perhaps the height; see `size_of`.
+
+    Raises:
+        ValueError: if the run recorded no positions, or the size is invalid.
+    """
+    width, height = (5.2, None) if size is None else size_of(size)
+    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0) as figure:
+        axes = figure.add_subplot()
+        draw_trajectory(axes, result)
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))
+        figure.legend(loc="outside lower center", ncols=2 if width >= NARROW else 1, fontsize=8)
+    return figure
+
+
+def set_plane(axes: Axes) -> None:
+    """Prepare axes for positions: equal scales, labels in metres, and at most five intervals of ticks on each axis."""
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
+
+
+def draw_trajectory(axes: Axes, result: Result) -> None:
+    """Draw the starts of the pursuers, and the paths of the players that `trajectory` shows, on given axes."""
+    samples = sampled(result)
+    evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
+    pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
+    captured = captures(result)
+    capturers = list(dict.fromkeys(each.capturer for each in captured))
+    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
+    set_plane(axes)
+    axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
+    for i in others:
+        label = "pursuer that chased for a while" if i == others[0] else None
+        axes.plot(*pursuers[:, i].T, color=ACTIVE_WITH_OTHERS, lw=1.4, label=label)
+    several = len(evaders[0]) > 1
+    for capturer in capturers:
+        label = None if capturer != capturers[0] else "pursuer that captures"
+        label = label if several else f"pursuer {capturer}, which captures"
+        axes.plot(*pursuers[:, capturer].T, color=ACTIVE, lw=2.0, label=label, zorder=3)
+    for k, path in enumerate(evaders.transpose(1, 0, 2), start=1):
+        axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER_PATH)
+        if several:
+            axes.annotate(str(k), path[0], (4, 4), textcoords="offset points", fontsize=8, zorder=6)
+    for capture in captured:
+        which = f"capture of {capture.evader} by {capture.capturer}" if several else "capture"
+        label = f"{which}, {seconds(capture.t):.2f} s"
+        axes.plot(*evaders[-1, capture.evader - 1], CAPTURE_MARK, color="black", ms=11, zorder=5, label=label)

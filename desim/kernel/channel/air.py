@@ -1,0 +1,135 @@
+"""The frames on the air of a channel for which nodes contend, and the receivers at which they are lost.
+
+At the end of a frame all frames that overlap it are known, and the model of interference decides where it is lost.
+"""
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Integers
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import Cause
+from desim.kernel.core.positions import PositionSource, distances
+from desim.kernel.core.seeds import pair_uniform
+from desim.kernel.models.interference import Frame, LoRaSignal, Overlap
+from desim.kernel.models.medium import LoRa, Radio
+from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.topology.topology import Topology
+
+
+class Air:
+    """The frames that are on the air.
+
+    Args:
+        env: the clock of the simulation.
+        medium: the model of the medium, with its model of interference.
+        topology: the links of the graph, and which of them are within range.
+        positions: the current positions of the nodes; None: unknown.
+        seed: the seed of the run.
+
+    Attributes:
+        hears: returns which nodes are tuned to the frames of a node; None: all are.
+
+    Raises:
+        ValueError: if the model of interference needs positions and there are none, or the nodes do not fit the medium.
+    """
+
+    def __init__(self, env: Clock, medium: Radio, topology: Topology, positions: PositionSource | None, seed: int):
+        self._env, self._medium, self._topology, self._positions, self._seed = env, medium, topology, positions, seed
+        self._interference = medium.reception
+        traits = InterferenceTraits.of(medium.reception)
+        self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
+        self._all = np.arange(topology.size)
+        self.hears = medium.hears if isinstance(medium, LoRa) and medium.is_tuned else None
+        self._frames: list[Frame] = []
+        self._busy = self._busy_since = 0
+        medium.check(topology.size)
+        if medium.reception.needs_positions and positions is None:
+            raise ValueError("network.medium.reception: reception by power needs positions")
+
+    def add(self, frame: Frame) -> None:
+        """Put a frame on the air now, or one that begins in a known time."""
+        now = self._env.now
+        if self._locks:
+            frame.locked = np.ones(len(self._all), dtype=bool)
+        for other in self._frames:
+            if other.end <= frame.begin or frame.end <= other.begin:
+                continue
+            frame.overlapping.append(other)
+            other.overlapping.append(frame)
+            if frame.locked is not None and other.locked is not None:
+                frame.locked[other.src] = other.locked[frame.src] = False
+                first, second = (other, frame) if other.begin < frame.begin else (frame, other)
+                if first.begin < second.begin and first.locked is not None and second.locked is not None:
+                    second.locked &= ~(first.locked & self._tuned(first) & self._audible(first, self._all))
+        if not self._frames:
+            self._busy_since = now
+        self._frames.append(frame)
+
+    def remove(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
+        """Take a frame from the air now; return the causes of its losses, by receiver."""
+        self._frames.remove(frame)
+        if not self._frames:
+            self._busy += self._env.now - self._busy_since
+        causes = self._judge(frame, receivers)
+        frame.overlapping = []  # the frames refer to each other
+        return causes
+
+    def received(self, frame: Frame, nodes: Integers) -> Bools:
+        """Return (k,) which of some nodes receive a frame that ends now and is still on the air."""
+        found = self._audible(frame, nodes)
+        lost = self._judge(frame, nodes[found].tolist())
+        found[found] = [node not in lost for node in nodes[found].tolist()]
+        return found
+
+    def busy_time(self) -> int:
+        """Return the total time, ns, for which there have been frames; SIFS before acknowledgements counts, too."""
+        return self._busy + (self._env.now - self._busy_since if self._frames else 0)
+
+    def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
+        """Return the causes of the losses of a frame that ends now, by receiver."""
+        if not receivers or not (frame.overlapping or self._has_noise or self.hears is not None):
+            return {}
+        nodes = np.array(receivers)
+        overlap = Overlap(
+            frame,
+            nodes,
+            frame.overlapping,
+            lambda each: self._audible(each, nodes),
+            lambda each: self._distances(each, nodes),
+            lambda each: pair_uniform(self._seed, "interference", each.src, nodes, each.draw, symmetric=False),
+            self._signal,
+        )
+        received = np.asarray(self._interference(overlap))
+        if received.dtype != bool or received.shape != nodes.shape:
+            raise ValueError(
+                f"a model of interference should return a boolean for each of {len(nodes)} receivers, got {received!r}"
+                f" from {self._interference!r}"
+            )
+        if frame.locked is not None:
+            received = received & frame.locked[nodes]
+        cause: Cause = self._cause if frame.overlapping else "loss"
+        lost = dict.fromkeys(nodes[~received].tolist(), cause)
+        if self.hears is not None:
+            lost |= dict.fromkeys(nodes[~self.hears(frame.src, nodes)].tolist(), "tuning")
+        deaf = {each.src for each in frame.overlapping}
+        return lost | {node: "half_duplex" for node in receivers if node in deaf}
+
+    def _tuned(self, frame: Frame) -> Bools:
+        """Return (n,) which nodes are tuned to a frame."""
+        return np.ones(len(self._all), dtype=bool) if self.hears is None else self.hears(frame.src, self._all)
+
+    def _audible(self, frame: Frame, nodes: Integers) -> Bools:
+        """Return (k,) whether nodes are linked to the sender of a frame, and within range."""
+        found: Bools = self._topology.links_to(frame.src, nodes) & (nodes != frame.src)
+        found[found] = self._topology.reaches(frame.src, nodes[found], frame.draw)
+        return found
+
+    def _signal(self, frame: Frame) -> LoRaSignal:
+        assert isinstance(self._medium, LoRa)
+        return self._medium.signal(frame.src)
+
+    def _distances(self, frame: Frame, nodes: Integers) -> Floats:
+        """Return the (k,) distances of nodes from the sender of a frame, m."""
+        if self._positions is None:
+            raise ValueError("network.medium.reception: reception by power needs positions")
+        return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]

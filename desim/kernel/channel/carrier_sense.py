@@ -1,0 +1,114 @@
+"""Carrier sensing: which nodes sense the frames on the air, and when."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from desim.config.arrays import Bools, Integers
+from desim.kernel.channel.access_methods import AccessMethod, Contenders
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.positions import PositionSource, distances
+from desim.kernel.core.seeds import ROOM
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.access import Access, CarrierSensing
+from desim.kernel.models.interference import Frame
+from desim.kernel.topology.topology import Topology
+
+
+class CarrierSense:
+    """Tells nodes when they begin and cease to sense a busy channel.
+
+    Args:
+        env: the clock of the simulation.
+        access: the access model.
+        method: the access model in this run.
+        nodes: the state of the nodes.
+        topology: the links of the graph, and which of them are within range.
+        positions: the current positions of the nodes; None: unknown.
+        hears: returns which nodes are tuned to the frames of a node; None: all are.
+        plan: called after nodes have planned actions because the channel has become idle for them.
+
+    Raises:
+        ValueError: if there is a carrier-sense range, and no positions.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        access: Access,
+        method: AccessMethod,
+        nodes: Contenders,
+        topology: Topology,
+        positions: PositionSource | None,
+        hears: Callable[[int, Integers], Bools] | None,
+        plan: Callable[[], None],
+    ):
+        self._env, self._method, self._nodes, self._plan = env, method, nodes, plan
+        self._topology, self._positions, self._hears = topology, positions, hears
+        model = access if isinstance(access, CarrierSensing) else CarrierSensing()
+        self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
+        self._known: dict[int, Integers] = {}
+        """The listeners of each node, if there is no range; up to `ROOM` numbers."""
+        if self._range is not None and positions is None:
+            raise ValueError("network.medium.access: a sensing range needs positions")
+
+    def listeners(self, node: int) -> Integers:
+        """Return the nodes that sense the frames of a node.
+
+        Without a sensing delay the node itself is among them, so that all are updated at once.
+        """
+        if not self._method.senses:
+            return np.empty(0, dtype=np.int64)
+        found = self._known.get(node)
+        if found is None:
+            found = self._near(node)
+            if self._hears is not None:
+                found = found[self._hears(node, found)]
+            if not self._delay:
+                found = np.append(found, node)
+            if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(found) <= ROOM:
+                self._known[node] = found
+        return found
+
+    def _near(self, node: int) -> Integers:
+        """Return the nodes that sense the frames of a node, ascending, without itself."""
+        if self._range is None:
+            return self._topology.neighbours(node)
+        assert self._positions is not None
+        near = distances(self._positions(), node) <= self._range
+        near[node] = False
+        return near.nonzero()[0]
+
+    def sense(self, frame: Frame, change: int) -> None:
+        """Let nodes sense the start (1) or the end (-1) of a frame: its sender now, all others after the delay."""
+        if not self._method.senses:
+            return
+        if self._delay:
+            self._count(np.array([frame.src]), change)
+            instant = Instant(self._env, self._env.now + self._delay, Phase.DELIVERY)
+            instant.callbacks.append(lambda _: self._count(frame.sensed_by, change))
+        else:
+            self._count(frame.sensed_by, change)
+
+    def hold(self, nodes: Integers) -> None:
+        """Let nodes take the channel as busy from now on, as if they sensed one more frame."""
+        self._count(nodes, 1)
+
+    def release(self, nodes: Integers) -> None:
+        """End what `hold` has begun."""
+        self._count(nodes, -1)
+
+    def _count(self, nodes: Integers, change: int) -> None:
+        """Change the number of frames that some nodes sense, by 1 or -1."""
+        state, now = self._nodes, self._env.now
+        before = state.busy[nodes]
+        state.busy[nodes] = before + change
+        changed = nodes[before == (0 if change > 0 else 1)]  # those that begin or cease to sense a busy channel
+        if not len(changed):
+            return
+        if change > 0:
+            self._method.sense_busy(changed, now)
+        else:
+            state.idle_since[changed] = now
+            self._method.sense_idle(changed, now)
+            self._plan()

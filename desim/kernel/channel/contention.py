@@ -1,0 +1,347 @@
+"""A channel for which nodes contend: their queues, and when each of them transmits.
+
+Each node has a FIFO queue. The access method plans the time at which each node acts next. One SimPy event stands for
+the earliest of these times, and each frame has one event at its end, regardless of the number of nodes. What the nodes
+sense is kept in arrays over all nodes (`CarrierSense`), and what is lost on the air is decided at the end of each frame
+(`Air`).
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from desim.kernel.channel.access_methods import Contenders, access_method
+from desim.kernel.channel.air import Air
+from desim.kernel.channel.carrier_sense import CarrierSense
+from desim.kernel.channel.transmitter import Transmittable
+from desim.kernel.core.clock import NEVER, Instant, Phase
+from desim.kernel.core.events import Cause
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.access import CsmaCa
+from desim.kernel.models.interference import Frame
+from desim.kernel.models.medium import Radio, airtimes
+from desim.kernel.state.network_state import NetworkState
+
+Item = TypeVar("Item", bound=Transmittable)
+ACKNOWLEDGEMENT = -1
+"""The number of the frames of acknowledgements, which no node receives as a message."""
+FIRST_DRAW = 1 << 40
+"""The number of the draws of the first acknowledgement or repeated frame; other frames use that of the transmission."""
+
+
+@dataclass(frozen=True)
+class Callbacks(Generic[Item]):
+    """The functions that a channel calls at the steps of a transmission."""
+
+    start: Callable[[Item], None]
+    """Called when a frame of the transmission starts."""
+    leave: Callable[[Item, int], None]
+    """Called after `start` with a transmission that needs no acknowledgement, and its airtime, ns."""
+    land: Callable[[Item, dict[int, Cause]], None]
+    """Called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses on the
+    air, by receiver."""
+    attempt: Callable[[Item, int], Cause | None]
+    """Called with a transmission that needs an acknowledgement at the end of each attempt, and the number of the draws
+    of the attempt; draws the losses, and returns the cause, or None."""
+    succeed: Callable[[Item], None]
+    """Called with a transmission that needs an acknowledgement at the end of the first attempt that succeeds."""
+    acknowledge: Callable[[Item, int], Cause | None]
+    """Called with a transmission at the end of an acknowledgement that can be lost, and the number of the draws of the
+    acknowledgement; draws its losses, and returns the cause, or None."""
+    wait: Callable[[Item], None]
+    """Called with each transmission, because it may have to wait."""
+    lose: Callable[[Item, Cause], None]
+    """Called with a transmission that is given up, and the cause."""
+
+
+@dataclass
+class _Awaited(Generic[Item]):
+    """An acknowledgement for which a sender waits."""
+
+    frame: Frame
+    """The frame to be acknowledged."""
+    item: Item | None
+    """The transmission; None: its sender has crashed, so it has no outcome."""
+    cause: Cause
+    """The cause of the failure if no acknowledgement comes."""
+
+
+class Contention(Generic[Item]):
+    """The channel for which all nodes of a network contend.
+
+    Args:
+        state: the state of the network.
+        medium: the model of the medium; its access model is not `Ideal`.
+        seed: the seed of the run.
+        callbacks: called at the steps of each transmission.
+
+    Raises:
+        ValueError: if there are no positions, but the model of interference or a sensing range needs them; or if the
+            nodes do not fit the medium or its access model.
+    """
+
+    channels = 1
+
+    def __init__(self, state: NetworkState, medium: Radio, seed: int, callbacks: Callbacks[Item]):
+        env, topology, positions = state.env, state.topology, state.positions
+        access = medium.access
+        self._env, self._medium, self._callbacks = env, medium, callbacks
+        self._airtime_of = airtimes(medium)
+        self._air = Air(env, medium, topology, positions, seed)
+        self._nodes = Contenders(topology.size)
+        self._access = access_method(access, self._nodes, stream(seed, "access"), state.clocks)
+        self._carrier = CarrierSense(
+            env, access, self._access, self._nodes, topology, positions, self._air.hears, self._plan
+        )
+        self._acknowledges = isinstance(access, CsmaCa)
+        self._draws = count(FIRST_DRAW)
+        self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]
+        self._sending: dict[int, Item | None] = {}
+        """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
+        self._repeated: set[int] = set()
+        """The numbers of the transmissions of which an attempt has failed."""
+        timeout, eifs = (access.ack_timeout, access.eifs) if isinstance(access, CsmaCa) else (None, None)
+        self._timeout = None if timeout is None else nanoseconds(timeout)
+        """Time for which a sender waits for an acknowledgement, ns; None: none is lost."""
+        self._notes = timeout is not None or eifs is not None
+        """Whether it matters which nodes that sense a frame receive it."""
+        self._awaiting: dict[int, _Awaited[Item]] = {}
+        """The acknowledgement for which each node waits."""
+        self._acknowledged: dict[int, Item] = {}
+        """By the number of its draws: the transmission of each acknowledgement that is on the air and can be lost."""
+        self._received: set[int] = set()
+        """The numbers of the transmissions that were received, and whose sender does not know it."""
+        self._silent_until = [0] * topology.size
+        """The time until which each node does not transmit because of the duty cycle, ns."""
+        self._wake: int = NEVER
+
+    def enqueue(self, item: Item) -> None:
+        """Let a transmission contend for the channel, after those of its node that wait."""
+        queue = self._queues[item.src]
+        self._callbacks.wait(item)
+        if self._airtime(item) > self._access.longest_airtime:
+            self._callbacks.lose(item, "access")
+            return
+        queue.append(item)
+        if len(queue) == 1:
+            self._prepare(item.src, arrived=True)
+        # The first is not dropped if it contends, or is to be transmitted again.
+        kept = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
+        if len(queue) > self._medium.queue_limit + kept:
+            self._callbacks.lose(queue[kept], "queue")
+            del queue[kept]
+
+    def flush(self, src: int) -> list[Item]:
+        """Remove and return all transmissions of a node whose radio goes down now, also that on the air.
+
+        The frame on the air stays there until its end, as interference and as a busy channel, but has no outcome.
+        """
+        taken = list(self._queues[src])
+        self._queues[src].clear()
+        self._nodes.ready[src] = False
+        self._access.reset(src)
+        item = self._sending.get(src)
+        if item is not None:
+            self._sending[src] = None
+            taken.append(item)
+        awaited = self._awaiting.get(src)
+        if awaited is not None and awaited.item is not None:
+            taken.append(awaited.item)
+            awaited.item = None
+        numbers = {each.number for each in taken}
+        taken = [each for each in taken if each.number not in self._received]
+        self._repeated -= numbers
+        self._received -= numbers
+        return taken
+
+    def waiting(self) -> Iterator[Item]:
+        """Yield the transmissions that wait, and those on the air that are to be acknowledged and not yet received."""
+        items = [item for queue in self._queues for item in queue]
+        items += [item for item in self._sending.values() if item is not None and self._needs_ack(item)]
+        items += [awaited.item for awaited in self._awaiting.values() if awaited.item is not None]
+        yield from (item for item in items if item.number not in self._received)
+
+    def busy_time(self) -> int:
+        """Return the total time, ns, for which there have been frames on the air."""
+        return self._air.busy_time()
+
+    def _airtime(self, item: Item) -> int:
+        return nanoseconds(self._airtime_of(item.size, item.src))
+
+    def _needs_ack(self, item: Item) -> bool:
+        return self._acknowledges and item.to_one
+
+    def _prepare(self, node: int, *, arrived: bool = False) -> None:
+        """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
+        # At the end of its silence, another action of this instant may have come first.
+        is_idle = node not in self._sending and node not in self._awaiting and not self._nodes.ready[node]
+        if is_idle and self._queues[node] and self._env.now >= self._silent_until[node]:
+            self._nodes.ready[node] = True
+            self._access.prepare(node, self._env.now, arrived=arrived)
+            self._plan()
+
+    def _plan(self) -> None:
+        """Schedule an event at the next planned action, unless there is one."""
+        first = int(self._nodes.due.min())
+        if first < self._wake:
+            self._wake = first
+            Instant(self._env, first, Phase.ACCESS).callbacks.append(lambda _: self._act(first))
+
+    def _act(self, planned: int) -> None:
+        """Perform the actions that are planned for now."""
+        if planned != self._wake:
+            return  # an earlier event has been scheduled since, and has planned anew
+        now, self._wake = self._env.now, NEVER
+        due = (self._nodes.due <= now).nonzero()[0]
+        starting, dropping = self._access.act(due, now) if len(due) else (due, due)
+        begun = [self._begin(node) for node in starting.tolist()]
+        for node in dropping.tolist():
+            self._nodes.ready[node], self._nodes.due[node] = False, NEVER
+            self._callbacks.lose(self._queues[node].popleft(), "access")
+            self._prepare(node)
+        for frame in begun:
+            self._carrier.sense(frame, 1)
+        self._plan()
+
+    def _begin(self, node: int) -> Frame:
+        """Transmit the first frame in the queue of a node."""
+        item = self._queues[node].popleft()
+        airtime = self._airtime(item)
+        self._nodes.ready[node], self._nodes.due[node] = False, NEVER
+        self._sending[node] = item
+        self._callbacks.start(item)
+        draw = next(self._draws) if item.number in self._repeated else item.number
+        frame = self._transmit(item.number, node, self._env.now, airtime, draw)
+        if not self._needs_ack(item):
+            self._callbacks.leave(item, airtime)
+        return frame
+
+    def _transmit(self, number: int, node: int, begin: int, airtime: int, draw: int) -> Frame:
+        """Put a frame on the air that begins now, or in a known time."""
+        frame = Frame(number, draw, node, begin, begin + airtime, self._carrier.listeners(node))
+        self._air.add(frame)
+        Instant(self._env, frame.end, Phase.DELIVERY).callbacks.append(lambda _: self._end(frame))
+        return frame
+
+    def _end(self, frame: Frame) -> None:
+        """Take a frame from the air, and decide at which receivers it is lost."""
+        if self._notes:
+            self._note(frame)
+        if frame.number == ACKNOWLEDGEMENT:
+            self._end_acknowledgement(frame)
+            return
+        item, cause = self._sending.pop(frame.src), None
+        causes = self._air.remove(frame, item.receivers if item is not None else [])
+        if item is not None and not self._needs_ack(item):
+            self._callbacks.land(item, causes)
+        elif item is not None:
+            cause = causes.get(item.receivers[0]) or self._callbacks.attempt(item, frame.draw)
+            self._repeated.discard(item.number)
+            if cause is None and item.number not in self._received:
+                self._callbacks.succeed(item)
+            if self._timeout is not None:
+                self._await(frame, item, cause)
+                return
+            if cause is None:
+                self._acknowledge(item.receivers[0])
+        is_repeated = self._access.transmitted(frame.src, acknowledged=cause is None)
+        if item is not None and cause is not None:
+            if is_repeated:
+                self._queues[frame.src].appendleft(item)
+                self._repeated.add(item.number)
+            else:
+                self._callbacks.lose(item, cause)
+        self._carrier.sense(frame, -1)
+        self._rest(frame)
+        self._prepare(frame.src)
+
+    def _rest(self, frame: Frame) -> None:
+        """Let the sender of a frame be silent after it, if there is a duty cycle."""
+        if self._medium.duty_cycle is None:
+            return
+        airtime, node = frame.end - frame.begin, frame.src
+        self._silent_until[node] = frame.begin + round(airtime / self._medium.duty_cycle)
+        Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
+
+    def _acknowledge(self, node: int) -> Frame:
+        """Let a node transmit an acknowledgement after SIFS; in that time, too, the channel is sensed as busy."""
+        assert isinstance(self._medium.access, CsmaCa)
+        begin = self._env.now + nanoseconds(self._medium.access.sifs)
+        airtime = nanoseconds(self._medium.access.ack)
+        frame = self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws))
+        self._carrier.sense(frame, 1)
+        self._nodes.due[node] = NEVER
+        return frame
+
+    # Acknowledgements that can be lost.
+
+    def _note(self, frame: Frame) -> None:
+        """Let the nodes that sense a frame that ends now note whether they receive it.
+
+        Those that receive a frame to be acknowledged by another node are silent until the end of the acknowledgement.
+        """
+        nodes = frame.sensed_by
+        received = self._air.received(frame, nodes)
+        self._access.note(nodes, received | (nodes == frame.src))
+        item = self._sending.get(frame.src) if frame.number != ACKNOWLEDGEMENT else None
+        if self._timeout is None or item is None or not self._needs_ack(item):
+            return
+        assert isinstance(self._medium.access, CsmaCa)
+        silent = nodes[received & (nodes != item.receivers[0])]
+        end = self._env.now + nanoseconds(self._medium.access.sifs) + nanoseconds(self._medium.access.ack)
+        self._carrier.hold(silent)
+        Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.release(silent))
+
+    def _await(self, frame: Frame, item: Item, cause: Cause | None) -> None:
+        """Let a sender wait for the acknowledgement of its frame, which ends now and was lost by a cause, or received.
+
+        Until then it takes the channel as busy.
+        """
+        assert self._timeout is not None
+        src = frame.src
+        self._awaiting[src] = awaited = _Awaited(frame, item, cause or "loss")
+        self._carrier.hold(np.array([src]))
+        if cause is None:
+            self._received.add(item.number)
+            self._acknowledged[self._acknowledge(item.receivers[0]).draw] = item
+        self._carrier.sense(frame, -1)
+        self._rest(frame)
+
+        def time_out(_: object) -> None:
+            if self._awaiting.get(src) is awaited:
+                self._settle(src, acknowledged=False)
+
+        Instant(self._env, self._env.now + self._timeout, Phase.DELIVERY).callbacks.append(time_out)
+
+    def _end_acknowledgement(self, frame: Frame) -> None:
+        """Take an acknowledgement from the air, and let the sender that waits for it know, unless it is lost."""
+        item = self._acknowledged.pop(frame.draw, None)
+        causes = self._air.remove(frame, [item.src] if item is not None else [])
+        self._carrier.sense(frame, -1)
+        awaited = self._awaiting.get(item.src) if item is not None else None
+        if item is None or awaited is None or awaited.item is not item:
+            return
+        cause = causes.get(item.src) or self._callbacks.acknowledge(item, frame.draw)
+        if cause is None:
+            self._settle(item.src, acknowledged=True)
+        else:
+            awaited.cause = cause
+
+    def _settle(self, src: int, *, acknowledged: bool) -> None:
+        """End the wait of a sender for an acknowledgement: its transmission is done, repeated or given up."""
+        awaited = self._awaiting.pop(src)
+        item, is_repeated = awaited.item, self._access.transmitted(src, acknowledged=acknowledged)
+        if item is not None and is_repeated:
+            self._queues[src].appendleft(item)
+            self._repeated.add(item.number)
+        elif item is not None:
+            if item.number not in self._received:
+                self._callbacks.lose(item, awaited.cause)
+            self._received.discard(item.number)
+        self._carrier.release(np.array([src]))
+        self._prepare(src)

@@ -1,0 +1,174 @@
+"""The transmitters of a network, with their queues of waiting messages.
+
+A node transmits one message at a time; further messages wait in a FIFO queue. On a shared channel all nodes use one
+queue: ideal medium access without overhead or collisions.
+"""
+
+from bisect import bisect_left
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator
+from itertools import islice
+from typing import Generic, Protocol, TypeVar
+
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.medium import Medium, airtime_of
+
+
+class Transmittable(Protocol):
+    """An item that can be transmitted."""
+
+    @property
+    def src(self) -> int:
+        """The node that transmits."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Size, bytes."""
+        ...
+
+    @property
+    def number(self) -> int:
+        """The number of the transmission."""
+        ...
+
+    @property
+    def receivers(self) -> list[int]:
+        """The nodes that it is meant for."""
+        ...
+
+    @property
+    def to_one(self) -> bool:
+        """Whether it is addressed to one node."""
+        ...
+
+
+Item = TypeVar("Item", bound=Transmittable)
+
+
+class Transmitter(Generic[Item]):
+    """The transmitters of all nodes, or the shared channel of all nodes.
+
+    A transmission waits while its channel is busy, and then occupies the channel for its airtime. If a node has more
+    than `queue_limit` waiting transmissions, its oldest is dropped.
+
+    Args:
+        env: the clock of the simulation.
+        medium: the model of the medium.
+        size: number of nodes.
+        leave: called with a transmission and its airtime, ns, when the transmission starts.
+        wait: called when a transmission has to wait.
+        drop: called when a waiting transmission is dropped.
+        lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long after the end of
+            its reception; its outcome is decided at its arrival or later.
+
+    Attributes:
+        recent: for half duplex, start (ns), end (ns) and node of the recent transmissions, by start.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        medium: Medium,
+        size: int,
+        leave: Callable[[Item, int], None],
+        wait: Callable[[Item], None],
+        drop: Callable[[Item], None],
+        lag: int = 0,
+    ):
+        self._env, self._medium = env, medium
+        self._leave, self._wait, self._drop = leave, wait, drop
+        self.channels = 1 if medium.shared else size
+        # A shared channel serves the transmissions of all nodes in order, and a full node drops its own oldest. As each
+        # waiting transmission is in the queue of its channel and in that of its node, both take constant time.
+        self._waiting: list[OrderedDict[int, Item]] = [OrderedDict() for _ in range(self.channels)]
+        """The waiting transmissions of each channel, by number."""
+        self._of_node: list[deque[Item]] = [deque() for _ in range(size)]
+        """The waiting transmissions of each node."""
+        self._free_at = [0] * self.channels
+        self._busy = 0
+        self.recent: list[tuple[int, int, int]] = []
+        self._lag, self._longest = lag, 0
+
+    def enqueue(self, item: Item) -> None:
+        """Start a transmission now, or when the channel is free."""
+        channel = self._channel(item.src)
+        waiting = self._waiting[channel]
+        if not waiting and self._env.now >= self._free_at[channel]:
+            self._begin(channel, item)
+            return
+        self._wait(item)
+        waiting[item.number] = item
+        of_node = self._of_node[item.src]
+        of_node.append(item)
+        if len(waiting) == 1:
+            self._await_turn(channel)
+        if len(of_node) > self._medium.queue_limit:
+            oldest = of_node.popleft()
+            del waiting[oldest.number]
+            self._drop(oldest)
+
+    def flush(self, src: int) -> list[Item]:
+        """Remove and return all waiting transmissions of a node."""
+        taken = list(self._of_node[src])
+        self._of_node[src].clear()
+        waiting = self._waiting[self._channel(src)]
+        for item in taken:
+            del waiting[item.number]
+        return taken
+
+    def waiting(self) -> Iterator[Item]:
+        """Yield the waiting transmissions."""
+        return (item for waiting in self._waiting for item in waiting.values())
+
+    def busy_time(self) -> int:
+        """Return the total time, ns, that the channels have been busy so far."""
+        return self._busy - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
+
+    def during(self, first: int, last: int) -> dict[int, list[tuple[int, int]]]:
+        """Return start and end of each recent transmission that may concern receptions, by node.
+
+        Args:
+            first: the earliest end of a reception, ns; not before the last time given to `forget`.
+            last: the latest end of a reception, ns.
+        """
+        found: dict[int, list[tuple[int, int]]] = {}
+        # A reception began at most the longest airtime before its end, and so did a transmission that overlaps it.
+        since = bisect_left(self.recent, (first - 2 * self._longest,))
+        for begin, end, node in islice(self.recent, since, None):
+            if begin >= last:
+                break
+            found.setdefault(node, []).append((begin, end))
+        return found
+
+    def forget(self, before: float) -> None:
+        """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""
+        del self.recent[: bisect_left(self.recent, (before - 2 * self._longest - self._lag,))]
+
+    def _channel(self, node: int) -> int:
+        """Return the number of the channel on which a node transmits."""
+        return 0 if self._medium.shared else node
+
+    def _begin(self, channel: int, item: Item) -> None:
+        now, duration = self._env.now, nanoseconds(airtime_of(self._medium, item.size))
+        self._free_at[channel] = now + duration
+        self._busy += duration
+        if self._medium.half_duplex and not self._medium.shared:
+            self._longest = max(self._longest, duration)
+            self.recent.append((now, now + duration, item.src))
+        self._leave(item, duration)
+
+    def _await_turn(self, channel: int) -> None:
+        Instant(self._env, self._free_at[channel], Phase.DELIVERY).callbacks.append(lambda _: self._next(channel))
+
+    def _next(self, channel: int) -> None:
+        waiting = self._waiting[channel]
+        if not waiting or self._env.now < self._free_at[channel]:
+            return  # the transmission that waited has been removed, or has already started
+        _, item = waiting.popitem(last=False)
+        self._of_node[item.src].popleft()
+        self._begin(channel, item)
+        if waiting:
+            self._await_turn(channel)

@@ -1,0 +1,231 @@
+"""The clock of a simulation, in integer nanoseconds, and the order of simultaneous events.
+
+Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
+rounding never separates simultaneous events. Simultaneous events of different phases happen in the order of `Phase`.
+
+No other module of `desim` uses private parts of SimPy.
+"""
+
+import gc
+from enum import IntEnum
+from heapq import heappush
+from operator import attrgetter
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import simpy
+from simpy.events import Condition, EventPriority
+
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from simpy.core import SimTime
+
+GC_THRESHOLDS = 100_000, 50, 100
+"""The thresholds of the garbage collector during a run; see `gc.set_threshold`."""
+NEVER = (1 << 63) - 1
+"""A time that no run reaches, ns; the largest 64-bit integer."""
+
+
+class _RareCollection:
+    """Makes garbage collection less frequent in the whole process while at least one run lasts, in any thread."""
+
+    def __init__(self) -> None:
+        self._lock, self._runs, self._usual = Lock(), 0, gc.get_threshold()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._runs:
+                self._usual = gc.get_threshold()
+                gc.set_threshold(*GC_THRESHOLDS)
+            self._runs += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._runs -= 1
+            if not self._runs:
+                gc.set_threshold(*self._usual)
+
+
+_RARE_COLLECTION = _RareCollection()
+
+
+class Phase(IntEnum):
+    """The order of simultaneous events, as SimPy priorities: the lowest number comes first.
+
+    An event at which a node acts, such as a decision, has the priority of its phase plus the id of the node, so the
+    lowest id acts first. SimPy's own events (priorities 0 and 1), such as a condition that is met, come before all
+    phases. A process that waits for a condition therefore resumes in the phase of the event that met the condition.
+    """
+
+    FAULT = 1 << 32
+    """Faults start and end."""
+    DELIVERY = 2 << 32
+    """Messages reach their inboxes."""
+    RELAY = 3 << 32
+    """Nodes forward received messages."""
+    CAPTURE = 4 << 32
+    """Evaders are captured; a run that reaches its horizon ends after these captures."""
+    DECISION = 5 << 32
+    """Nodes decide and announce their decisions."""
+    HEARTBEAT = 6 << 32
+    """Nodes send periodic announcements and reports; processes that wait for all decisions of the instant resume."""
+    MOTION = 7 << 32
+    """Velocities are recomputed."""
+    SAMPLE = 8 << 32
+    """Positions are recorded."""
+    ACCESS = 9 << 32
+    """Nodes that contend for a channel sense it, and start to transmit."""
+
+
+class Clock(simpy.Environment):
+    """A SimPy environment whose time is an integer number of nanoseconds and starts at 0."""
+
+    now: int = property(attrgetter("_now"), doc="The time, ns.")  # type: ignore[assignment]  # faster than a method
+
+    def run(self, until: "SimTime | simpy.Event | None" = None) -> Any:
+        """Run as `simpy.Environment.run` does, with less frequent garbage collection.
+
+        Most objects of a simulation stay alive. With the usual thresholds, repeated scans of these objects take a third
+        of the time of a large run.
+
+        Raises:
+            BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
+        """
+        with _RARE_COLLECTION:
+            return self._run(until)
+
+    def _run(self, until: "SimTime | simpy.Event | None") -> Any:
+        """Run as `simpy.Environment.run` does, and raise the exception of a process as it was raised."""
+        try:
+            return super().run(until)
+        except BaseException as error:
+            first = error.__cause__
+            if type(first) is type(error) and first.args == error.args:
+                raise first from first.__cause__
+            raise
+
+    def scheduled(self) -> dict[int, int]:
+        """Return the time (ns) of each scheduled event, by the `id` of the event."""
+        return {id(event): int(when) for when, _, _, event in self._queue}
+
+    def trigger(self, event: simpy.Event, priority: int) -> None:
+        """Trigger an event now, with the value None and a SimPy priority among simultaneous events."""
+        event._ok, event._value = True, None
+        self.schedule(event, EventPriority(priority))
+
+
+def generator_of(process: simpy.Process) -> Any:
+    """Return the generator that a process runs."""
+    return process._generator
+
+
+def parts_of(event: simpy.Event) -> "Sequence[simpy.Event]":
+    """Return the events that a condition combines; for any other event, a list with only this event."""
+    return event._events if isinstance(event, Condition) else [event]
+
+
+class Instant(simpy.Event):
+    """An event at a given time (ns) with a given priority, usually a `Phase`; its value is None.
+
+    Unlike `simpy.Timeout` it takes an absolute time, so the k-th tick of a period is at k x period, without drift.
+
+    Raises:
+        ValueError: if the time is in the past.
+    """
+
+    _ok = True
+    _value: Any = None
+
+    def __init__(self, env: Clock, when: int, priority: int):
+        if when < env._now:
+            raise ValueError(f"the instant {when} ns has passed, it is {env.now} ns")
+        self.env = env
+        self.callbacks: list[Callable[[simpy.Event], None]] = []
+        heappush(env._queue, (when, priority, next(env._eid), self))  # type: ignore[misc]  # `schedule`, inlined
+
+
+class Timer:
+    """Calls a function at the earliest of the times to which it has been set, with one scheduled event at a time.
+
+    An event that an earlier time has replaced has no effect. A time later than the present one has no effect either:
+    the function that is called sets the timer anew.
+
+    Args:
+        env: the clock.
+        priority: the SimPy priority of the call, usually a `Phase`.
+        act: the function.
+    """
+
+    __slots__ = ("_act", "_env", "_priority", "_when")
+
+    def __init__(self, env: Clock, priority: int, act: "Callable[[], object]"):
+        self._env, self._priority, self._act = env, priority, act
+        self._when = NEVER
+
+    def set(self, when: int) -> None:
+        """Call the function at a time, ns, or now if it has passed, unless it is called earlier anyway."""
+        when = max(when, self._env.now)
+        if when < self._when:
+            self._when = when
+            Instant(self._env, when, self._priority).callbacks.append(lambda _: self._ring(when))
+
+    def stop(self) -> None:
+        """Do not call the function until the timer is set again."""
+        self._when = NEVER
+
+    def _ring(self, when: int) -> None:
+        if when == self._when:
+            self._when = NEVER
+            self._act()
+
+
+class NodeClock:
+    """The local clock of a node: at the true time t, s, it shows offset + correction + rate * t, s.
+
+    Attributes:
+        correction: what synchronisation has added to it, s.
+    """
+
+    true: int = property(attrgetter("_env._now"), doc="The true time, ns.")  # type: ignore[assignment]  # as in `Clock`
+
+    def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
+        self._env, self._offset, self._rate = env, offset, rate
+        self._is_exact = offset == 0.0 and rate == 1.0
+        self._uncorrected = offset
+        self.correction = 0.0
+
+    @property
+    def now(self) -> float:
+        """The local time, s."""
+        return self._offset + self._rate * (self._env._now / SECOND)
+
+    @property
+    def stamp(self) -> int:
+        """The local time, ns."""
+        return self._env.now if self._is_exact else round(self.now * SECOND)
+
+    @property
+    def uncorrected(self) -> int:
+        """The local time without the correction, ns."""
+        return round((self._uncorrected + self._rate * (self._env._now / SECOND)) * SECOND)
+
+    def correct(self, correction: int) -> None:
+        """Replace the correction, ns; the local time steps by the difference from the last one."""
+        self.correction = seconds(correction)
+        self._offset = self._uncorrected + self.correction
+        self._is_exact = self._offset == 0.0 and self._rate == 1.0
+
+    def at(self, true: int) -> float:
+        """Return the local time (s) at a true time (ns), with the present correction."""
+        return self._offset + self._rate * seconds(true)
+
+    def when(self, time: float) -> int:
+        """Return the true time (ns) at a local time (s), with the present correction."""
+        return round((time - self._offset) / self._rate * SECOND)
+
+    def span(self, duration: float) -> int:
+        """Return the true duration (ns) of a local duration (s)."""
+        return nanoseconds(duration / self._rate)

@@ -1,0 +1,184 @@
+"""The size of messages in bytes, computed from a fixed layout.
+
+    4  sender
+    4  sequence number
+    8  time, s
+    8  each number, boolean, date or duration in the body; 16 if it is complex, or a UUID
+    1  each byte of a string (in UTF-8), of a path, or of a bytes-like object in the body
+    0  None
+
+The size of a collection is the sum of the sizes of its items, that of a dict the sum of the sizes of its keys and
+values, and that of an object the sum of the sizes of its fields or attributes, whose names are not sent. A number in an
+array of numpy or a series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An
+enumeration has the size of its value. A record inside a body, for instance a forwarded one, includes its own header.
+An object without known content, such as a function, has no size: the sender has to tell it.
+
+For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
+and 48 if it is an action, a position (two numbers) and a speed.
+"""
+
+import array
+import datetime
+import functools
+import types
+import uuid
+from collections.abc import Iterable, Mapping, Set
+from decimal import Decimal
+from enum import Enum
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from desim.config.python_numbers import whole
+from desim.kernel.core.message_body import Fields, attributes_of, content, fields_of
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.records import Record
+
+HEADER = 16
+"""Size of sender, sequence number and time, bytes."""
+NUMBER = 8
+"""Size of a number, bytes."""
+MAX_SIZE = 1 << 48
+"""Largest size of a message, bytes."""
+SCALARS = frozenset({int, float, bool})
+COLLECTIONS = (tuple, list, set, frozenset)
+
+
+def size_of(body: Any) -> int:
+    """Return the size (bytes) of a message with a body.
+
+    Raises:
+        ValueError: if the body has no size, contains itself, or is nested too deeply.
+    """
+    try:
+        return HEADER + _size(body)
+    except RecursionError as error:
+        kind = type(body).__name__
+        raise ValueError(f"a body of type {kind} has no size: it is nested too deeply, or contains itself") from error
+
+
+def checked_size(size: Any) -> int:
+    """Return the size of a message (bytes) that its sender tells, as an int.
+
+    Raises:
+        ValueError: if it is not an integer, or not within 0 .. `MAX_SIZE`.
+    """
+    number = whole(size, "the size of a message, in bytes,")
+    if number < 0:
+        raise ValueError(f"the size of a message should be at least 0 bytes (got {number})")
+    if number > MAX_SIZE:
+        raise ValueError(f"the size of a message should be at most {MAX_SIZE} bytes (got {number})")
+    return number
+
+
+def _size(body: Any) -> int:
+    kind = type(body)
+    if kind in SCALARS:
+        return NUMBER
+    if kind is Record:
+        return HEADER + _size(body.body)
+    if isinstance(body, COLLECTIONS):
+        return NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
+    return 0 if body is None else size(body)
+
+
+@functools.singledispatch
+def size(body: Any) -> int:
+    """Return the size of an object in a body, bytes, without a header.
+
+    Raises:
+        ValueError: if it has none.
+    """
+    simpler = content(body)
+    if type(simpler) is not Fields:
+        return _size(simpler)
+    fields = fields_of(body)
+    parts = attributes_of(body) if fields is None else fields
+    return portable_sum(map(_size, parts.values())) if parts or fields is not None else _no_size(body)
+
+
+@size.register(type)
+@size.register(types.FunctionType)
+@size.register(types.BuiltinFunctionType)
+@size.register(types.MethodType)
+def _no_size(body: Any) -> int:
+    raise ValueError(
+        f"an object of type {type(body).__name__} has no size: send it with size=, the number of bytes of the message,"
+        " or send numbers, texts, collections or dataclasses instead"
+    )
+
+
+@size.register(int)
+@size.register(float)
+@size.register(np.generic)
+@size.register(Decimal)
+@size.register(Fraction)
+@size.register(datetime.date)
+@size.register(datetime.time)
+@size.register(datetime.timedelta)
+def _number(_: Any) -> int:
+    return NUMBER
+
+
+@size.register(complex)
+@size.register(np.complexfloating)
+@size.register(uuid.UUID)
+def _two_numbers(_: Any) -> int:
+    return 2 * NUMBER
+
+
+@size.register
+def _text(text: str) -> int:
+    return len(text.encode("utf-8", "surrogatepass"))
+
+
+@size.register
+def _octets(octets: bytes | bytearray) -> int:
+    return len(octets)
+
+
+@size.register
+def _memory(octets: memoryview) -> int:
+    return octets.nbytes
+
+
+@size.register
+def _typed(items: array.array) -> int:  # type: ignore[type-arg]
+    return len(items) * items.itemsize
+
+
+@size.register
+def _range(numbers: range) -> int:
+    return NUMBER * len(numbers)
+
+
+@size.register(Set)
+def _items(items: Iterable[Any]) -> int:
+    return portable_sum(map(_size, items))
+
+
+@size.register
+def _pairs(items: Mapping) -> int:  # type: ignore[type-arg]
+    return portable_sum(_size(key) + _size(value) for key, value in items.items())
+
+
+@size.register
+def _array(numbers: np.ndarray) -> int:
+    if numbers.dtype.kind in "biufmM":
+        return NUMBER * numbers.size
+    return 2 * NUMBER * numbers.size if numbers.dtype.kind == "c" else _size(content(numbers))
+
+
+@size.register
+def _void(scalar: np.void) -> int:
+    return (
+        scalar.nbytes
+        if scalar.dtype.names is None
+        else portable_sum(_size(scalar[name]) for name in scalar.dtype.names)
+    )
+
+
+@size.register
+def _value(member: Enum) -> int:
+    return _size(member.value)

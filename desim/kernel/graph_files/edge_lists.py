@@ -1,0 +1,233 @@
+"""Graphs as text: edge lists, adjacency lists and files of Pajek, as networkx graphs whose nodes are texts.
+
+Edge lists and adjacency lists do not say whether edges are one-way. A line of an edge list is an edge: its ends, and
+possibly attributes, named in a header or as Python writes a dict. A line with one name is a node without edges.
+
+    source,target,latency,loss
+    uav1,uav2,0.05,0.1
+"""
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from desim.config.number_files import number_of
+from desim.kernel.measured.csv_tables import separator_in, with_points
+
+if TYPE_CHECKING:
+    import networkx as nx
+PARTS = re.compile(r"""(?:'[^']*'|"[^"]*"|[^,'"])+""")
+"""Matches an item of a dict."""
+PAIR = re.compile(r"""\s*(['"])(.*?)\1\s*:\s*(?:(['"])(.*?)\3|([\w.+-]+))\s*""")
+"""Matches the name and the value of an item: a text or a word, such as a number."""
+
+
+class Row(NamedTuple):
+    """A line of a list."""
+
+    line: int
+    cells: list[str]
+    attributes: dict[str, Any]
+    """The attributes that it gives as a dict."""
+
+
+Edge = tuple[str, str, dict[str, Any]]
+"""The ends and the attributes of an edge."""
+ENDS = (
+    *(("source", "target"), ("src", "dst"), ("from", "to"), ("sender", "receiver"), ("tx", "rx"), ("u", "v")),
+    *(("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b"), ("start", "end")),
+)
+"""The names of the columns of both ends, in lower case."""
+WITH_DICT = re.compile(r"(\S+)\s+(\S+)\s*(\{.*\})")
+"""Matches an edge as `networkx.write_edgelist` writes it."""
+
+
+def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
+    """Return the graph in an edge list; `directed`: whether edges are one-way, None if it is not known.
+
+    Raises:
+        ValueError: if a line is no edge; the message names the file and the line.
+    """
+    delimiter = _delimiter(text)
+    header, rows = _header_of(_rows(file, text, delimiter))
+    if delimiter in {";", "\t"}:  # then numbers may have decimal commas
+        points = with_points(((row.line, row.cells) for row in rows), list, str(file))
+        rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
+    if not header:
+        is_weighted = all(len(row.cells) == 3 and _is_number(row.cells[2]) for row in rows)
+        header = ["source", "target", *(["weight"] if is_weighted else [])]
+        if too_long := [row for row in rows if len(row.cells) > len(header)]:
+            raise ValueError(
+                f"{file}, line {too_long[0].line}: should have two nodes; attributes need a first line that names the"
+                " columns, such as source,target,latency,loss; an adjacency list needs the ending .adjlist"
+            )
+    lower = [name.lower() for name in header]
+    src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
+    kinds, nodes, edges = set[str](), list[str](), list[Edge]()
+    for line, cells, attributes in rows:
+        if len(cells) == 1:
+            nodes.append(cells[0])
+            continue
+        if len(cells) != len(header):
+            raise ValueError(f"{file}, line {line}: should have {len(header)} columns, has {len(cells)}")
+        place = f"{file}, line {line}"
+        named = {name: cells[k] for k, name in enumerate(header) if k not in {src, dst} and cells[k]}
+        kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
+        read = {name: _attribute(name, value, place) for name, value in named.items() if name.lower() != "type"}
+        edges.append((cells[src], cells[dst], read | attributes))
+    if kinds & {"directed", "undirected"}:
+        if len(kinds) > 1:
+            raise ValueError(f"{file} has directed and undirected edges: all should be of one type")
+        if directed is not None and directed != ("directed" in kinds):
+            raise ValueError(
+                f"{file} has a column Type, which says {'un' if directed else ''}directed: leave out directed"
+            )
+        directed = "directed" in kinds
+    return _graph(file, nodes, edges, directed)
+
+
+def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
+    """Return the graph in an adjacency list: each line is a node and its neighbours; see `read_edge_list`."""
+    rows = _rows(file, text, "")
+    edges: list[Edge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
+    return _graph(file, [row.cells[0] for row in rows], edges, directed)
+
+
+def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
+    """Return the graph in a file of Pajek with a list of edges or of arcs.
+
+    Raises:
+        ValueError: if the file has other parts, edges as well as arcs, or an invalid line.
+    """
+    import networkx as nx
+
+    labels, edges, parts, part = dict[str, str](), list[Edge](), list[str](), ""
+    for number, line in enumerate(text.split("\n"), 1):
+        place = f"{file}, line {number}"
+        cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|\S+', line.partition("%")[0])]
+        if not cells:
+            continue
+        if cells[0].startswith("*"):
+            part = cells[0].lower()
+            if part not in {"*network", "*vertices", "*edges", "*arcs"}:
+                raise ValueError(f"{place}: {cells[0]} is not read; allowed: *Network, *Vertices, *Edges, *Arcs")
+            if part == "*vertices":
+                labels = {str(k): str(k) for k in range(1, int(cells[1]) + 1)}
+        elif part == "*vertices":
+            if cells[0] not in labels:
+                raise ValueError(f"{place}: there is no vertex {cells[0]}: they are 1 .. {len(labels)}")
+            labels[cells[0]] = cells[1] if len(cells) > 1 else cells[0]
+        elif part in {"*edges", "*arcs"}:
+            if len(cells) < 2 or not {*cells[:2]} <= labels.keys():
+                raise ValueError(f"{place}: should be two vertices from 1 to {len(labels)}")
+            named = zip(cells[3::2], cells[4::2], strict=False)
+            attributes = {name: _attribute(name, value, place) for name, value in named}
+            weight = {"weight": _attribute("weight", cells[2], place)} if len(cells) > 2 else {}
+            parts.append(part)
+            edges.append((cells[0], cells[1], weight | attributes))
+        else:
+            raise ValueError(f"{place}: should begin with *Vertices")
+    if len(set(parts)) > 1:
+        raise ValueError(f"{file} has edges and arcs: all should be of one type")
+    graph: nx.Graph[Any] = nx.MultiDiGraph() if parts[:1] == ["*arcs"] else nx.MultiGraph()
+    graph.add_nodes_from((vertex, {"label": label}) for vertex, label in labels.items())
+    graph.add_edges_from(edges)
+    return graph
+
+
+def _delimiter(text: str) -> str:
+    """Return the sign that separates the cells of a list; "": white space."""
+    first = next((line for line in text.split("\n") if line.strip() and line.strip()[0] not in "#%"), "")
+    return separator_in(first.partition("{")[0])
+
+
+def _rows(file: Path, text: str, delimiter: str) -> list[Row]:
+    """Return the lines of a list with their cells, without comments.
+
+    A comment that names the columns is kept.
+    """
+    lines = text.split("\n")
+
+    def cells_of(line: str) -> list[str]:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+    split: Callable[[str], list[str]] = cells_of if delimiter else str.split
+    rows: list[Row] = []
+    for number, line in enumerate(lines, 1):
+        bare = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
+        if bare and bare[0] in "#%":
+            names = split(bare.lstrip("#% "))
+            if not rows and _names_ends(names):
+                rows.append(Row(number, names, {}))
+        elif match := None if delimiter else WITH_DICT.fullmatch(bare):
+            rows.append(Row(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
+        elif bare.strip():
+            rows.append(Row(number, split(bare), {}))
+    return rows
+
+
+def _dict(text: str, place: str) -> dict[str, Any]:
+    """Return the attributes that a text gives as Python writes a dict of numbers and texts."""
+    inside = text[1:-1].strip()
+    pairs = [PAIR.fullmatch(part) for part in PARTS.findall(inside)] if inside else []
+    if None in pairs or (inside and not pairs):
+        raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
+    found = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
+    return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in found}
+
+
+def _names_ends(cells: Sequence[str]) -> bool:
+    lower = [cell.lower() for cell in cells]
+    return any(a in lower and b in lower for a, b in ENDS)
+
+
+def _header_of(rows: list[Row]) -> tuple[list[str], list[Row]]:
+    """Return the names of the columns, empty if they are not named, and the other rows."""
+    if not rows or len(rows[0].cells) < 2:
+        return [], rows
+    first, others = rows[0].cells, rows[1:]
+    has_numbers = bool(others) and all(cell.isdecimal() for row in others for cell in row.cells[:2])
+    is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
+    return (first, others) if is_header or _names_ends(first) else ([], rows)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        number_of(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _attribute(name: str, cell: str, place: str) -> Any:
+    """Return an attribute: a number if it looks like one; latencies and losses should be numbers."""
+    try:
+        return number_of(cell)
+    except ValueError as error:
+        if name in {"latency", "loss"}:
+            raise ValueError(f"{place}: {name}: {error}") from error
+        return cell
+
+
+def _graph(file: Path, nodes: Sequence[str], edges: Sequence[Edge], directed: bool | None) -> "nx.Graph[Any]":
+    """Return the graph of a list; an undirected edge may be listed in both directions."""
+    import networkx as nx
+
+    graph: nx.Graph[Any] = nx.MultiDiGraph() if directed else nx.MultiGraph()
+    graph.add_nodes_from(nodes)
+    seen: dict[tuple[str, str], dict[str, Any]] = {}
+    twice = 0
+    for src, dst, attributes in edges:
+        if not directed and src != dst and seen.get((dst, src)) == attributes and (src, dst) not in seen:
+            twice += 1
+        else:
+            graph.add_edge(src, dst, **attributes)
+        seen[src, dst] = attributes
+    if directed is None and 0 < twice < len(edges) / 2:
+        raise ValueError(
+            f"{file} has {twice} of its edges in both directions and the others in one: set directed = true if edges"
+            " are one-way, or false"
+        )
+    return graph

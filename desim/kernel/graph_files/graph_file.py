@@ -1,0 +1,268 @@
+"""Graphs in files of many formats, as networkx graphs whose nodes have any names.
+
+The content determines the format, but for adjacency lists, which have the ending `.adjlist`: JSON (node-link, adjacency
+or Cytoscape), GraphML, GEXF, GML, Pajek, or else an edge list.
+"""
+
+import json
+import re
+from collections.abc import Callable, Collection
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from desim.config.number_files import content_of, text_of_file
+from desim.kernel.graph_files.edge_lists import read_adjacency_list, read_edge_list, read_pajek
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    import networkx as nx
+
+FORMATS = "JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML, Pajek, an edge list or an adjacency list"
+XML = re.compile(rb"(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?\s*\x00?<")
+GML = re.compile(r"(\s*#[^\n]*\n|\s*(Creator|Version|Comment)\b[^\n]*\n|\s)*graph\s*\[", re.IGNORECASE)
+UNREAD = {
+    ".dot": "nx.nx_pydot.read_dot",
+    ".gv": "nx.nx_pydot.read_dot",
+    ".mtx": "scipy.io.mmread and nx.from_scipy_sparse_array",
+    ".g6": "nx.read_graph6",
+    ".s6": "nx.read_sparse6",
+    ".leda": "nx.read_leda",
+    ".npy": "nx.from_numpy_array",
+}
+"""The functions that read graphs of formats that are not read here, by the ending of the file."""
+
+
+def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
+    """Return the graph in a file; parallel edges are kept, and nodes are in the order of the file.
+
+    Args:
+        file: the path; the file may be compressed by gzip.
+        directed: whether edges are one-way; only for formats that do not say it, which are the lists.
+
+    Raises:
+        ValueError: if the file cannot be read, or is not a graph in one of these formats.
+    """
+    suffixes = [suffix.lower() for suffix in file.suffixes if suffix.lower() != ".gz"]
+    ending = suffixes[-1] if suffixes else ""
+    if ending in UNREAD:
+        raise ValueError(
+            f"{file}: {ending} is not read; in Python, {UNREAD[ending]} reads it, and a networkx graph can be the graph"
+            f" of the network. Allowed: {FORMATS}"
+        )
+    content = content_of(file)
+    if XML.match(content):
+        name, read = _xml_reader(file, content)
+    else:
+        name, read = _text_reader(file, ending, text_of_file(file), directed)
+    is_list = name in {"an edge list", "an adjacency list"}
+    if directed is not None and not is_list:
+        raise ValueError(f"directed is only for edge lists and adjacency lists: {file} is {name}, which says it")
+    try:
+        return read()
+    except Exception as error:  # the readers of networkx raise many types of exception for malformed input
+        if is_list:
+            raise
+        missing = "there is no " if isinstance(error, KeyError) else ""
+        raise ValueError(f"{file} is not a graph in {name.removeprefix('a ')}: {missing}{error}") from error
+
+
+Reader = Callable[[], "nx.Graph[Any]"]
+
+
+def _text_reader(file: Path, ending: str, text: str, directed: bool | None) -> tuple[str, Reader]:
+    """Return the name of the format of a text, and its reader."""
+    begin = text.lstrip()
+    if not begin:
+        raise ValueError(f"{file} is not a graph: it is empty")
+    if begin[0] in "{[" or ending == ".json":
+        return "JSON", lambda: _from_json(text)
+    if GML.match(text):
+        return "GML", lambda: _from_gml(text)
+    if begin[0] == "*":
+        return "the format of Pajek", lambda: read_pajek(file, text)
+    if ending in {".graphml", ".gexf", ".gml", ".net", ".paj"}:
+        raise ValueError(f"{file} is not a graph in {ending[1:]}: it does not begin like one")
+    if ending == ".adjlist":
+        return "an adjacency list", lambda: read_adjacency_list(file, text, directed)
+    return "an edge list", lambda: read_edge_list(file, text, directed)
+
+
+# JSON
+
+
+def _from_json(text: str) -> "nx.Graph[Any]":
+    """Return the graph in JSON in a form that networkx writes."""
+    import networkx as nx
+
+    data = json.loads(text)
+    if not isinstance(data, dict):
+        raise ValueError("it should be an object with nodes and edges")
+    if "elements" in data:
+        return _from_cytoscape(data)
+    if "adjacency" in data and "nodes" in data:
+        _check_nodes(node["id"] for node in data["nodes"])
+        _check_ends({node["id"] for node in data["nodes"]}, (edge["id"] for row in data["adjacency"] for edge in row))
+        adjacency: nx.Graph[Any] = nx.adjacency_graph(data)
+        return adjacency
+    key = "edges" if "edges" in data else "links"  # networkx before 3.4 writes "links"
+    if key not in data or "nodes" not in data:
+        raise ValueError("it should have nodes, and edges or links (node-link), adjacency, or elements (Cytoscape)")
+    for part in ("nodes", key):
+        if not (isinstance(data[part], list) and all(isinstance(each, dict) for each in data[part])):
+            raise ValueError(f"its {part} should be a list of objects")
+    names = [_hashable(node.get("id", k)) for k, node in enumerate(data["nodes"])]
+    _check_nodes(names)
+    _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
+    graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
+    return graph
+
+
+def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
+    """Return a graph in JSON of Cytoscape; its nodes are named by `value`, as networkx writes them, or by `id`."""
+    import networkx as nx
+
+    elements = data["elements"]
+    if isinstance(elements, list):  # of cytoscape.js
+        edges = [element for element in elements if "source" in element["data"]]
+        elements = {"nodes": [element for element in elements if element not in edges], "edges": edges}
+    nodes = [node["data"] for node in elements.get("nodes", ())]
+    names = {str(node["id"]): _hashable(node.get("value", node["id"])) for node in nodes}
+    _check_nodes(str(node["id"]) for node in nodes)
+    graph: nx.Graph[Any] = nx.MultiDiGraph() if data.get("directed") else nx.MultiGraph()
+    for node in nodes:
+        own = {key: value for key, value in node.items() if key not in {"id", "value"}}
+        graph.add_node(names[str(node["id"])], **own)
+    edges = [edge["data"] for edge in elements.get("edges", ())]
+    _check_ends(names, (str(edge[end]) for edge in edges for end in ("source", "target")))
+    for edge in edges:
+        own = {key: value for key, value in edge.items() if key not in {"source", "target", "id", "key"}}
+        graph.add_edge(names[str(edge["source"])], names[str(edge["target"])], **own)
+    return graph
+
+
+def _hashable(name: Any) -> Any:
+    """Return the name of a node as networkx reads it: a list becomes a tuple."""
+    return tuple(map(_hashable, name)) if isinstance(name, list) else name
+
+
+def _check_nodes(names: Any) -> None:
+    """Raise ValueError if a node is declared twice."""
+    seen = set[Any]()
+    for name in names:
+        if name in seen:
+            raise ValueError(f"node {name!r} is declared twice")
+        seen.add(name)
+
+
+def _check_ends(nodes: Collection[Any], ends: Any) -> None:
+    """Raise ValueError if an end of an edge is not a declared node; networkx would add it."""
+    for end in ends:
+        if end not in nodes:
+            raise ValueError(f"an edge ends at node {end!r}, which is not declared")
+
+
+# XML and GML
+
+
+def _xml_reader(file: Path, content: bytes) -> tuple[str, Reader]:
+    """Return the name of the format of an XML file, and its reader."""
+    from xml.etree.ElementTree import ParseError, fromstring
+
+    try:
+        _check_plain(content)
+        root = fromstring(content)
+    except (ValueError, ParseError) as error:
+        raise ValueError(f"{file} is not a graph in GraphML or GEXF: {error}") from error
+    except Exception as error:  # of expat
+        raise ValueError(f"{file} is not a graph in GraphML or GEXF: it is not valid XML: {error}") from error
+    tag = root.tag.rpartition("}")[2]
+    if tag == "graphml":
+        return "GraphML", lambda: _from_graphml(root, content)
+    if tag == "gexf":
+        return "GEXF", lambda: _from_gexf(root, content)
+    raise ValueError(f"{file} is not a graph in GraphML or GEXF: its first element is <{tag}>")
+
+
+def _check_plain(xml: bytes) -> None:
+    """Raise ValueError if XML declares a document type, whose entities could expand to any amount of text."""
+    from xml.parsers.expat import ParserCreate
+
+    def refuse(*_: object) -> None:
+        raise ValueError("it should declare no document type (<!DOCTYPE ...>)")
+
+    parser = ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(xml, True)
+
+
+def _from_graphml(root: "Element", content: bytes) -> "nx.Graph[Any]":
+    import networkx as nx
+
+    graphs = list(root.iter(_like(root, "graph")))
+    if len(graphs) != 1:
+        raise ValueError(f"it should have one graph, and has {len(graphs)}, with those inside of nodes")
+    for key in root.iter(_like(root, "key")):
+        if key.get("for", "all") == "all" and key.find(_like(root, "default")) is not None:
+            raise ValueError(f"the key {key.get('id')!r} with a default should be for edge or for node, not for all")
+    _check_elements(root, graphs[0])
+    return _with_defaults(_quietly(lambda: nx.read_graphml(BytesIO(content))))
+
+
+def _from_gexf(root: "Element", content: bytes) -> "nx.Graph[Any]":
+    import networkx as nx
+
+    graph = root.find(_like(root, "graph"))
+    if graph is None:
+        raise ValueError("it has no graph")
+    if graph.get("mode") == "dynamic":
+        raise ValueError("a graph that changes in time (mode dynamic) is not read")
+    _check_elements(root, graph)
+    return _with_defaults(_quietly(lambda: nx.read_gexf(BytesIO(content))))
+
+
+def _like(root: "Element", tag: str) -> str:
+    """Return a tag in the namespace of an element."""
+    return f"{root.tag[: root.tag.rfind('}') + 1]}{tag}"
+
+
+def _check_elements(root: "Element", graph: "Element") -> None:
+    """Raise ValueError if a node is declared twice, or an edge ends at a node that is not declared."""
+    nodes = [node.get("id") for node in graph.iter(_like(root, "node"))]
+    _check_nodes(nodes)
+    edges = graph.iter(_like(root, "edge"))
+    _check_ends(set(nodes), (edge.get(end) for edge in edges for end in ("source", "target")))
+
+
+def _with_defaults(graph: "nx.Graph[Any]") -> "nx.Graph[Any]":
+    """Give the edges the default attributes of a file, which networkx keeps for itself."""
+    defaults = graph.graph.pop("edge_default", {})
+    for *_, attributes in graph.edges(data=True):
+        for name, value in defaults.items():
+            attributes.setdefault(name, value)
+    graph.graph.pop("node_default", None)
+    return graph
+
+
+def _quietly(read: Reader) -> "nx.Graph[Any]":
+    """Return what a reader of networkx returns, without its warnings of parts that have no effect here."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return read()
+
+
+def _from_gml(text: str) -> "nx.Graph[Any]":
+    """Return the graph in GML; its nodes are named by their labels, if all have different ones, or by their ids."""
+    import networkx as nx
+
+    graph: nx.Graph[Any] = nx.parse_gml(text, label=None)  # type: ignore[call-overload]
+    labels = {node: own.get("label") for node, own in graph.nodes(data=True)}
+    if None in labels.values() or len(set(map(str, labels.values()))) < len(labels):
+        return graph
+    named: nx.Graph[Any] = nx.relabel_nodes(graph, labels)
+    for _, own in named.nodes(data=True):
+        del own["label"]
+    return named

@@ -1,0 +1,115 @@
+"""The losses that faults, distance and half duplex cause on arrival.
+
+Those that are known when a transmission starts are drawn by `desim.kernel.link_layer.departure`.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import repeat
+
+import numpy as np
+
+from desim.config.arrays import Integers
+from desim.kernel.channel.transmitter import Transmitter
+from desim.kernel.core.events import Cause
+from desim.kernel.state.network_state import NetworkState
+from desim.kernel.state.transmission import Flight, Transmission
+
+
+class ArrivalLosses:
+    """Decides which arrivals are lost.
+
+    Args:
+        state: the state of the network.
+        transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
+        processing: processing delay of a message at sender and receiver together, ns.
+        checks_range: whether a receiver must be within range on arrival.
+    """
+
+    def __init__(
+        self,
+        state: NetworkState,
+        transmitter: Transmitter[Transmission] | None,
+        *,
+        processing: int,
+        checks_range: bool,
+    ):
+        self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
+        self._transmitter, self._processing, self._checks_range = transmitter, processing, checks_range
+        self._on_air: dict[int, tuple[int, int]] = {}
+        """By sender: the number of its last transmission with an airtime, and the end of the airtime, ns."""
+        self._cut_short: set[int] = set()
+        """The numbers of the transmissions whose sender crashed while it transmitted."""
+
+    def start(self, flight: Flight) -> None:
+        """Note that a transmission with an airtime starts now."""
+        transmission, airtime = flight
+        self._on_air[transmission.src] = transmission.number, self._env.now + airtime
+
+    def crash(self, node: int) -> None:
+        """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
+        number, end = self._on_air.get(node, (0, 0))
+        if self._env.now < end:
+            self._cut_short.add(number)
+
+    def causes(self, nodes: list[int], times: int | list[int], flights: Flight | list[Flight]) -> dict[int, Cause]:
+        """Return the cause of the loss of each of k arrivals that is lost, by its index.
+
+        If an arrival has several causes, the last in this order counts: half duplex, range, jamming, partition, crash.
+
+        Args:
+            nodes: (k,) the receivers.
+            times: the times of the arrivals, ns, one for all or (k,).
+            flights: what arrives, one for all or (k,).
+        """
+        causes: dict[int, Cause] = {}
+        if self._transmitter is not None:
+            causes = dict.fromkeys(self._while_transmitting(nodes, times, flights), "half_duplex")
+        if not self._checks_range and self._fault_state is None:
+            return causes
+        src, number = _of_each(flights, lambda each: each.src), _of_each(flights, lambda each: each.number)
+        when = times if isinstance(times, int) else np.array(times)
+        losses: list[Sequence[Cause | None] | None] = []
+        if self._checks_range:
+            reached = self._topology.reaches(src, nodes, number, when)
+            losses.append([None if each else "out_of_range" for each in reached])
+        if (faults := self._fault_state) is not None:
+            losses += [faults.jammed(nodes, when), faults.separated(src, nodes), self._crashed(nodes, number)]
+        for lost in losses:
+            if lost is not None:
+                causes |= {k: cause for k, cause in enumerate(lost) if cause is not None}
+        return causes
+
+    def _while_transmitting(
+        self, nodes: list[int], times: int | list[int], flights: Flight | list[Flight]
+    ) -> Iterator[int]:
+        """Yield the index of each arrival whose receiver transmitted during the reception; see `causes`."""
+        assert self._transmitter is not None
+        lag = self._processing
+        earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
+        own = self._transmitter.during(earliest - lag, latest - lag)
+        if not own:
+            return
+        for k in [k for k, node in enumerate(nodes) if node in own]:
+            end = (times if isinstance(times, int) else times[k]) - lag
+            flight = flights if isinstance(flights, Flight) else flights[k]
+            if any(begin < end < until + flight.airtime for begin, until in own[nodes[k]]):
+                yield k
+
+    def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:
+        """Return "crash" where the receiver is down or the sender crashed while sending, (k,); None: nowhere."""
+        assert self._fault_state is not None
+        down, cut_short = self._fault_state.down_nodes, self._cut_short
+        if not down and not cut_short:
+            return None
+        numbers = repeat(number) if isinstance(number, int) else number.tolist()
+        return [
+            "crash" if node in down or number in cut_short else None
+            for node, number in zip(nodes, numbers, strict=False)
+        ]
+
+
+def _of_each(flights: Flight | list[Flight], number: Callable[[Transmission], int]) -> int | Integers:
+    """Return a number of one transmission, or of each of k: (k,)."""
+    if isinstance(flights, Flight):
+        return number(flights.transmission)
+    return np.array([number(transmission) for transmission, _ in flights])

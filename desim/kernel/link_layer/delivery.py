@@ -1,0 +1,159 @@
+"""Delivery: the arrivals of a transmission at the nodes that it reaches.
+
+Records and messages whose arrival is certain at transmission are stored at once, with their arrival times. An arrival
+is not certain if a fault, a range check on arrival or half duplex can still prevent it;
+`desim.kernel.link_layer.arrivals` then decides it when it is due.
+
+With planned faults, an arrival at a node that is up is certain if it is due before the next fault begins or ends. The
+exception is a jamming disc: nodes may move into it.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from itertools import compress
+from typing import NamedTuple
+
+from desim.kernel.channel.contention import Contention
+from desim.kernel.channel.transmitter import Transmitter
+from desim.kernel.core.events import Cause
+from desim.kernel.core.records import Arrival, Record, per_receiver
+from desim.kernel.link_layer.arrivals import Arrivals
+from desim.kernel.models.links import Links
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.network_state import NetworkState
+from desim.kernel.state.transmission import Lose, Transmission
+
+
+class Delivery:
+    """Schedules the arrivals of transmissions in the records and inboxes of their receivers.
+
+    Args:
+        state: the state of the network; its records and inboxes receive what arrives.
+        links: the models of the links.
+        transmitter: the transmitters, or the channel for which nodes contend; None: nodes transmit without airtime.
+        processing: processing delay of a message at sender and receiver together, ns.
+        at_once: whether the outcome of each arrival is needed at its time, for a trace.
+        lose: counts and records losses.
+
+    Attributes:
+        arrivals: the arrivals whose outcome is not certain at transmission.
+        is_certain: whether each arrival is certain when it is scheduled.
+    """
+
+    def __init__(
+        self,
+        state: NetworkState,
+        links: Links,
+        transmitter: Transmitter[Transmission] | Contention[Transmission] | None,
+        *,
+        processing: int,
+        at_once: bool,
+        lose: Lose,
+    ):
+        self._records, self._inboxes, self._fault_state = state.records, state.inboxes, state.fault_state
+        checks_range, contends = links.range_check != "send", isinstance(transmitter, Contention)
+        uses_half_duplex = links.medium.half_duplex and not contends
+        # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
+        contends_with_faults = contends and state.fault_state is not None
+        self._decides_on_arrival = checks_range or uses_half_duplex or contends_with_faults
+        self.is_certain = not self._decides_on_arrival and state.fault_state is None
+        self.arrivals = Arrivals(
+            state,
+            transmitter if isinstance(transmitter, Transmitter) else None,
+            processing=processing,
+            checks_range=checks_range,
+            at_once=at_once,
+            lose=lose,
+        )
+
+    def in_flight(self) -> int:
+        """Return the number of messages in flight, after all arrivals up to now have been decided."""
+        self.arrivals.settle_for_reader()
+        self.arrivals.count_losses()
+        return self.arrivals.in_flight() + self._records.in_flight() + self._inboxes.in_flight()
+
+    def schedule(
+        self,
+        transmission: Transmission,
+        reached: list[int],
+        arrival: Arrival,
+        causes: Mapping[int, Cause],
+        airtime: int,
+    ) -> None:
+        """Schedule the arrivals of a transmission.
+
+        Args:
+            transmission: the transmission.
+            reached: the nodes that it reaches.
+            arrival: the arrival times at these nodes, ns.
+            causes: the causes of the losses up to now, by receiver.
+            airtime: the airtime that begins now, ns.
+        """
+        content = transmission.content
+        if self._decides_on_arrival:
+            self.arrivals.schedule(transmission, reached, arrival, airtime)
+            return
+        unreached: Collection[int] = causes
+        if self._fault_state is not None:
+            reached, arrival, down = self._settled(transmission, reached, arrival, airtime)
+            unreached = {*causes, *down}
+        if isinstance(content, Record):
+            self._records.schedule(content, reached, arrival, unreached)
+        else:
+            self._inboxes.deliver(content, transmission.port, reached, arrival, transmission.number)
+
+    def _settled(
+        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
+    ) -> tuple[list[int], Arrival, list[int]]:
+        """Return the receivers that certainly get a transmission, its arrival times (ns), and those that are down.
+
+        Other arrivals are scheduled, and decided when they are due.
+        """
+        assert self._fault_state is not None
+        reached, arrival, unsure, later, down, when_lost = certain(self._fault_state, reached, arrival)
+        if unsure:
+            self.arrivals.schedule(transmission, unsure, later, airtime)
+        self.arrivals.lose_at(transmission, down, when_lost)
+        return reached, arrival, down
+
+
+class Certain(NamedTuple):
+    """The receivers of a transmission, by what is certain about its arrival; arrival times in ns."""
+
+    reached: list[int]
+    """Receivers that certainly get it."""
+    arrival: Arrival
+    """The arrival times at `reached`."""
+    open: list[int]
+    """Receivers at which a fault can begin or end before it arrives."""
+    open_arrival: Arrival
+    down: list[int]
+    """Receivers that are down, and will still be down when it arrives."""
+    down_arrival: Arrival
+
+
+def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain:
+    """Divide the receivers that no loss has excluded by what is certain about the arrival (ns) of a transmission.
+
+    Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
+    """
+    until, down = faults.constant_until, faults.down_nodes
+    last = arrival if isinstance(arrival, int) else max(arrival, default=0)
+    unsure, lost = list[int](), list[int]()
+    later = when_lost = arrival
+    if last >= until:
+        reached, arrival, unsure, later = _split(reached, arrival, lambda _, when: when < until)
+    if down:
+        reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
+    return Certain(reached, arrival, unsure, later, lost, when_lost)
+
+
+def _split(
+    nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
+) -> tuple[list[int], Arrival, list[int], Arrival]:
+    """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
+    holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
+    others = [not each for each in holding]
+    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
+    if isinstance(arrival, int):
+        return parts[0], arrival, parts[1], arrival
+    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))

@@ -1,0 +1,45 @@
+"""Estimates of the delays and the density of a network, from which protocols derive their time-outs."""
+
+from functools import cached_property
+from typing import Any
+
+from desim.kernel.core.message_size import size_of
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.medium import Medium, Radio, airtime_of
+from desim.kernel.topology.topology import Topology
+
+
+class Estimates:
+    """Estimates of the properties of one network.
+
+    Args:
+        topology: the links of the graph, and which of them are within range.
+        medium: the model of the medium.
+        sampler: estimates latencies.
+    """
+
+    def __init__(self, topology: Topology, medium: Medium, sampler: LinkSampler):
+        self._topology, self._medium, self._sampler = topology, medium, sampler
+
+    @cached_property
+    def mean_degree(self) -> float:
+        """The mean number of neighbours of a node at the first access; later accesses return the same number."""
+        return self._topology.mean_degree
+
+    @cached_property
+    def latency(self) -> float:
+        """An estimate of the mean one-way latency, s, with processing delays but without airtime and queueing."""
+        return self._sampler.typical_latency()
+
+    def airtime(self, body: Any) -> float:
+        """Return the airtime, s, of a message with this body."""
+        return airtime_of(self._medium, size_of(body))
+
+    def interval(self, body: Any) -> float:
+        """Return the time, s, for which a message with this body keeps its sender from sending the next one."""
+        return self.sending_time(size_of(body))
+
+    def sending_time(self, size: int) -> float:
+        """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
+        medium = self._medium
+        return medium.interval(size, self._topology.size) if isinstance(medium, Radio) else airtime_of(medium, size)

@@ -1,0 +1,240 @@
+"""The link layer: the steps of a transmission, from its sender's host to its arrival or loss.
+
+A transmission reaches the queue of its transmitter after the processing delay of its sender
+(`desim.kernel.channel.hosts`). It waits until its transmitter is free. When it starts, its losses are drawn
+(`desim.kernel.link_layer.departure`) and its arrivals scheduled (`desim.kernel.link_layer.delivery`). If nodes contend,
+its arrivals are scheduled when its frame ends.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from itertools import count
+
+from desim.kernel.channel.contention import Callbacks, Contention
+from desim.kernel.channel.hosts import Hosts
+from desim.kernel.channel.transmitter import Transmitter
+from desim.kernel.core.events import LOST, Cause, MessageCounts, Trace
+from desim.kernel.core.message_size import checked_size, size_of
+from desim.kernel.core.records import Arrival, Record, per_receiver
+from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.link_layer.departure import Departure
+from desim.kernel.link_layer.message_log import MessageLog
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Radio, Unlimited
+from desim.kernel.state.inbox import Message
+from desim.kernel.state.network_state import NetworkState
+from desim.kernel.state.transmission import Transmission
+
+Listener = Callable[[Record | Message, int], object]
+"""A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
+_new = tuple.__new__  # creates a named tuple in a third of the time
+
+
+class LinkLayer:
+    """Carries transmissions from their senders into the records and inboxes of their receivers.
+
+    Args:
+        state: the state of the network; its records and inboxes receive what arrives.
+        links: the models of the links.
+        sampler: draws latencies and losses.
+        trace: receives the message events; None if they are not needed.
+        seed: the seed of channel access.
+
+    Attributes:
+        delivery: schedules the arrivals.
+    """
+
+    def __init__(self, state: NetworkState, links: Links, sampler: LinkSampler, trace: Trace | None, seed: int):
+        env, self._sampler = state.env, sampler
+        self._env, self._records, self._fault_state = env, state.records, state.fault_state
+        self._log, self._is_traced = MessageLog(env, trace), trace is not None
+        checks_range = links.range_check != "delivery"
+        self._departure = Departure(state, sampler, checks_range=checks_range)
+        medium = links.medium
+        wait: Callable[[Transmission], None] = _is_waiting_already if links.delays_start else self._log.queue
+        self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
+        if isinstance(medium, Radio) and medium.contends:
+            callbacks = Callbacks(
+                start=self._log.start,
+                leave=self._leave,
+                land=self._land,
+                attempt=self._departure.attempt,
+                succeed=self._succeed,
+                acknowledge=self._departure.acknowledgement,
+                wait=wait,
+                lose=self._log.give_up,
+            )
+            self._transmitter = Contention(state, medium, seed, callbacks)
+        elif type(medium) is not Unlimited:
+            self._transmitter = Transmitter(
+                env, medium, state.topology.size, self._leave, wait, self._log.give_up, sampler.processing
+            )
+        self._receivers = self._departure.receivers
+        self._contends = isinstance(self._transmitter, Contention)
+        self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
+        """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
+        arrival times, ns, and the losses that were drawn."""
+        self.delivery = Delivery(
+            state,
+            links,
+            self._transmitter,
+            processing=sampler.processing,
+            at_once=self._is_traced,
+            lose=self._log.lose,
+        )
+        self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
+        """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
+        self._may_lose = (
+            state.fault_state is not None or not sampler.lossless or self._transmitter is not None or links.delays_start
+        )
+        """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
+        self._enqueue: Callable[[Transmission], None] = (
+            self._leave if self._transmitter is None else self._transmitter.enqueue
+        )
+        """Starts a transmission, or queues it if the transmitter is busy; after a delay if its sender needs time."""
+        self._hosts: Hosts[Transmission] | None = None
+        if links.delays_start:
+            self._hosts = Hosts(env, links.processing.sender, state.topology.size, seed, self._enqueue)
+            self._enqueue = self._process
+        self._duplicates = sampler.duplicates_messages
+        self._listeners: list[Listener] = []
+        self._numbers = count()
+
+    def overhear(self, listener: Listener) -> None:
+        """Register a listener, which is called whenever a transmission starts."""
+        self._listeners.append(listener)
+
+    def crash(self, node: int) -> None:
+        """Lose the queued transmissions of a node whose radio goes down now.
+
+        A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
+        """
+        self.delivery.arrivals.crash(node)
+        taken = self._transmitter.flush(node) if self._transmitter is not None else []
+        taken += self._hosts.flush(node) if self._hosts is not None else []
+        for transmission in taken:
+            reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
+            self._log.lose(transmission, dict.fromkeys(reached, "crash"))
+
+    def message_counts(self) -> MessageCounts:
+        """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
+        now, busy = self._env.now, 0.0
+        in_flight = self.delivery.in_flight()
+        if self._hosts is not None:
+            in_flight += sum(len(transmission.receivers) for transmission in self._hosts.waiting())
+        if self._transmitter is not None:
+            in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
+            in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
+            busy = self._transmitter.busy_time() / (self._transmitter.channels * now) if now else 0.0
+        return self._log.counts(in_flight, busy)
+
+    # The steps of a transmission.
+
+    def transmit(
+        self,
+        src: int,
+        dst: int | None,
+        content: Record | Message,
+        size: int | None,
+        port: str = "",
+        only: Collection[int] | None = None,
+    ) -> None:
+        """Start a new transmission, at once or after it has waited; do nothing if the sender's radio is down.
+
+        See `Network.send`.
+
+        Raises:
+            ValueError: if the size is not an integer of at least 0, or the body has none.
+        """
+        if self._fault_state is not None and self._fault_state.down(src):
+            return
+        number, reachable = next(self._numbers), True
+        if dst is None:
+            receivers = self._receivers(src, number)
+            if only is not None:
+                receivers = [node for node in receivers if node in only]
+        else:
+            receivers, reachable = [dst], self._departure.reachable(src, dst, number)
+        size = size_of(content.body) if size is None else checked_size(size)
+        transmission = _new(
+            Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
+        )
+        self._log.sent += len(receivers)
+        self._enqueue(transmission)
+        if self._duplicates:
+            self._enqueue_copy(transmission)
+
+    def _enqueue_copy(self, transmission: Transmission) -> None:
+        """Start or queue a second transmission to the receivers that the model of duplicates selects."""
+        _, src, now, size, receivers, *_ = transmission
+        twice = self._sampler.duplicates(src, receivers, now, size)
+        if twice:
+            self._log.sent += len(twice)
+            self._enqueue(transmission._replace(number=next(self._numbers), receivers=twice))
+
+    def _process(self, transmission: Transmission) -> None:
+        """Let the host of a sender process a transmission, which waits from now on."""
+        assert self._hosts is not None
+        self._log.queue(transmission)
+        self._hosts.process(transmission)
+
+    def _succeed(self, transmission: Transmission) -> None:
+        self._leave(transmission, draws=False)
+
+    def _leave(self, transmission: Transmission, airtime: int = 0, *, draws: bool = True) -> None:
+        """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`.
+
+        If nodes contend, its arrivals are scheduled when its frame ends.
+        """
+        now, receivers = self._env.now, transmission.receivers
+        if not self._contends:
+            self._log.start(transmission)
+        arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
+        causes = (
+            self._departure.losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
+        )
+        content, reached = transmission.content, receivers
+        if self._is_certain and isinstance(content, Record) and not self._listeners:
+            # A record with some losses takes 10 % less time if the list of the nodes that it reaches is not needed.
+            if isinstance(arrival, int) and self._records.share(content, len(receivers), arrival, causes):
+                if causes:
+                    self._log.lose(transmission, causes)
+                return
+            if not causes:
+                self._records.schedule(content, receivers, arrival)
+                return
+        if causes:
+            reached, arrival = _without(causes, receivers, arrival)
+        if self._sampler.keeps_order:
+            arrival = self._sampler.in_order(transmission.src, reached, arrival)
+        for hear in self._listeners:
+            hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
+        if self._is_traced:
+            self._log.leave(transmission, causes, arrival)
+        if causes:
+            self._log.lose(transmission, causes)
+        if draws and self._contends:
+            self._on_air[transmission.number] = reached, arrival, causes
+        else:
+            self.delivery.schedule(transmission, reached, arrival, causes, airtime)
+
+    def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
+        reached, arrival, drawn = self._on_air.pop(transmission.number)
+        if causes:
+            lost = {node: causes[node] for node in reached if node in causes}
+            reached, arrival = _without(lost, reached, arrival)
+            self._log.lose(transmission, lost)
+            drawn = {**drawn, **lost}
+        self.delivery.schedule(transmission, reached, arrival, drawn, 0)
+
+
+def _is_waiting_already(_: Transmission) -> None:
+    """Record nothing: the transmission has waited since its host began to process it."""
+
+
+def _without(lost: Collection[int], nodes: list[int], arrival: Arrival) -> tuple[list[int], Arrival]:
+    """Return the nodes that do not lose a transmission, and its arrival times (ns) there, given those at all nodes."""
+    if not isinstance(arrival, int):
+        arrival = [when for node, when in zip(nodes, arrival, strict=True) if node not in lost]
+    return [node for node in nodes if node not in lost], arrival

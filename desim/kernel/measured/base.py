@@ -1,0 +1,218 @@
+"""The base of the models that follow measurements of links: the table, and how it is replayed.
+
+A message that is sent at time t has the value of the measurement at time t + `start`; see
+`desim.kernel.measured.playback`.
+"""
+
+from collections.abc import Collection, Iterable
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, ValidationError, ValidationInfo, model_validator
+
+from desim.config.arrays import Floats
+from desim.config.error_texts import text_of as text_of_error
+from desim.config.model import Flag, Time, Value
+from desim.config.traits import is_ours, positions
+from desim.config.trust import resolve_path
+from desim.kernel.core.units import SECOND
+from desim.kernel.measured.csv_tables import header_of, place_of, select, text_of
+from desim.kernel.measured.measurements import Columns, Meaning, Measurements, Unit, measurements_of
+
+Name = Annotated[str, Field(min_length=1)]
+SHOWN = 20
+"""Number of names in a warning."""
+TABLE = "the table"
+"""The name of a table that was not read from a file, in error messages."""
+
+
+def _form_of_start(value: Any) -> str:
+    return "text" if isinstance(value, str) else "number"
+
+
+class LinkTrace(Value):
+    """Base of the models that follow measurements: the table, its columns, and how it is replayed."""
+
+    NOUN: ClassVar[str] = "a value"
+    """A value of the table, for error messages."""
+
+    kind: str = "trace"
+    file: str | None = None
+    """Path of a CSV file with a header, or of a Parquet file (*.parquet), relative to the scenario file. The file is
+    read once, when the model is created; `table` then has its columns in use."""
+    time: Name = "t"
+    """Column of the times; the earliest is time 0 of the simulation."""
+    time_unit: Unit = "s"
+    """Unit of the times: s, ms, us or ns."""
+    src: Name | None = "src"
+    """Column of the senders. Without this column and that of the receivers, the measurements hold for all links."""
+    dst: Name | None = "dst"
+    """Column of the receivers."""
+    nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
+    """Names of the nodes in the columns of senders and receivers, in the order of their numbers. Without it, these
+    columns have numbers, or names: those of the graph, else of the file of the positions, else in the order of the
+    table."""
+    value: Name = "value"
+    """Column of the values. A message that is sent while the value is missing (empty or nan) is lost."""
+    both_ways: Flag = False
+    """Whether a row also holds for the link from its receiver to its sender."""
+    between: Literal["hold", "linear"] = "hold"
+    """The value between two measurements: hold, that of the earlier one; linear, interpolated."""
+    after: Literal["repeat", "hold", "error"] = "repeat"
+    """Continuation after the last measurement. repeat: the first one, so that the trace is periodic; hold: its value;
+    error: a message that is sent then ends the run with an error."""
+    start: Annotated[
+        Annotated[Time, Tag("number")] | Annotated[Literal["random"], Tag("text")], Discriminator(_form_of_start)
+    ] = 0.0
+    """Time in the trace at which the simulation starts, s; "random": drawn once per seed for all links, which requires
+    after = "repeat"."""
+    table: str | None = None
+    """Instead of a file: its content as CSV text."""
+    read_from: Name | None = None
+    """Name of the file that the table was read from, for error messages."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any, info: ValidationInfo) -> Any:
+        """Replace a file by the table in it, and reduce the table to the columns in use."""
+        if not isinstance(given, dict) or not _has_table(cls, given):
+            return given
+        names = Columns(*(given.get(key, cls.model_fields[key].default) for key in Columns._fields))
+        text, read_from = given.get("table"), given.get("read_from")
+        if given.get("file") is not None:
+            if text is not None:
+                raise ValueError("should have a file or a table, not both")
+            path = resolve_path(given["file"], info)
+            text, read_from = text_of(path, names.used()), path.name
+        name = read_from or TABLE
+        columns = _columns_in(header_of(str(text), name), names, given, name)
+        read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
+        rest = {key: value for key, value in given.items() if key not in {"file", "read_from"}}
+        return rest | read | ({"read_from": read_from} if read_from else {})
+
+    @model_validator(mode="after")
+    def _is_valid(self) -> Self:
+        if self.table is None:
+            raise ValueError("should have a file, or a table")
+        if self.nodes is not None and len(set(self.nodes)) < len(self.nodes):
+            raise ValueError("nodes should have each name once")
+        if self.nodes is not None and self.src is None:
+            raise ValueError("nodes are the names in the columns src and dst, which the table does not have")
+        end = self.measurements.end / SECOND
+        if self.start == "random" and self.after != "repeat":
+            raise ValueError(f'start = "random" requires after = "repeat" (got {self.after!r})')
+        if self.after == "error" and self.start != "random" and self.start >= end:
+            raise ValueError(f"start should be before the end of the trace at {end:g} s (got {self.start:g})")
+        return self
+
+    def given(self) -> dict[str, Any]:
+        """Return the fields that differ from their defaults, see `Value.given`; only the length of the table."""
+        rows = len(self.measurements.values) // (2 if self.both_ways else 1)
+        return super().given() | {"table": f"{rows} rows"}
+
+    @property
+    def name(self) -> str:
+        """The name of the table, for error messages."""
+        return self.read_from or TABLE
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest value in the table."""
+        raise NotImplementedError
+
+    @property
+    def measurements(self) -> Measurements:
+        """The measurements.
+
+        Raises:
+            ValueError: if the table is not valid.
+        """
+        columns = Columns(self.time, self.src, self.dst, self.value)
+        meaning = Meaning(self.NOUN, *self.limits, self.time_unit, self.both_ways, self.nodes)
+        return measurements_of(self.table or "", columns, meaning, self.name)
+
+    @property
+    def span(self) -> float:
+        """The time from the start of the simulation to the end of the trace, or the period of a repeated trace, s."""
+        end = self.measurements.end / SECOND
+        return end if self.start == "random" or self.after == "repeat" else max(end - self.start, 0.0)
+
+    @property
+    def named_nodes(self) -> str | None:
+        """The number of each named node, if their order was not given; None if they have numbers."""
+        names = self.measurements.names
+        if names is None:
+            return None
+        numbers = [f"{number} is {name}" for number, name in enumerate(names)]
+        few = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
+        return ", ".join(few)
+
+    def numbered(self, names: tuple[str, ...]) -> Self:
+        """Return the trace with the numbers that a network gives to the names of its nodes.
+
+        The trace is returned unchanged if it numbers them so by itself, has `nodes`, or columns with numbers. But if
+        the names are numbers themselves, as in a graph of the nodes 1 .. n, so are those in the columns.
+
+        Raises:
+            ValueError: if the table has another name.
+        """
+        if not names or self.nodes is not None or self.src is None:
+            return self
+        order = self.measurements.names
+        if order == names or (order is None and not all(map(str.isdecimal, names))):
+            return self
+        try:
+            return self.model_copy(update={"nodes": names})
+        except ValidationError as error:
+            raise ValueError(text_of_error(error.errors(include_url=False)[0])) from error
+
+    @property
+    def is_replayed(self) -> bool:
+        """Whether links have the values of the table in a run; a user's class may override how it is replayed."""
+        definers = (positions(type(self), name)[:1] for name in ("__call__", "start_run", "draw"))
+        return all(is_ours(type(self).__mro__[position]) for definer in definers for position in definer)
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return values of the table in the unit of the model."""
+        return values
+
+    def check_links(self, size: int, links: Iterable[tuple[int, int]]) -> None:
+        """Check that the table has a row for each of some links (sender, receiver) of a network of `size` nodes.
+
+        A table that is not replayed (`is_replayed`) need not have them.
+
+        Raises:
+            ValueError: if a link has no row, or a row is about a node that does not exist.
+        """
+        if self.src is None or not self.is_replayed:
+            return
+        measured = self.measurements
+        nodes = np.maximum(measured.src, measured.dst)
+        if nodes.max() >= size:
+            link = int((nodes >= size).argmax())
+            where = f"{self.name}, {place_of(int(measured.line[link]), self.name)}"
+            raise ValueError(f"{where}: there is no node {nodes[link]}: the nodes are 0 .. {size - 1}")
+        known = set(zip(measured.src.tolist(), measured.dst.tolist(), strict=True))
+        for src, dst in links:
+            if (src, dst) not in known:
+                hint = "; with both_ways = true, a row also holds for the way back" if (dst, src) in known else ""
+                raise ValueError(f"{self.name} has no row for the link from {src} to {dst}{hint}")
+
+
+def _has_table(model: type[LinkTrace], given: dict[str, Any]) -> bool:
+    """Return whether the arguments of a model name a table and its columns; a wrong type is left to the validation."""
+    texts = [given.get("table"), given.get("read_from"), given.get("src"), given.get("dst")]
+    texts += [given.get(key, model.model_fields[key].default) for key in ("time", "value")]
+    has_texts = all(each is None or isinstance(each, str) for each in texts) and None not in texts[-2:]
+    return has_texts and (given.get("file") is not None or given.get("table") is not None)
+
+
+def _columns_in(header: Collection[str], names: Columns, given: Collection[str], table: str) -> Columns:
+    """Return the columns that a table has; those of senders and receivers may be absent unless they are given."""
+    ends = {key: getattr(names, key) for key in ("src", "dst")}
+    used = [key for key, name in ends.items() if name is not None and (key in given or name in header)]
+    if not used:
+        return names._replace(src=None, dst=None)
+    if len(used) == 2:
+        return names
+    raise ValueError(f"src and dst should both be columns of {table}, or neither; its columns are {', '.join(header)}")

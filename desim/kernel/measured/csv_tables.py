@@ -1,0 +1,272 @@
+"""Tables of measurements as CSV text, which is read from CSV or Parquet files.
+
+The cells of a file are separated by commas, semicolons or tabs, whichever its header has most of. Where commas do not
+separate cells, numbers may have decimal commas, as the spreadsheets of half of Europe write them.
+
+A model keeps its table as CSV text, with commas and decimal points, that has only the columns in use. Each row stays on
+its line of the file, so that an error message can name the line.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from io import StringIO
+from itertools import repeat
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from desim.config.number_files import is_plain, number_of, text_of_file
+from desim.kernel.measured.ping import ping_table
+
+MAX_CELLS = 20_000_000
+"""Maximum number of cells that are read of a Parquet file: about 400 MB of text."""
+KEPT = 8
+"""Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
+SEPARATORS = ",;\t"
+QUOTED = re.compile(r'"[^"]*"')
+DECIMAL = re.compile(r"[+-]?(?:\d*([.,])\d+|\d+([.,]))(?:e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+"""Matches a number with a decimal sign."""
+
+
+class Cells(NamedTuple):
+    """The cells of a table."""
+
+    table: str
+    """The name of the table."""
+    lines: list[int]
+    """The line of each row."""
+    columns: dict[str, Sequence[str]]
+    """The cells of each column, without the header."""
+
+    def numbers(
+        self, column: str, convert: Callable[[str], Any] = number_of, quick: Callable[[str], Any] | None = None
+    ) -> list[Any]:
+        """Return the converted cells of a column.
+
+        Args:
+            column: the name of the column.
+            convert: converts a cell; raises ValueError if it is not valid.
+            quick: does the same in less time for cells of ASCII characters but _, or raises ValueError.
+
+        Raises:
+            ValueError: if a cell is not valid, with its line.
+        """
+        cells = self.columns[column]
+        if quick is not None and is_plain("".join(cells)):  # once for all cells, which takes a third of the time
+            with suppress(ValueError):
+                return list(map(quick, cells))
+        converted: list[Any] = []
+        try:
+            converted.extend(map(convert, cells))
+        except ValueError as error:
+            raise self.error(len(converted), f"{column}: {error}") from error
+        return converted
+
+    def place(self, row: int) -> str:
+        """Return the place of a row in the file."""
+        return place_of(self.lines[row], self.table)
+
+    def error(self, row: int, text: str) -> ValueError:
+        """Return an error about a row."""
+        return ValueError(f"{self.table}, {self.place(row)}: {text}")
+
+
+def cells_of(table: str, name: str) -> Cells:
+    """Return the cells of CSV text whose rows are all as long as its header.
+
+    Raises:
+        ValueError: if the table has no rows.
+    """
+    lines, flat, header = list[int](), list[str](), header_of(table, name)
+    for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
+        lines.append(line)
+        flat += row_cells
+    if len(lines) < 2:
+        raise ValueError(f"{name} has no rows")
+    width = len(header)
+    return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
+
+
+def text_of(path: Path, columns: Collection[str]) -> str:
+    """Return the text of a CSV file, or a file of another format as CSV.
+
+    The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
+    ping, see `desim.kernel.measured.ping`.
+
+    Raises:
+        ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
+    """
+    if path.suffix.lower() != ".parquet":
+        text = text_of_file(path)
+        try:
+            return ping_table(text) or text
+        except ValueError as error:
+            raise ValueError(f"{path} {error}") from error
+    try:
+        return _csv_of(path.read_bytes(), tuple(columns))
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from error
+    except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are of these types, too
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ValueError(f"{path} cannot be read: {reason}") from error
+
+
+@lru_cache(maxsize=KEPT)
+def _csv_of(parquet: bytes, columns: tuple[str, ...]) -> str:
+    from pyarrow import BufferReader
+    from pyarrow.parquet import ParquetFile
+
+    file = ParquetFile(BufferReader(parquet))
+    names = file.schema_arrow.names
+    read = [name for name in names if name in columns]
+    # A few kB can hold as many equal rows as their writer likes, so the bound is on what they say, not on their size.
+    if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
+        raise ValueError(
+            f"{file.metadata.num_rows:,} rows of {len(read)} columns are {size:,} cells, above {MAX_CELLS:,}"
+        )
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for batch in file.iter_batches(columns=read) if read else ():
+        cells = batch.to_pydict()
+        writer.writerows(zip(*(cells.get(name, repeat(None)) for name in names), strict=False))
+    return text.getvalue()
+
+
+def header_of(text: str, name: str) -> list[str]:
+    """Return the names of the columns of CSV text; see `select`.
+
+    Raises:
+        ValueError: if the text is empty or is not CSV.
+    """
+    for _, cells in rows_of(text, name):
+        return [cell.strip() for cell in cells]
+    raise ValueError(f"{name} is empty: its first line should have the names of its columns")
+
+
+@lru_cache(maxsize=KEPT)
+def select(text: str, columns: tuple[str, ...], name: str) -> str:
+    """Return CSV text reduced to some columns, separated by commas, with each row on the same line.
+
+    Args:
+        text: a header and rows; blank lines, and lines that begin with `#`, are ignored.
+        columns: the names of the columns to keep, two or more.
+        name: the name of the table, for error messages.
+
+    Raises:
+        ValueError: if the text is empty or is not CSV, a column is missing or occurs twice, a row is too short or too
+            long, or numbers have both decimal commas and decimal points.
+    """
+    header = header_of(text, name)
+    for column in columns:
+        if header.count(column) != 1:
+            what = "no column" if column not in header else "several columns"
+            raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
+    chosen = itemgetter(*(header.index(column) for column in columns))
+    rows, kept = rows_of(text, name), StringIO()
+    has_commas = separator_of(text) == ","
+    if not has_commas:
+        rows = with_points(rows, chosen, name)
+    writer = csv.writer(kept, lineterminator="\n")
+    first, _ = next(rows)
+    kept.write("\n" * (first - 1))
+    writer.writerow(columns)
+    below = first + 1
+    for line, cells in rows:
+        if len(cells) != len(header):
+            hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
+            what = f"has {len(cells)} cells, but the table has {len(header)} columns"
+            raise ValueError(f"{name}, {place_of(line, name)}: {what}{hint}")
+        if line > below:
+            kept.write("\n" * (line - below))
+        writer.writerow(chosen(cells))
+        below = line + 1
+    return kept.getvalue()
+
+
+def _headless(header: Sequence[str]) -> str:
+    """Return the probable reason why a column is missing, after a semicolon; "" if it is not known."""
+    try:
+        [number_of(cell) for cell in header]
+    except ValueError:
+        return ""
+    return "; a header should have names, and not begin with #"
+
+
+def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row of a table of numbers without a header, also one with white space only.
+
+    Raises:
+        ValueError: if the text is not CSV, or numbers have both decimal commas and decimal points.
+    """
+    text = re.sub(r"(?m)#.*", "", text)
+    separator = separator_in(text)
+    if not separator:
+        text, separator = re.sub(r"(?m)(?<=\S) +(?=\S)", "\t", text), "\t"
+    rows = rows_of(text, name, separator)
+    return rows if separator == "," else with_points(rows, list, name)
+
+
+def with_points(
+    rows: Iterator[tuple[int, list[str]]], chosen: Callable[[list[str]], Sequence[str]], name: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield rows with decimal points instead of decimal commas.
+
+    Raises:
+        ValueError: if some chosen cells have decimal commas and others decimal points: one of them may separate
+            thousands.
+    """
+    seen: dict[str, tuple[int, str]] = {}
+    for line, cells in rows:
+        for cell in chosen(cells) if len(cells) > 1 else ():
+            if match := DECIMAL.fullmatch(cell.strip()):
+                seen.setdefault(match[1] or match[2], (line, cell.strip()))
+        if len(seen) > 1:
+            (_, one), (where, other) = sorted(seen.values(), key=lambda place: place[0])
+            why = f"numbers should have either decimal points or decimal commas (got {one} and {other})"
+            raise ValueError(f"{name}, {place_of(where, name)}: {why}")
+        yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
+
+
+def separator_in(text: str) -> str:
+    """Return the sign that separates the cells of numbers and names: "" stands for white space.
+
+    Commas may be decimal commas where there are semicolons or tabs.
+    """
+    return next((sign for sign in ";\t," if sign in text), "")
+
+
+def separator_of(text: str) -> str:
+    """Return the separator of the cells of CSV text: the one that its first line has most of."""
+    for line in text.split("\n"):
+        if line.strip() and not line.lstrip().startswith("#"):
+            return max(SEPARATORS, key=QUOTED.sub("", line).count)
+    return ","
+
+
+def rows_of(text: str, name: str, separator: str = "") -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row of CSV text, the header included; cells may end in white space.
+
+    Args:
+        text: the text.
+        name: the name of the table, for error messages.
+        separator: the separator of the cells; if it is empty, see `separator_of`.
+    """
+    lines = text.split("\n")
+    if "#" in text:
+        lines = ["" if line.lstrip().startswith("#") else line for line in lines]
+    reader = csv.reader(lines, delimiter=separator or separator_of(text), strict=True, skipinitialspace=True)
+    try:
+        for cells in reader:
+            if any(cells):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise ValueError(f"{name}, line {reader.line_num}: {error}") from error
+
+
+def place_of(line: int, table: str) -> str:
+    """Return the place of a line in a table, given the name of the table; a Parquet file has no lines."""
+    return f"row {line - 1}" if table.lower().endswith(".parquet") else f"line {line}"

@@ -1,0 +1,97 @@
+"""Text files of latencies: numbers in one line or one column, the output of ping, and matrices.
+
+Numbers are separated by white space, commas or semicolons; `#` begins a comment.
+"""
+
+import re
+from pathlib import Path
+
+from desim.config.number_files import number_of, text_of_file, words_of
+from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
+from desim.kernel.measured.measurements import number_or_nan
+from desim.kernel.measured.ping import Probe, probes_of
+
+AMBIGUOUS = re.compile(
+    r"[+-]?(\d*,\d+|\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE
+)
+"""Matches a word that is one number with a decimal comma, or with separators of thousands, or several numbers."""
+INF = float("inf")
+
+
+def latencies_of(file: Path) -> list[float]:
+    """Return the latencies, s, in a text file; for the output of ping, half of each round-trip time.
+
+    Raises:
+        ValueError: if the file cannot be read, contains no numbers or anything but times >= 0 s, has several numbers in
+            one of several lines, or a comma that may be a decimal comma.
+    """
+    text = text_of_file(file)
+    if probes := _probes(text, file):
+        return [probe.rtt / 2.0 for probe in probes if probe.rtt is not None]
+    rows = [(line, items) for line, row in enumerate(text.split("\n"), 1) if (items := _items(row, file, line))]
+    numbers: list[float] = []
+    for line, items in rows:
+        for item in items:
+            try:
+                numbers.append(number_of(item))
+            except ValueError as error:
+                hint = "" if numbers else "; a header should begin with #"
+                raise ValueError(f"{file}, line {line}: {error}{hint}") from error
+            if not 0.0 <= numbers[-1] < INF:
+                raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {item})")
+    if not numbers:
+        raise ValueError(f"{file} contains no numbers")
+    if len(rows) > 1 and (longer := next(((line, len(items)) for line, items in rows if len(items) > 1), None)):
+        why = "it should have one, because the file has several lines: latencies in one line or in one column"
+        raise ValueError(f"{file}, line {longer[0]}: has {longer[1]} numbers; {why}")
+    return numbers
+
+
+def _probes(text: str, file: Path) -> list[Probe]:
+    try:
+        return probes_of(text)
+    except ValueError as error:
+        raise ValueError(f"{file} {error}") from error
+
+
+def _items(row: str, file: Path, line: int) -> list[str]:
+    """Return the numbers, as text, in a line; between semicolons they may have decimal commas.
+
+    Raises:
+        ValueError: if a comma may be a decimal comma.
+    """
+    words = words_of(row.partition("#")[0].replace(";", " "))
+    signs = {match[1] or match[2] for word in words if (match := DECIMAL.fullmatch(word))}
+    if ";" in row.partition("#")[0]:
+        if len(signs) > 1:
+            raise ValueError(f"{file}, line {line}: numbers should have either decimal points or decimal commas")
+        return [word.replace(",", ".") if DECIMAL.fullmatch(word) else word for word in words]
+    for word in words:
+        if AMBIGUOUS.fullmatch(word):
+            why = "may be one number or several: write decimal points, and white space between numbers"
+            raise ValueError(f"{file}, line {line}: {word!r} {why}")
+    return words_of(" ".join(words).replace(",", " "))
+
+
+def matrix_of(file: Path) -> list[list[float]]:
+    """Return the rows of a square matrix of numbers in a text file; nan where a cell is empty or nan.
+
+    Raises:
+        ValueError: if the file cannot be read, is empty, has a cell that is not a number, or is no square.
+    """
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for line, cells in plain_rows(text_of_file(file), str(file)):
+        lines.append(line)
+        try:
+            rows.append([number_or_nan(cell) for cell in cells])
+        except ValueError as error:
+            hint = "" if rows else "; a header should begin with #"
+            raise ValueError(f"{file}, line {line}: {error}{hint}") from error
+    if not rows:
+        raise ValueError(f"{file} contains no numbers")
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) != len(rows):
+            why = f"has {len(row)} numbers, but the file has {len(rows)} lines of numbers: one per node"
+            raise ValueError(f"{file}, line {line}: {why}; with decimal commas, separate numbers by ;")
+    return rows

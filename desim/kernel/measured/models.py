@@ -1,0 +1,162 @@
+"""Links as they were measured: models of latency and loss that follow a table of measurements over time.
+
+A signal strength, such as RSSI, is a model of loss, and not of reception. A reception model is a function of distance
+and range, which the network also uses to find neighbours; a measured signal depends on neither.
+"""
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Bools, Floats
+from desim.config.model import MAX_TIME, Flag
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.portable_math import exp
+from desim.kernel.measured.base import LinkTrace
+from desim.kernel.measured.measurements import PER_SECOND, Unit
+from desim.kernel.measured.playback import Playback
+
+MAX_SIGNAL = 1000.0
+"""Largest absolute value of a signal strength, dB; in some logs, a greater one stands for no signal."""
+MAX_EXPONENT = 700.0
+"""Limit of exponents: exp(710) is infinite."""
+
+
+class LatencyTrace(LinkTrace):
+    """The latency of each message is the measured one of its link at that time; a missing value loses the message."""
+
+    NOUN: ClassVar[str] = "a latency"
+
+    kind: Literal["trace"] = "trace"
+    unit: Unit = "s"
+    """Unit of the values: s, ms, us or ns."""
+    rtt: Flag = False
+    """Whether the values are round-trip times, which are divided by 2."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest value in the table."""
+        return 0.0, MAX_TIME * self._per_second
+
+    @property
+    def _per_second(self) -> int:
+        """The value of a one-way latency of 1 s."""
+        return PER_SECOND[self.unit] * (2 if self.rtt else 1)
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return values of the table as one-way latencies, s."""
+        return values / self._per_second
+
+    def mean_latency(self) -> float | None:
+        """Return the mean latency over time and links, s."""
+        return Playback(self).mean()
+
+    def start_run(self, size: int) -> "PlayedLatencies":
+        """Return the model of one run."""
+        return PlayedLatencies(self)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats:
+        """Return the latency of each link, (k,), or one for all, s; one that is missing is that of the row before."""
+        return self.start_run(0)(context, rng)
+
+
+class PlayedLatencies:
+    """`LatencyTrace` in one run.
+
+    Attributes:
+        is_lost: as in `desim.kernel.models.traits.LinkTraits`.
+        time_span: as in `desim.kernel.models.traits.LinkTraits`.
+    """
+
+    def __init__(self, trace: LatencyTrace):
+        self._playback = Playback(trace)
+        self.is_lost = self._playback.is_missing if self._playback.loses else None
+        self.time_span = trace.span
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats:
+        """Return the latencies; see `LatencyTrace`."""
+        latencies: float | Floats = self._playback.values(context)
+        return latencies
+
+
+class _LossTrace(LinkTrace):
+    """Base of the traces of loss."""
+
+    def start_run(self, size: int) -> "PlayedLosses":
+        """Return the model of one run."""
+        return PlayedLosses(self)
+
+    def loss(self, values: Any) -> Any:
+        """Return the probabilities of loss at values of the table, or booleans if the losses are certain."""
+        raise NotImplementedError
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Draw the (k,) losses; return one for all receivers if it is certain."""
+        return self.start_run(0)(context, rng)
+
+
+class LossTrace(_LossTrace):
+    """A message is lost with the probability that was measured on its link at that time, which may be 0 or 1."""
+
+    NOUN: ClassVar[str] = "a probability of loss"
+
+    kind: Literal["trace"] = "trace"
+    received: Flag = False
+    """Whether the values are probabilities of reception, such as a packet reception ratio, instead of loss."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest value in the table."""
+        return 0.0, 1.0
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return values of the table as probabilities of loss."""
+        return 1.0 - values if self.received else values
+
+    def loss(self, values: Any) -> Any:
+        """Return the values."""
+        return values
+
+
+class SignalTrace(_LossTrace):
+    """A message is lost where the signal measured on its link at that time is weak, for instance RSSI, RSRP or SNR.
+
+    At a signal of x dB, the probability of loss is 1 / (1 + exp((x - threshold) / width)).
+    """
+
+    NOUN: ClassVar[str] = "a signal strength in dB"
+
+    kind: Literal["signal_trace"] = "signal_trace"
+    threshold: Annotated[float, Field(ge=-MAX_SIGNAL, le=MAX_SIGNAL, strict=True)] = -90.0
+    """Signal strength at which half of the messages are lost, in the unit of the values: dBm or dB."""
+    width: Annotated[float, Field(ge=0, le=MAX_SIGNAL, strict=True)] = 0.0
+    """Width of the transition, dB; with 0, a message is lost if and only if the signal is below the threshold."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest value in the table."""
+        return -MAX_SIGNAL, MAX_SIGNAL
+
+    def loss(self, values: Any) -> Any:
+        """Return the probabilities of loss, or booleans if the width is 0."""
+        if not self.width:
+            return values < self.threshold
+        exponents = np.atleast_1d((values - self.threshold) / self.width)
+        return 1.0 / (1.0 + exp(np.minimum(exponents, MAX_EXPONENT)))
+
+
+class PlayedLosses:
+    """`LossTrace` or `SignalTrace` in one run."""
+
+    def __init__(self, trace: _LossTrace):
+        self._trace, self._playback = trace, Playback(trace)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Draw the losses; see `_LossTrace`."""
+        lost = self._trace.loss(self._playback.values(context))
+        if lost.dtype != bool:
+            lost = rng.random(len(context.dst)) < lost
+        if self._playback.loses:
+            lost = lost | self._playback.is_missing(context)
+        return lost  # type: ignore[no-any-return]

@@ -1,0 +1,305 @@
+"""Models of interference: which frames a receiver gets of those that overlap at it.
+
+A model is called with an `Overlap`: one frame, the frames that overlap it, and k of its receivers. Whether frames
+overlap is judged by the times at which they are transmitted; propagation delays are neglected. A receiver that
+transmits itself meanwhile gets nothing; models are not asked about it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Annotated, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Bools, Floats, Integers
+from desim.config.choice import OneOf
+from desim.config.model import RESOLUTION, Flag, Positive, Value
+from desim.kernel.core.portable_math import exp, log
+from desim.kernel.models.fading import RiceFactor, Shape, nakagami_quantiles, rice_quantiles
+from desim.kernel.models.traits import InterferenceTraits
+
+Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
+Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
+
+
+NEAREST = 1e-3
+"""Least distance in the path loss, m; at smaller distances the power is the same."""
+LN_10 = math.log(10.0)
+SEPARATION = 30.0 / 125.0
+"""Smallest distance of two LoRa frequencies that do not interfere, in bandwidths."""
+ISOLATION = {
+    "goursaud": (
+        (6, -16, -18, -19, -19, -20),
+        (-24, 6, -20, -22, -22, -22),
+        (-27, -27, 6, -23, -25, -25),
+        (-30, -30, -30, 6, -26, -28),
+        (-33, -33, -33, -33, 6, -29),
+        (-36, -36, -36, -36, -36, 6),
+    ),
+    "croce": (
+        (1, -8, -9, -9, -9, -9),
+        (-11, 1, -11, -12, -13, -13),
+        (-15, -13, 1, -13, -14, -15),
+        (-19, -18, -17, 1, -17, -18),
+        (-22, -22, -21, -20, 1, -20),
+        (-25, -25, -25, -24, -23, 1),
+    ),
+}
+"""Smallest ratio of the powers of a frame and another with which the frame is received, dB. Rows are the spreading
+factors of the frame, 7 to 12, columns those of the other. The diagonals are not used."""
+
+
+class LoRaSignal(NamedTuple):
+    """The parameters of a LoRa frame."""
+
+    spreading_factor: int
+    bandwidth: float
+    """Hz"""
+    frequency: float
+    """Hz"""
+    preamble: int
+    """Number of symbols."""
+
+
+class Frame:
+    """A transmission on the air.
+
+    Attributes:
+        number: the number of the transmission; -1 for an acknowledgement.
+        draw: the number of its random draws, different for each attempt to send a transmission.
+        src: the node that transmits.
+        begin: start of the airtime, ns.
+        end: end of the airtime, ns.
+        overlapping: the frames that overlap it, by start.
+        sensed_by: the nodes that sense it, see `desim.kernel.channel.carrier_sense.CarrierSense.listeners`.
+        locked: (n,) which nodes lock on to its preamble; None: all.
+    """
+
+    __slots__ = ("begin", "draw", "end", "locked", "number", "overlapping", "sensed_by", "src")
+
+    def __init__(self, number: int, draw: int, src: int, begin: int, end: int, sensed_by: Integers):
+        self.number, self.draw, self.src, self.begin, self.end = number, draw, src, begin, end
+        self.sensed_by = sensed_by
+        self.overlapping: list[Frame] = []
+        self.locked: Bools | None = None
+
+
+class Overlap(NamedTuple):
+    """A frame, the frames that overlap it, and k of its receivers.
+
+    The functions take one of the frames, and return an array with one item per receiver.
+    """
+
+    frame: Frame
+    receivers: Integers
+    """(k,) the receivers."""
+    others: Sequence[Frame]
+    audible: Callable[[Frame], Bools]
+    """Whether each receiver is linked to the sender of the frame, and within range."""
+    distances: Callable[[Frame], Floats]
+    """The distances of the receivers from the sender of the frame, m."""
+    uniforms: Callable[[Frame], Floats]
+    """Uniform draws in (0, 1), the same in each call with the same frame and receiver."""
+    signal: Callable[[Frame], LoRaSignal]
+    """Returns the parameters of a LoRa frame; only for a medium of this kind."""
+
+
+class Interference(Protocol):
+    """A model of interference: `model(overlap)` returns (k,) whether each receiver gets the frame.
+
+    A model may have an attribute `lock`; see `desim.kernel.models.traits.InterferenceTraits`.
+    """
+
+    needs_positions: ClassVar[bool]
+    """Whether the model uses distances."""
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether a frame may be lost although no other overlaps it."""
+        ...
+
+    def __call__(self, overlap: Overlap) -> Bools: ...  # noqa: D102
+
+
+class Faded(Value):
+    """The fields of models of interference in which the power of a frame at a receiver may fade.
+
+    The power is multiplied by a random variable of mean 1, drawn for each frame and receiver.
+    """
+
+    fading: Literal["none", "rayleigh", "nakagami", "rice"] = "none"
+    """Fading of the power of each frame at each receiver, see `desim.kernel.models.fading`."""
+    m: Shape = 1.0
+    """Shape m of Nakagami fading, at least 0.5: 1 is Rayleigh fading."""
+    k: RiceFactor = 3.0
+    """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
+
+    @property
+    def unused_fields(self) -> frozenset[str]:
+        """The names of the shapes of the other kinds of fading."""
+        return frozenset(name for name, fading in (("m", "nakagami"), ("k", "rice")) if fading != self.fading)
+
+    def gains(self, uniforms: Floats) -> Floats:
+        """Return the (k,) factors by which (k,) powers fade, given uniform draws in (0, 1)."""
+        if self.fading == "rayleigh":
+            return -log(uniforms)
+        if self.fading == "nakagami":
+            return nakagami_quantiles(self.m, uniforms)
+        return rice_quantiles(self.k, uniforms) if self.fading == "rice" else np.ones(len(uniforms))
+
+    def level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
+        """Return (k,) the power of a frame at the receivers, dB, relative to that at 1 m without fading."""
+        level = _relative_power(overlap.distances(frame), exponent)
+        return level if self.fading == "none" else level + log(self.gains(overlap.uniforms(frame))) * (10.0 / LN_10)
+
+
+class Collision(Value):
+    """Frames that overlap at a receiver are all lost there."""
+
+    needs_positions: ClassVar[bool] = False
+    has_noise: ClassVar[bool] = False
+    kind: Literal["collision"] = "collision"
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where no other frame is audible."""
+        found = np.ones(len(overlap.receivers), dtype=bool)
+        for other in overlap.others:
+            found &= ~overlap.audible(other)
+        return found
+
+
+class CaptureEffect(Faded):
+    """A frame is received if it is stronger than each frame that overlaps it by a threshold.
+
+    The power of a frame decreases with distance d as d^-exponent (log-distance path loss). All nodes transmit with the
+    same power.
+    """
+
+    needs_positions: ClassVar[bool] = True
+    has_noise: ClassVar[bool] = False
+    kind: Literal["capture"] = "capture"
+    threshold: Annotated[float, Field(ge=0, le=300, strict=True)] = 6.0
+    """Smallest ratio of the powers of a frame and of each other frame, dB."""
+    exponent: Exponent = 3.0
+    """Path loss exponent: 2 in free space, 3 to 4 over ground."""
+    lock: Flag = False
+    """Whether a receiver locks on to the first frame that it hears, and loses every frame that begins before that frame
+    ends. It locks at once: the time of a preamble is not modelled."""
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where the frame is by the threshold stronger than each audible frame."""
+        power = self.level(overlap, overlap.frame, self.exponent)
+        found = np.ones(len(power), dtype=bool)
+        for other in overlap.others:
+            weaker = self.level(overlap, other, self.exponent) + self.threshold <= power
+            found &= weaker | ~overlap.audible(other)
+        return found
+
+
+class Sinr(Faded):
+    """A frame is received if its power is above noise and the sum of all interference by a threshold at all times.
+
+    The sum is the largest of those of the frames that are on the air at one instant. The power of a frame at distance d
+    is power * d^-exponent, and fades. Interference has no range: all overlapping frames count.
+    """
+
+    needs_positions: ClassVar[bool] = True
+    kind: Literal["sinr"] = "sinr"
+    threshold: Decibels = 6.0
+    """Smallest ratio of the power of a frame and the sum of the powers of all others and noise, dB."""
+    exponent: Exponent = 3.0
+    """Path loss exponent: 2 in free space, 3 to 4 over ground."""
+    fading: Literal["none", "rayleigh", "nakagami", "rice"] = "rayleigh"
+    """Fading of the power of each frame at each receiver, see `desim.kernel.models.fading`."""
+    power: Positive = 1.0
+    """Power at a distance of 1 m, in any unit."""
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)] = 0.0
+    """Power of noise, in the unit of `power`."""
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether there is noise."""
+        return self.noise > 0.0
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where the signal-to-interference-and-noise ratio reaches the threshold."""
+        received = self._power(overlap, overlap.frame)
+        powers = [self._power(overlap, other) for other in overlap.others]
+        worst = np.full(len(received), self.noise)
+        for instant in sorted({max(other.begin, overlap.frame.begin) for other in overlap.others}):
+            interference = np.full(len(received), self.noise)
+            for other, power in zip(overlap.others, powers, strict=True):
+                if other.begin <= instant < other.end:
+                    interference += power
+            worst = np.maximum(worst, interference)
+        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * worst
+        return enough
+
+    def _power(self, overlap: Overlap, frame: Frame) -> Floats:
+        power: Floats = self.power * exp(-self.exponent * log(_at_least_nearest(overlap.distances(frame))))
+        return power if self.fading == "none" else power * self.gains(overlap.uniforms(frame))
+
+
+class LoRaInterference(Faded):
+    """LoRa frames with capture (Bor, Roedig, Voigt & Alonso 2016, "Do LoRa Low-Power Wide-Area Networks Scale?").
+
+    Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
+    a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
+    received only if the other ends before the last five symbols of its preamble. In LoRaSim, the simulator of Bor et
+    al., the earlier of two frames is then received, too; here its end is lost unless it is stronger. Frames of
+    different spreading factors interfere if the other is stronger by the isolation between the two. Which frames a
+    receiver is tuned to is a matter of the medium (`gateways`).
+    """
+
+    needs_positions: ClassVar[bool] = True
+    has_noise: ClassVar[bool] = False
+    kind: Literal["lora"] = "lora"
+    threshold: Annotated[float, Field(ge=0, le=300, strict=True)] = 6.0
+    """Smallest ratio of the powers of two frames with which the stronger is received, dB."""
+    exponent: Exponent = 2.08
+    """Path loss exponent; 2.08 was measured by Bor et al."""
+    isolation: Literal["orthogonal", "goursaud", "croce"] = "orthogonal"
+    """Isolation between spreading factors: perfect, as computed by Goursaud & Gorce 2015, "Dedicated Networks for IoT",
+    or as measured by Croce et al. 2018, "Impact of LoRa Imperfect Orthogonality"."""
+
+    def __call__(self, overlap: Overlap) -> Bools:
+        """Return where no other frame destroys the frame."""
+        own = overlap.signal(overlap.frame)
+        symbol = 2**own.spreading_factor / own.bandwidth / RESOLUTION
+        critical = overlap.frame.begin + round((own.preamble - 5) * symbol)
+        power = self.level(overlap, overlap.frame, self.exponent)
+        found = np.ones(len(power), dtype=bool)
+        for other in overlap.others:
+            signal = overlap.signal(other)
+            if abs(signal.frequency - own.frequency) > SEPARATION * own.bandwidth or other.end <= critical:
+                continue
+            advantage = power - self.level(overlap, other, self.exponent)
+            if signal.spreading_factor == own.spreading_factor:
+                found &= (advantage >= self.threshold) | ~overlap.audible(other)
+            elif self.isolation != "orthogonal":
+                least = ISOLATION[self.isolation][own.spreading_factor - 7][signal.spreading_factor - 7]
+                found &= (advantage >= least) | ~overlap.audible(other)
+        return found
+
+
+def _relative_power(distances: Floats, exponent: float) -> Floats:
+    """Return the power, dB, at some distances, m, relative to the power at 1 m."""
+    return log(_at_least_nearest(distances)) * (-10.0 * exponent / LN_10)
+
+
+def _at_least_nearest(distances: Floats) -> Floats:
+    """Return distances of at least `NEAREST`."""
+    apart: Floats = np.maximum(distances, NEAREST)
+    return apart
+
+
+INTERFERENCES = OneOf(
+    Collision,
+    CaptureEffect,
+    Sinr,
+    LoRaInterference,
+    needs=("needs_positions", "has_noise"),
+    takes=("overlap",),
+    traits=InterferenceTraits,
+)

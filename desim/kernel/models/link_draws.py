@@ -1,0 +1,111 @@
+"""The draws of link models: their validation, their conversion to nanoseconds and booleans, and their buffers."""
+
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from desim.config.model import MAX_TIME
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.traits import LinkTraits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Draw = Callable[[int, np.random.Generator], NDArray[Any]]
+
+BLOCK = 4096
+"""Minimum number of draws per block."""
+
+
+class Buffer:
+    """A buffer of draws from a model whose draws are independent of the link."""
+
+    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]"):
+        self._draw, self._rng, self._convert = draw, rng, convert
+        self._block: NDArray[Any] | None = None
+        self._next = self._end = 0
+
+    def take(self, count: int) -> "NDArray[Any]":
+        """Return the next `count` converted draws; the array must not be changed."""
+        begin, end = self._next, self._next + count
+        if self._block is None or end > self._end:
+            size = max(BLOCK, count)
+            drawn: Any = self._draw(size, self._rng)
+            if np.shape(drawn) != (size,):
+                got = f"an array of shape {np.shape(drawn)}" if isinstance(drawn, np.ndarray) else repr(drawn)
+                raise ValueError(f"draw({size}, rng) should return an array of {size} draws, got {got}")
+            fresh = self._convert(drawn)
+            self._block = fresh if self._block is None else np.concatenate((self._block[begin:], fresh))
+            begin, end, self._end = 0, count, len(self._block)
+        self._next = end
+        return self._block[begin:end]
+
+
+def buffered(
+    model: object, rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]" = np.asarray
+) -> Buffer | None:
+    """Return a buffer of the converted draws of a model; None if its draws may depend on the link."""
+    draw = LinkTraits.of(model).draw
+    return Buffer(draw, rng, convert) if draw is not None else None
+
+
+def as_seconds(delays: Any) -> "NDArray[np.float64]":
+    """Return delays, one number or several, s, as an array; raise ValueError if they are not numbers."""
+    try:
+        return np.asarray(delays, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"latencies should be finite times >= 0 s, got {delays!r}") from None
+
+
+def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
+    """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
+
+    Raises:
+        ValueError: if a delay is negative, infinite or NaN.
+    """
+    given = as_seconds(delays)
+    if not ((given >= 0.0) & (given < inf)).all():
+        raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
+    times: NDArray[np.int64] = np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64)
+    return times
+
+
+def as_booleans(losses: Any) -> "NDArray[np.bool_]":
+    """Return the losses that a model drew.
+
+    Raises:
+        ValueError: if they are not booleans.
+    """
+    booleans = np.asarray(losses)
+    if booleans.dtype != bool:
+        raise ValueError(f"losses should be booleans, got {losses!r}")
+    return booleans
+
+
+def times_of(answer: Any, count: int) -> "NDArray[np.int64]":
+    """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link.
+
+    Raises:
+        ValueError: if they are neither one number nor one for each link, or one of them is invalid.
+    """
+    shape = np.shape(answer)
+    if shape not in {(), (count,)}:
+        got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
+        raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
+    return as_nanoseconds(answer)
+
+
+def booleans_of(answer: Any, count: int) -> list[bool]:
+    """Convert the losses that a model returned for `count` links to a list with one boolean per link.
+
+    Raises:
+        ValueError: if they are neither one boolean nor one for each link.
+    """
+    booleans = np.asarray(answer)
+    if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
+        raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
+    lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us
+    return [lost] * count if isinstance(lost, bool) else lost

@@ -1,0 +1,211 @@
+"""The link models of a network as one immutable object: graph, range, reception, latency, loss, medium."""
+
+from collections.abc import Iterator, Mapping, Set
+from contextlib import suppress
+from math import inf
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import ValidationInfo, field_validator, model_validator
+
+from desim.config.fresh import fresh_copy
+from desim.config.model import Extent, Time, Value
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.measured.base import LinkTrace
+from desim.kernel.models.graphs import GRAPHS, Complete, Edge, Edges, GraphModel, Link, Order, graph_of, is_networkx
+from desim.kernel.models.latency import JITTERS, LATENCIES, Constant, Latency
+from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
+from desim.kernel.models.medium import MEDIA, Medium, Unlimited
+from desim.kernel.models.presets import PRESETS
+from desim.kernel.models.reception import RECEPTION_MODELS, Disk, ReceptionModel
+from desim.kernel.models.transport import TRANSPORTS, BestEffort, Transport
+
+EdgeLike = TypeVar("EdgeLike", bound=Edge)
+
+
+class Processing(Value):
+    """Processing delays of a message, in addition to its latency."""
+
+    sender: Annotated[Latency, JITTERS] = Constant()
+    """Processing delay at the sender, s, drawn for each transmission; the kinds are those of `latency` that do not
+    depend on the receiver. A message reaches the queue of its transmitter after this delay, in the order of its
+    sender. A random delay separates messages that several nodes create at one instant."""
+    receiver: Time = 0.0
+    """Processing delay at the receiver, s."""
+
+
+def _completed(given: Any, table: dict[str, Any]) -> Any:
+    """Return a given table, with the keys that it and the tables in it lack filled in from a preset.
+
+    `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
+    """
+    kind = table.get("kind")
+    if not isinstance(given, dict) or given.get("kind", kind) != kind:
+        return given
+    return table | given | _tables_completed(given, table)
+
+
+def _tables_completed(given: dict[str, Any], preset: dict[str, Any]) -> dict[str, Any]:
+    """Return the given values of the keys that are tables in a preset, completed from it."""
+    return {
+        key: _completed(given[key], table) for key, table in preset.items() if key in given and isinstance(table, dict)
+    }
+
+
+def _with(owner: EdgeLike, traces: Mapping[tuple[str | int, ...], LinkTrace], place: tuple[str | int, ...]) -> EdgeLike:
+    """Return an edge or a link with other tables of measurements, by their keys; `place` is its own."""
+    own = {name: traces[*place, name] for name in ("latency", "loss") if (*place, name) in traces}
+    return owner.model_copy(update=own) if own else owner
+
+
+class Links(Value):
+    """The models of the links of a network; the default is an ideal network: complete, no latency, no loss."""
+
+    preset: (
+        Literal[
+            "wifi",
+            "lte",
+            "5g",
+            "satellite",
+            "acoustic",
+            "lora_sf7",
+            "lora_sf8",
+            "lora_sf9",
+            "lora_sf10",
+            "lora_sf11",
+            "lora_sf12",
+        ]
+        | None
+    ) = None
+    """Name of a set of illustrative values that replace the defaults of this table: wifi, lte, 5g, satellite, acoustic,
+    lora_sf7 to lora_sf12."""
+    graph: Annotated[GraphModel, GRAPHS] = Complete()
+    """Communication graph, regardless of range; in Python also a networkx graph."""
+    range: Extent = inf
+    """Communication range, m; inf = any distance."""
+    reception: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
+    """Probability of reception as a function of distance and range."""
+    fading: Literal["per_link", "message"] = "per_link"
+    """Whether random reception is drawn once per pair of nodes, or for every message."""
+    range_check: Literal["send", "delivery", "both"] = "send"
+    """When reception is evaluated: at transmission, on arrival, or both."""
+    latency: Annotated[Latency, LATENCIES] = Constant()
+    """One-way latency, s."""
+    order: Order = "overtaking"
+    """overtaking: a message may overtake an earlier one of its link; fifo: messages arrive in the order sent."""
+    processing: Processing = Processing()
+    """Processing delays at the sender and the receiver."""
+    loss: Annotated[Loss, LOSSES] = Bernoulli()
+    """Loss model."""
+    duplicate: Annotated[Loss, LOSSES] = Bernoulli()
+    """Which messages are transmitted twice, by the kinds of `loss`: instead of being lost, a message gets a copy, which
+    counts as a message of its own."""
+    medium: Annotated[Medium, MEDIA] = Unlimited()
+    """Model of the airtime of messages and of access to the channel."""
+    transport: Annotated[Transport, TRANSPORTS] = BestEffort()
+    """How messages that nodes send to each other are carried, for example retransmitted. Announcements are not such
+    messages, unless `announce.dissemination` sends them as messages."""
+    link: tuple[Link, ...] = ()
+    """Links with their own models."""
+
+    @property
+    def delays_start(self) -> bool:
+        """Whether transmissions start after the processing delay of their sender, which is drawn or precedes a queue.
+
+        Else the delay is constant, and added to that of the receiver.
+        """
+        sender = self.processing.sender
+        if type(sender) is not Constant:
+            return True
+        return nanoseconds(sender.value) > 0 and type(self.medium) is not Unlimited
+
+    @property
+    def node_names(self) -> tuple[str, ...]:
+        """The names of the nodes, by number: those of the graph, else of the first table of measurements with names."""
+        if isinstance(self.graph, Edges) and self.graph.names:
+            return self.graph.names
+        orders = (trace.nodes or trace.measurements.names for _, trace in self.traces())
+        return next((order for order in orders if order), ())
+
+    def traces(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace]]:
+        """Yield the key and the model of each table of measurements."""
+        edges = self.graph.edges if isinstance(self.graph, Edges) else ()
+        owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
+        owners += ((("link", k), link) for k, link in enumerate(self.link))
+        owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
+        for place, owner in owners:
+            for name in ("latency", "loss"):
+                if isinstance(model := getattr(owner, name), LinkTrace):
+                    yield (*place, name), model
+
+    def numbered(self, names: tuple[str, ...]) -> "Links":
+        """Return the links with tables of measurements that give the nodes of these names their numbers.
+
+        A table that has other names is unchanged; see `desim.kernel.models.link_checks`.
+        """
+        changed: dict[tuple[str | int, ...], LinkTrace] = {}
+        for place, trace in self.traces():
+            with suppress(ValueError):
+                if (numbered := trace.numbered(names)) is not trace:
+                    changed[place] = numbered
+        if not changed:
+            return self
+        copy = self.model_copy()
+        own = {str(place[0]): trace for place, trace in changed.items() if len(place) == 1}
+        links = [_with(link, changed, ("link", k)) for k, link in enumerate(self.link)]
+        copy.__dict__.update(own, link=tuple(links))
+        if isinstance(self.graph, Edges):
+            graph = self.graph.model_copy()
+            edges = [_with(edge, changed, ("graph", "edges", k)) for k, edge in enumerate(graph.edges)]
+            graph.__dict__["edges"] = tuple(edges)
+            copy.__dict__["graph"] = graph
+        return copy
+
+    @model_validator(mode="after")
+    def _number_by_graph(self) -> Self:
+        if isinstance(self.graph, Edges) and self.graph.names:
+            self.__dict__.update(self.numbered(self.graph.names).__dict__)
+        return self
+
+    def make_graph(self, size: int) -> Any:
+        """Return the communication graph of a number of nodes, from a graph model that is as it was at the start.
+
+        Raises:
+            ValueError: if the model does not return a simple graph of this size, or an edge attribute is invalid.
+        """
+        with fresh_copy(self.graph) as graph:
+            return graph_of(graph, size)
+
+    @field_validator("graph", mode="before")
+    @classmethod
+    def _of_networkx(cls, given: Any) -> Any:
+        return Edges.of(given) if is_networkx(given) else given
+
+    @field_validator("link", mode="before")
+    @classmethod
+    def _has_numbers(cls, given: Any, info: ValidationInfo) -> Any:
+        """Raise ValueError with the number of a node that is named instead."""
+        graph = info.data.get("graph")
+        names = graph.names if isinstance(graph, Edges) else ()
+        for k, link in enumerate(given if isinstance(given, list | tuple) else ()):
+            for end in ("src", "dst"):
+                node = link.get(end) if isinstance(link, dict) else None
+                if isinstance(node, str) and node in names:
+                    raise ValueError(
+                        f"{end} of link {k} should be a number; the number of {node} is {names.index(node)}"
+                    )
+        return given
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        preset = given.get("preset") if isinstance(given, dict) else None
+        if not isinstance(preset, str) or preset not in PRESETS:
+            return given
+        return PRESETS[preset] | given | _tables_completed(given, PRESETS[preset])
+
+    def _derived(self) -> Set[str]:
+        """Return the names of the fields with the value that the preset stands for."""
+        if self.preset is None:
+            return super()._derived()
+        own, stands_for = dict(self), dict(type(self)(preset=self.preset))
+        return {key for key in PRESETS[self.preset] if own[key] == stands_for[key]}

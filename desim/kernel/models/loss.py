@@ -1,0 +1,292 @@
+"""Message loss: immutable models that decide for all receivers of a transmission at once.
+
+A model with state is immutable, too: its method `start_run(size)` returns an object that holds the state during one run
+(see `desim.kernel.models.traits.LinkTraits`).
+"""
+
+import math
+from collections import defaultdict
+from functools import partial
+from typing import Annotated, Literal, Protocol, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from desim.config.arrays import Bools, Floats
+from desim.config.choice import OneOf
+from desim.config.model import Length, Positive, Probability, Value
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.portable_math import exp, power
+from desim.kernel.measured.models import LossTrace, SignalTrace
+from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
+from desim.kernel.models.link_memory import LinkMemory
+from desim.kernel.models.traits import LinkTraits
+
+PositiveProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
+
+
+class Loss(Protocol):
+    """A loss model: `loss(context, rng)` returns (k,) booleans, or one for all receivers; True: the message is lost."""
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
+
+
+class Bernoulli(Value):
+    """Every message is lost with the same probability, independently of all others."""
+
+    kind: Literal["bernoulli"] = "bernoulli"
+    p: Probability = 0.0
+    """Probability that a message is lost, in [0, 1]."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Bools:
+        """Draw (count,) booleans, True where a message is lost."""
+        return rng.random(count) < self.p
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Draw the (k,) losses; return False if nothing can be lost."""
+        return self.draw(len(context.dst), rng) if self.p else False
+
+
+class GilbertElliott(Value):
+    """Burst losses: each link alternates between a good and a bad state, each with its own loss probability.
+
+    The model of Gilbert (1960, "Capacity of a Burst-Noise Channel") has no losses in the good state. The model of
+    Elliott (1963, "Estimates of Error Rates for Codes on Burst-Noise Channels") has losses in both states. With
+    transition probabilities (or rates) p from good to bad and r from bad to good, the share of bad time is
+    s = p / (p + r) and the mean bad period is 1 / r. A link starts in its stationary distribution. The share of lost
+    messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the messages sent in the bad state are lost.
+
+    If the state advances with messages, as in netem, an idle link keeps it. A sender that waits before it repeats a
+    message then outlasts no burst, and alone on a link it takes 1 / (1 - s) attempts, as without bursts. Where messages
+    are repeated, let the state advance with time.
+    """
+
+    kind: Literal["gilbert_elliott"] = "gilbert_elliott"
+    share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
+    """Share of the messages, or of the time, for which a link is in the bad state, in [0, 1)."""
+    burst: Positive = 5.0
+    """Mean duration of a bad period, in messages of the link, or in s if the state advances with time."""
+    advance: Literal["message", "time"] = "message"
+    """Whether the state of a link advances with every message on it, or with time, whether it is used or not."""
+    loss_good: Probability = 0.0
+    """Probability of loss in the good state, in [0, 1]."""
+    loss_bad: Probability = 1.0
+    """Probability of loss in the bad state, in [0, 1]."""
+
+    @model_validator(mode="after")
+    def _check_burst(self) -> Self:
+        min_burst = max(1.0, self.share / (1.0 - self.share))
+        if self.advance == "message" and self.burst < min_burst:
+            raise ValueError(f"burst should be at least {min_burst:g} messages for this share (got {self.burst:g})")
+        return self
+
+    def start_run(self, size: int) -> Loss:
+        """Create the model of one run with `size` nodes; the model keeps the state of each link."""
+        return _Bursts(self)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Draw (k,) losses from the stationary distribution, without state."""
+        return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
+
+
+class _Bursts:
+    """`GilbertElliott` in one run: one row per sender, with the state of the links used so far."""
+
+    def __init__(self, model: GilbertElliott):
+        self._share, self._in_time = model.share, model.advance == "time"
+        recovery = 1.0 / model.burst  # r
+        failure = recovery * model.share / (1.0 - model.share)  # p
+        self._rate = failure + recovery
+        self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
+        # The chance of a link that was good at its last message, and of one that was bad; see `_rows`.
+        self._after_good, self._after_bad = (0.0, 1.0) if self._in_time else (failure, 1.0 - recovery)
+        self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, model.share))
+        """By sender, the probabilities that the next message finds a link in the bad state, or, if the state advances
+        with time, found it so right after the last message. A link that has not been used has the share of the
+        stationary distribution."""
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Advance the state of each link and return the (k,) losses."""
+        row, dst = self._rows[context.src], context.dst
+        row.select(dst)
+        chance = row.value
+        if self._in_time:
+            # In continuous time P(bad) tends exponentially to the share of bad time, with the rate p + r.
+            exponent = self._rate * (row.since - context.now)
+            fading = math.exp(exponent) if isinstance(exponent, float) else exp(exponent)
+            chance, row.since = self._share + (chance - self._share) * fading, context.now
+        bad: Bools = rng.random(len(dst)) < chance
+        row.value.fill(self._after_good)  # half the time of `take` or `where`
+        row.value[bad] = self._after_bad
+        if self._loss_good == 0.0 and self._loss_bad == 1.0:
+            return bad
+        lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
+        return lost
+
+
+class Correlated(Value):
+    """Losses that follow each other, as `tc netem loss random p correlation` draws them.
+
+    The random number of a message is a moving average: (1 - correlation) of a new one and `correlation` of the last of
+    the link (get_crandom in Linux, net/sched/sch_netem.c). The message is lost if its number is at most p. The average
+    is distributed more narrowly than a uniform number, so for p < 1/2 less than p is lost: with p = 0.1 and a
+    correlation of 0.25, 1.75 % instead of 10 %. For bursts with a given share of losses use `gilbert_elliott`.
+    """
+
+    kind: Literal["correlated"] = "correlated"
+    p: Probability = 0.1
+    """Nominal probability of loss, in [0, 1]; see above."""
+    correlation: Probability = 0.25
+    """Share of the last random number of the link in the next one, in [0, 1]."""
+
+    def start_run(self, size: int) -> Loss:
+        """Create the model of one run with `size` nodes; the model keeps the last number of each link."""
+        return _CorrelatedLosses(self)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Draw (k,) losses of the first message of each link, without state."""
+        return _CorrelatedLosses(self)(context, rng)
+
+
+class _CorrelatedLosses:
+    """`Correlated` in one run."""
+
+    def __init__(self, model: Correlated):
+        self._numbers = CorrelatedNumbers(model.correlation)
+        self._limit = np.uint64(round(model.p * (RANGE - 1)))
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Return the (k,) losses; False if nothing can be lost."""
+        return bool(self._limit) and self._numbers(context, rng) <= self._limit
+
+
+class FourState(Value):
+    """Bursts and isolated losses: the Markov chain of `tc netem loss state p13 p31 p32 p23 p14`.
+
+    The states of a link are 1: between bursts, received; 2: in a burst, received; 3: in a burst, lost; 4: between
+    bursts, lost. From 4 it returns to 1. Each message first advances the state, and then is received or lost (Salsano,
+    Ludovici, Ordine & Giannuzzi 2012, "Definition of a general and intuitive loss model for packet networks and its
+    implementation in the Netem module in the Linux kernel"). With q = p13 / p31, the share of lost messages is
+    (q + p14) / (1 + q (1 + p32 / p23) + p14). A link starts in its stationary distribution; in Linux, in state 1.
+    """
+
+    kind: Literal["four_state"] = "four_state"
+    p13: Probability = 0.02
+    """Probability that a burst begins with the next message, in [0, 1]."""
+    p31: PositiveProbability = 0.3
+    """Probability that a burst ends after a lost message, in (0, 1]."""
+    p32: Probability = 0.2
+    """Probability that a message is received within a burst after a lost one, in [0, 1]."""
+    p23: PositiveProbability = 0.5
+    """Probability that a message is lost after one that was received within a burst, in (0, 1]."""
+    p14: Probability = 0.01
+    """Probability of an isolated loss, in [0, 1]."""
+
+    @model_validator(mode="after")
+    def _check_sums(self) -> Self:
+        for first, second in (("p13", "p14"), ("p31", "p32")):
+            if (total := getattr(self, first) + getattr(self, second)) > 1.0:
+                raise ValueError(f"{first} + {second} should be at most 1 (got {total:g})")
+        return self
+
+    def stationary(self) -> Floats:
+        """Return the (4,) stationary probabilities of the states 1 to 4."""
+        lost = self.p13 / self.p31
+        weights = np.array([1.0, lost * self.p32 / self.p23, lost, self.p14])
+        return weights / math.fsum(weights)
+
+    def start_run(self, size: int) -> Loss:
+        """Create the model of one run with `size` nodes; the model keeps the state of each link."""
+        return _FourStates(self)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Draw (k,) losses from the stationary distribution, without state."""
+        return _FourStates(self)(context, rng)
+
+
+class _FourStates:
+    """`FourState` in one run. The states 1 to 4 are 0 to 3 here; UNUSED is that of a link that has not been used."""
+
+    UNUSED = 4
+
+    def __init__(self, model: FourState):
+        to_3, to_1 = model.p13 + model.p14, model.p31 + model.p32
+        rows = [
+            [1.0 - to_3, 1.0 - to_3, 1.0 - model.p14],
+            [0.0, 1.0 - model.p23, 1.0],
+            [model.p31, to_1, 1.0],
+            [1.0, 1.0, 1.0],
+            np.cumsum(model.stationary())[:3],
+        ]
+        self._limits = np.array(rows)
+        """For each state, the probabilities that the next is at most state 1, at most 2, and at most 3."""
+        self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, float(self.UNUSED)))
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Advance the state of each link and return the (k,) losses."""
+        row = self._rows[context.src]
+        row.select(context.dst)
+        limits = self._limits[row.value.astype(np.intp)]
+        state = (rng.random(len(limits))[:, np.newaxis] >= limits).sum(axis=1)
+        row.value[:] = state
+        lost: Bools = state >= 2
+        return lost
+
+
+class ByDistance(Value):
+    """The probability of loss depends on distance d: near + (far - near) min(d / distance, 1)^exponent."""
+
+    kind: Literal["by_distance"] = "by_distance"
+    near: Probability = 0.0
+    """Probability of loss at distance 0, in [0, 1]."""
+    far: Probability = 1.0
+    """Probability of loss at `distance` and beyond, in [0, 1]."""
+    distance: Length = 10.0
+    """Distance from which on the probability of loss is `far`, m."""
+    exponent: Positive = 2.0
+    """Exponent of the rise with distance."""
+
+    def probability(self, distances: Floats) -> Floats:
+        """Return the (k,) probabilities of loss at (k,) distances, m."""
+        return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
+
+    def start_run(self, size: int) -> Loss:
+        """Create the model of one run; it keeps the probabilities of losses between nodes that do not move."""
+        return _ByKnownDistance(self)
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Draw the (k,) losses."""
+        return rng.random(len(context.dst)) < self.probability(context.distances)
+
+
+class _ByKnownDistance:
+    """`ByDistance` in one run."""
+
+    def __init__(self, model: ByDistance):
+        self._model = model
+        self._kept: dict[int, tuple[Floats, Floats]] = {}
+        """By sender, the last distances that were known beforehand, and the probabilities of loss there."""
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Draw the (k,) losses."""
+        known = context.known_distances
+        if known is None:
+            return self._model(context, rng)
+        kept = self._kept.get(context.src)
+        if kept is None or kept[0] is not known:
+            kept = self._kept[context.src] = known, self._model.probability(known)
+        return rng.random(len(known)) < kept[1]
+
+
+LOSSES = OneOf(
+    Bernoulli,
+    GilbertElliott,
+    ByDistance,
+    Correlated,
+    FourState,
+    LossTrace,
+    SignalTrace,
+    number=("bernoulli", "p"),
+    takes=("context", "rng"),
+    traits=LinkTraits,
+)

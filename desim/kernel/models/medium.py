@@ -1,0 +1,280 @@
+"""Models of the medium: the airtime of a message of a given size, and how nodes share the channel."""
+
+from collections.abc import Callable
+from math import ceil, inf
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator
+
+from desim.config.arrays import Bools, Integers
+from desim.config.choice import OneOf
+from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
+from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
+from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
+from desim.kernel.models.traits import MediumTraits
+
+TUNING = 0.25
+"""Largest difference of the frequencies of a LoRa frame and a radio that receives it, in bandwidths (SX1276 datasheet,
+4.1.5)."""
+MAX_BYTES = 255
+"""Maximum payload of a LoRa frame, whose length field is one byte."""
+Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
+SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
+
+
+class Medium(Protocol):
+    """A model of the medium: `medium(size)` is the airtime (s) of a message of `size` bytes."""
+
+    @property
+    def shared(self) -> bool:
+        """Whether all nodes share one channel."""
+        ...
+
+    @property
+    def half_duplex(self) -> bool:
+        """Whether a node cannot receive while it transmits."""
+        ...
+
+    @property
+    def queue_limit(self) -> float:
+        """Maximum number of waiting messages per node."""
+        ...
+
+    def __call__(self, size: int) -> float: ...  # noqa: D102
+
+
+class Radio(Value):
+    """The fields of all media with airtime."""
+
+    shared: Flag = False
+    """Whether all nodes share one channel, which carries one message at a time."""
+    half_duplex: Flag = False
+    """Whether a node cannot receive while it transmits. It has no effect on a shared channel. Nodes that contend
+    (`access`) never receive while they transmit."""
+    queue_limit: Limit = inf
+    """Maximum number of waiting messages per node, without the one that is transmitted or contends; beyond it the
+    oldest is dropped; inf = unlimited."""
+    access: Annotated[Access, ACCESSES] = Ideal()
+    """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
+    interfere."""
+    reception: Annotated[Interference, INTERFERENCES] = Collision()
+    """Which of the frames that overlap at a receiver it gets; no effect with `access.kind` "ideal"."""
+
+    duty_cycle: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
+    """Largest share of the time that a node transmits, in [1e-6, 1]: after a frame of airtime T it is silent for
+    T (1 / duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit."""
+
+    @field_validator("access")
+    @classmethod
+    def _shares_once(cls, access: Access, info: ValidationInfo) -> Access:
+        if info.data.get("shared") and not isinstance(access, Ideal):
+            raise ValueError(
+                f"nodes contend for one channel with the kind {access.kind!r}, and shared = true makes the channel an"
+                " ideal queue: leave out one of them"
+            )
+        return access
+
+    @field_validator("reception")
+    @classmethod
+    def _fits_medium(cls, reception: Interference) -> Interference:
+        if isinstance(reception, LoRaInterference) and not issubclass(cls, LoRa):
+            raise ValueError(
+                "the kind 'lora' needs a medium of the kind 'lora'; allowed with this medium: collision, capture, sinr"
+            )
+        return reception
+
+    @field_validator("duty_cycle")
+    @classmethod
+    def _limits_nodes_that_contend(cls, duty_cycle: float | None, info: ValidationInfo) -> float | None:
+        if duty_cycle is not None and isinstance(info.data.get("access"), Ideal):
+            raise ValueError(
+                "a duty cycle, given or from a preset such as lora_sf7, needs nodes that contend: access.kind should"
+                " not be 'ideal'"
+            )
+        return duty_cycle
+
+    def check(self, size: int) -> None:
+        """Raise ValueError if the medium is not for a network of `size` nodes."""
+
+    def airtime(self, size: int, node: int) -> float:
+        """Return the airtime, s, of a message of `size` bytes that a node transmits."""
+        return self(size)
+
+    def interval(self, size: int, nodes: int) -> float:
+        """Return the time, s, for which a message of `size` bytes keeps one of `nodes` nodes from sending the next one.
+
+        It is the airtime, with the silence after it if there is a duty cycle, and with TDMA at least a round of slots.
+        """
+        least = self(size) / (self.duty_cycle or 1.0)
+        if not isinstance(self.access, Tdma):
+            return least
+        period = len(self.access.owners(nodes)) * self.access.slot
+        return max(ceil(least / period), 1) * period
+
+    def __call__(self, size: int) -> float:
+        """Return the airtime, s."""
+        raise NotImplementedError
+
+    @property
+    def contends(self) -> bool:
+        """Whether nodes contend for one channel."""
+        return not isinstance(self.access, Ideal)
+
+
+class Unlimited(Value):
+    """Messages of any size have zero airtime and never wait."""
+
+    shared: ClassVar[bool] = False
+    half_duplex: ClassVar[bool] = False
+    queue_limit: ClassVar[float] = inf
+    kind: Literal["unlimited"] = "unlimited"
+
+    def __call__(self, size: int) -> float:
+        """Return 0 s."""
+        return 0.0
+
+
+class Bitrate(Radio):
+    """A constant bit rate: the airtime is 8 (size + header) / bitrate."""
+
+    kind: Literal["bitrate"] = "bitrate"
+    bitrate: Annotated[float, Field(ge=1, le=1e15, strict=True)]
+    """bit/s"""
+    header: Count = 0
+    """Bytes that the link layer adds to every message."""
+
+    def __call__(self, size: int) -> float:
+        """Return the airtime, s."""
+        return 8.0 * (size + self.header) / self.bitrate
+
+
+class LoRa(Radio):
+    """The airtime of LoRa frames (Semtech, AN1200.22, "LoRa Modulation Basics", and SX1276 datasheet, 4.1.1.7).
+
+    A frame carries at most 255 bytes. A longer message takes ceil(size / 255) frames, sent back to back, each with its
+    own preamble and header; all frames of a message are received or lost together. Not modelled: the bytes that number
+    the frames of a message.
+    """
+
+    kind: Literal["lora"] = "lora"
+    spreading_factor: SpreadingFactor = 7
+    """SF: bits per symbol; a symbol takes 2^SF / bandwidth."""
+    spreading_factors: Annotated[tuple[SpreadingFactor, ...], FirstError()] | None = None
+    """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
+    frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None
+    """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
+    gateways: Annotated[tuple[Owner, ...], FirstError()] | None = None
+    """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
+    hears frames with the spreading factor and, up to a quarter of the bandwidth, the frequency that it transmits with,
+    and loses others ("tuning"). If None, all nodes are gateways."""
+    bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
+    """Hz"""
+    coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
+    """CR: the code rate is 4 / (4 + CR), from 4/5 to 4/8."""
+    preamble: Count = 8
+    """Number of preamble symbols."""
+    crc: Flag = True
+    """Whether the payload has a checksum."""
+    implicit_header: Flag = False
+    """Whether the header is omitted."""
+
+    @field_validator("spreading_factors", "frequencies", "gateways")
+    @classmethod
+    def _differ_only_if_they_contend(cls, given: Any, info: ValidationInfo) -> Any:
+        if given is not None and isinstance(info.data.get("access"), Ideal):
+            raise ValueError("nodes may differ only if they contend: access.kind should not be 'ideal'")
+        return given
+
+    def __call__(self, size: int) -> float:
+        """Return the airtime, s, of all frames of a message with the largest spreading factor of the nodes."""
+        return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
+
+    def check(self, size: int) -> None:
+        """Raise ValueError if the medium is not for a network of `size` nodes."""
+        for name in ("spreading_factors", "frequencies"):
+            if (given := vars(self)[name]) is not None and len(given) != size:
+                raise ValueError(f"network.medium.{name}: should have one for each of {size} nodes (got {len(given)})")
+
+        if unknown := sorted({*(self.gateways or ())}.difference(range(size))):
+            raise ValueError(f"network.medium.gateways: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
+
+    @property
+    def is_tuned(self) -> bool:
+        """Whether the radios of some nodes do not hear all frames."""
+        return self.gateways is not None and not (self.spreading_factors is None and self.frequencies is None)
+
+    def hears(self, src: int, nodes: Integers) -> Bools:
+        """Return (k,) whether the radios of some nodes are tuned to the frames of a node."""
+        own, gateways = self.signal(src), self.gateways or ()
+        signals = [(node, self.signal(node)) for node in nodes.tolist()]
+        return np.array(
+            [
+                node in gateways
+                or (
+                    each.spreading_factor == own.spreading_factor
+                    and abs(each.frequency - own.frequency) <= TUNING * own.bandwidth
+                )
+                for node, each in signals
+            ],
+            dtype=bool,
+        )
+
+    def airtime(self, size: int, node: int) -> float:
+        """Return the airtime, s, of a message of `size` bytes that a node transmits."""
+        return self._message(size, self.signal(node).spreading_factor)
+
+    def signal(self, node: int) -> LoRaSignal:
+        """Return the parameters of the frames of a node."""
+        factor = self.spreading_factor if self.spreading_factors is None else self.spreading_factors[node]
+        frequency = 0.0 if self.frequencies is None else self.frequencies[node]
+        return LoRaSignal(factor, self.bandwidth, frequency, self.preamble)
+
+    def _message(self, size: int, factor: int) -> float:
+        full, rest = divmod(size, MAX_BYTES)
+        return full * self._frame(MAX_BYTES, factor) + (self._frame(rest, factor) if rest or not full else 0.0)
+
+    def _frame(self, size: int, factor: int) -> float:
+        """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
+
+        Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).
+        """
+        symbol: float = 2**factor / self.bandwidth
+        per_block = 4 * (factor - 2 * (symbol > 0.016))
+        bits = 8 * size - 4 * factor + 28 + 16 * self.crc - 20 * self.implicit_header
+        payload = 8 + max(ceil(bits / per_block) * (self.coding_rate + 4), 0)
+        return (self.preamble + 4.25 + payload) * symbol
+
+
+def airtime_of(medium: Medium, size: int) -> float:
+    """Return the airtime, s, of a message of `size` bytes, limited to `MAX_TIME`, which is longer than any run.
+
+    Raises:
+        ValueError: if the medium returns anything else than a finite time of at least 0 s.
+    """
+    return _checked(medium(size), medium)
+
+
+def airtimes(medium: Medium) -> Callable[[int, int], float]:
+    """Return a function of the size of a message, bytes, and the node that transmits it: the airtime, s.
+
+    The function raises ValueError as `airtime_of` does.
+    """
+    of_node = MediumTraits.of(medium).airtime
+    if of_node is None:
+        return lambda size, _: airtime_of(medium, size)
+    return lambda size, node: _checked(of_node(size, node), medium)
+
+
+def _checked(found: Any, medium: Medium) -> float:
+    try:
+        if 0.0 <= found < inf:
+            return min(float(found), MAX_TIME)
+    except (TypeError, ValueError):  # not a number
+        pass
+    raise ValueError(f"an airtime should be a finite time >= 0 s, got {found!r} from {medium!r}")
+
+
+MEDIA = OneOf(
+    Unlimited, Bitrate, LoRa, needs=("shared", "half_duplex", "queue_limit"), takes=("size",), traits=MediumTraits
+)

@@ -1,0 +1,160 @@
+"""Reception models: the probability that a message is received as a function of distance and range.
+
+The range is the only parameter with a unit of length, so any model is scaled by its range alone. Below, d is a distance
+and R the range, m.
+"""
+
+from math import inf, log, sqrt
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Floats
+from desim.config.choice import OneOf
+from desim.config.model import Positive, Probability, Value
+from desim.kernel.models.fading import RiceFactor, Shape, nakagami_quantiles, nakagami_survival, rice_survival
+from desim.kernel.models.traits import ReceptionTraits
+
+
+class ReceptionModel(Protocol):
+    """A reception model: `reception(distances, range)` returns the (k,) reception probabilities at (k,) distances, m.
+
+    A model may have a method `bound(range)`; see `desim.kernel.models.traits.ReceptionTraits`.
+    """
+
+    def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
+
+
+class Disk(Value):
+    """Reception is certain within the range and impossible beyond it."""
+
+    kind: Literal["disk"] = "disk"
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return 1 where d <= R, else 0."""
+        return (distances <= range).astype(float)
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
+
+
+class QuasiUnitDisk(Value):
+    """Reception is certain up to a share of the range, and random from there up to the range.
+
+    See Kuhn, Wattenhofer & Zollinger 2008, "Ad Hoc Networks Beyond Unit Disk Graphs".
+    """
+
+    kind: Literal["quasi_unit_disk"] = "quasi_unit_disk"
+    certain: Probability = 0.5
+    """Share q of the range within which reception is certain, in [0, 1]."""
+    p: Probability = 0.5
+    """Probability of reception between q times the range and the range, in [0, 1]."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return 1 where d <= q R, p where q R < d <= R, else 0."""
+        return np.where(distances <= self.certain * range, 1.0, np.where(distances <= range, self.p, 0.0))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
+
+
+class LogDistance(Value):
+    """Log-distance path loss with lognormal shadowing; at the range the probability of reception is 1/2.
+
+    P(d) = NormalCDF(10 n log10(R / d) / sigma) (Rappaport 2002, "Wireless Communications", 4.9).
+    """
+
+    kind: Literal["log_distance"] = "log_distance"
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+    shadowing: Positive = 6.0
+    """Standard deviation sigma of the shadowing, dB."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        from scipy.special import ndtr, xlogy
+
+        with np.errstate(divide="ignore", over="ignore"):
+            margin = xlogy(10.0 * self.exponent / log(10.0), range / distances)
+        return np.asarray(ndtr(margin / self.shadowing))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return a distance, m, beyond which no message is received.
+
+        There P(d) < NormalCDF(-8.3) = 5e-17, which is less than any draw of `pair_uniform`.
+        """
+        ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
+        return ranges * range
+
+
+LEAST = 5e-17
+"""A probability that is less than any draw of `pair_uniform`."""
+
+
+class Nakagami(Value):
+    """Log-distance path loss with Nakagami fading; at the range the mean power is just enough to receive.
+
+    P(d) = Q(m, m (d / R)^n), with the regularised upper incomplete gamma function Q. With m = 1 it is Rayleigh fading,
+    P(d) = exp(-(d / R)^n), so 37 % of the messages are received at the range.
+    """
+
+    kind: Literal["nakagami"] = "nakagami"
+    m: Shape = 1.0
+    """Shape m, at least 0.5: 1 is Rayleigh fading, and the larger m, the less the power varies."""
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        return nakagami_survival(self.m, _threshold(distances, range, self.exponent))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return a distance, m, beyond which no message is received: there P(d) < 5e-17."""
+        ratio = float(nakagami_quantiles(self.m, np.array([LEAST]))[0])
+        return float(range * min(ratio, 1e300) ** (1.0 / self.exponent))
+
+
+class Rice(Value):
+    """Log-distance path loss with Rice fading; at the range the mean power is just enough to receive.
+
+    P(d) = Q_1(sqrt(2 K), sqrt(2 (K + 1) (d / R)^n)), with Marcum's function Q_1. A receiver in line of sight gets one
+    strong path and many weak ones. With K = 0 it is Rayleigh fading, see `nakagami`.
+    """
+
+    kind: Literal["rice"] = "rice"
+    k: RiceFactor = 3.0
+    """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading."""
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        return rice_survival(self.k, _threshold(distances, range, self.exponent))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return a distance, m, beyond which no message is received.
+
+        There P(d) < 5e-17, because Q_1(a, b) <= exp(-(b - a)^2 / 2) for b > a (Simon & Alouini 2000).
+        """
+        b = sqrt(2.0 * self.k) + sqrt(-2.0 * log(LEAST))
+        return float(range * (b**2 / (2.0 * (self.k + 1.0))) ** (1.0 / self.exponent))
+
+
+def _threshold(distances: Floats, range: float, exponent: float) -> Floats:  # noqa: A002
+    """Return the least power that is received in units of the mean power at (k,) distances: (d / R)^n."""
+    with np.errstate(over="ignore"):
+        return np.array([min(ratio, 1e15) ** exponent for ratio in (distances / range).tolist()])
+
+
+def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
+    """Return the distance, m, beyond which no message is ever received; inf if the model has no bound."""
+    ends = ReceptionTraits.of(reception).bound
+    return inf if ends is None else float(ends(range))
+
+
+RECEPTION_MODELS = OneOf(
+    Disk, QuasiUnitDisk, LogDistance, Nakagami, Rice, takes=("distances", "range"), traits=ReceptionTraits
+)

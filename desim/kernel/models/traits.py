@@ -1,0 +1,148 @@
+"""The optional attributes of models of links; a user's model may have any of them."""
+
+from collections.abc import Callable, Iterable
+from math import inf
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from desim.config.arrays import Floats
+from desim.config.model import Flag
+from desim.config.traits import Follows, Traits, attributes, is_ours, name_of, positions
+from desim.kernel.core.link_context import LinkContext
+
+
+class LinkTraits(Traits):
+    """The optional methods of a latency or loss model, in addition to `__call__`."""
+
+    start_run: Annotated[Callable[[int], Any] | None, Follows("__call__", "quantile", not_above="draw")] = None
+    """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
+    draw: Annotated[
+        Callable[[int, np.random.Generator], NDArray[Any]] | None, Follows("__call__", "quantile", not_above="__call__")
+    ] = None
+    """`draw(count, rng)` returns (count,) draws that do not depend on the link; the network then draws in blocks, and
+    does not call the model."""
+    quantile: Annotated[Callable[[Floats], Floats] | None, Follows("__call__", not_above="draw")] = None
+    """`quantile(u)` returns the u-quantiles of the latency, s; the base latency of `per_pair` needs it."""
+    mean_latency: Annotated[
+        Callable[[], float | None] | None, Follows("__call__", "quantile", "start_run", not_above="draw")
+    ] = None
+    """`mean_latency()` returns the mean latency, s, or None if it is not known; `desim check` compares it with the
+    horizon."""
+    cause: Annotated[str, Field(min_length=1)] = "loss"
+    """The cause of the losses that a loss model draws, in traces and counts; see `events.CAUSES`."""
+    is_lost: Callable[[LinkContext], Any] | None = None
+    """`is_lost(context)` returns (k,) booleans, or one for all: which messages a latency model loses. Their latencies
+    have no effect."""
+    time_span: Annotated[float, Field(ge=0)] | None = None
+    """For a latency that is a function of time: the time from 0, s, whose mean latency is typical."""
+    check_links: Annotated[
+        Callable[[int, Iterable[tuple[int, int]]], object] | None, Follows("__call__", "start_run", not_above="draw")
+    ] = None
+    """`check_links(size, links)` raises ValueError if the model does not apply to some links (sender, receiver) of a
+    network of `size` nodes."""
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Check the traits of a model, see `Traits.check`, and that its state is started by its own class."""
+        super().check(value)
+        model: type = type(value)
+        if "start_run" not in cls.outdated(model):
+            return
+        starter = model.__mro__[positions(model, "start_run")[0]]
+        own = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
+        function = getattr(model, own)
+        calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
+        if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
+            raise ValueError(
+                f"{name_of(value)} has its own {own}, and start_run of {starter.__name__} makes another model for each"
+                " run, which keeps the state of the links: it should have its own start_run(size), too, which returns"
+                " the model of one run of `size` nodes (itself if it has no state)"
+            )
+
+
+def link_trait(model: Any, name: str) -> Any:
+    """Return an optional method of a latency or loss model; None, sooner than from `LinkTraits.of`, if it lacks it."""
+    return getattr(LinkTraits.of(model), name) if attributes(model, [name]) else None
+
+
+def model_of_run(model: Any, size: int) -> Any:
+    """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged.
+
+    If a user's class overrides only a method that the inherited `__call__` need not use, the model of the run uses it.
+    """
+    start_run = LinkTraits.of(model).start_run
+    if start_run is not None:
+        return start_run(size)
+    kind: type = type(model)
+    if "start_run" in LinkTraits.outdated(kind) and isinstance(made := model.start_run(size), kind):
+        return made
+    if is_ours(kind):
+        return model
+    if (draw := LinkTraits.of(model).draw) is not None and _is_newer(kind, "draw", "__call__"):
+        return _DrawnOnly(model, draw)
+    older = [name for name in ("__call__", "draw") if positions(kind, name)]
+    inherited = all(_is_newer(kind, "quantile", name) and is_ours(_definer(kind, name)) for name in older)
+    if inherited and "__call__" in older and len(positions(kind, "quantile")) > 1:
+        return _DrawnOnly(model, lambda count, rng: model.quantile(rng.random(count)))
+    return model
+
+
+def _is_newer(model: type, method: str, other: str) -> bool:
+    """Return whether a class has a method from a class below that of another method."""
+    return min(positions(model, method), default=inf) < min(positions(model, other), default=inf)
+
+
+def _definer(model: type, method: str) -> type:
+    return model.__mro__[positions(model, method)[0]]
+
+
+class _DrawnOnly:
+    """A model of a user in one run that is defined by its draws alone.
+
+    Attributes:
+        draw: as in `LinkTraits`, and likewise the others.
+    """
+
+    def __init__(self, model: Any, draw: Callable[[int, np.random.Generator], NDArray[Any]]):
+        traits = LinkTraits.of(model)
+        self.draw, self.quantile, self.is_lost, self.time_span = draw, traits.quantile, traits.is_lost, traits.time_span
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> NDArray[Any]:
+        """Return (k,) draws, one per receiver."""
+        return self.draw(len(context.dst), rng)
+
+
+class MediumTraits(Traits):
+    """The optional method of a medium, in addition to `__call__`."""
+
+    airtime: Annotated[Callable[[int, int], float] | None, Follows("__call__")] = None
+    """`airtime(size, node)` returns the airtime, s, of a message of `size` bytes that a node transmits; None: that of
+    `__call__`, for all nodes alike."""
+
+
+class InterferenceTraits(Traits):
+    """The optional attributes of a model of interference, in addition to `__call__`."""
+
+    has_noise: Annotated[Flag, Follows("__call__")] = True
+    """Whether a frame may be lost although no other overlaps it."""
+    cause: Annotated[str, Field(min_length=1)] = "collision"
+    """The cause of the loss of a frame that others overlap, in traces and counts; see `events.CAUSES`."""
+    lock: Flag = False
+    """Whether a receiver locks on to the first frame that it hears, see `interference.CaptureEffect`."""
+
+
+class ReceptionTraits(Traits):
+    """The optional method of a reception model, in addition to `__call__`."""
+
+    bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
+    """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
+
+
+class FaultTraits(Traits):
+    """The optional attribute of a partition or of jamming."""
+
+    cause: Annotated[str, Field(min_length=1)] | None = None
+    """The cause of the losses, in traces and counts; None: "partition" or "jamming"."""

@@ -1,0 +1,142 @@
+"""Transports: how the network carries a message from one node to another, and what it promises about its arrival.
+
+A transport is a set of qualities of service with the names of ROS 2 (Maruyama, Kato & Azumi 2016, "Exploring the
+Performance of ROS2"): reliability (the kind), history and depth, lifespan, deadline, and liveliness with a lease. A
+transport holds for the messages at a port, as a quality of service holds for a topic. A transport is immutable. Its
+state in one run is in `desim.kernel.transport.sender` and `desim.kernel.transport.receiver`.
+
+For a probability p that a message is lost, independently of all others, and at most K repeats:
+
+    delivered          1 - p^(K+1)
+    mean attempts      (1 - p^(K+1)) / (1 - p)
+    n pieces, k needed sum of C(n, j) (1 - p)^j p^(n-j) over j = k .. n
+"""
+
+from math import inf
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from desim.config.choice import OneOf
+from desim.config.json_numbers import from_json
+from desim.config.model import MIN_PERIOD, Counted, Duration, Flag, Limit, Time, Timeout, Value
+
+MAX_WINDOW = 1024
+"""Largest window of a reliable transport."""
+Interval = Annotated[float, Field(ge=MIN_PERIOD, strict=True), BeforeValidator(from_json), Counted]
+"""A time of at least `MIN_PERIOD`, s; inf = never."""
+
+
+Window = Annotated[int, Field(ge=1, le=MAX_WINDOW, strict=True)]
+"""A number of successive messages."""
+Depth = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
+"""A number of messages."""
+
+
+def _whole(number: float) -> float:
+    if number != inf and number % 1.0:
+        raise ValueError(f"should be a whole number or inf (got {number:g})")
+    return number
+
+
+def _form_of_timeout(value: object) -> str:
+    return "text" if isinstance(from_json(value), str) else "number"
+
+
+class Quality(Value):
+    """The qualities that every transport has."""
+
+    lifespan: Timeout = inf
+    """Time after its sending, s, from which on a message is neither transmitted nor delivered. The receiver compares
+    its own clock with the time stamp of the sender."""
+    deadline: Interval = inf
+    """Longest time between two messages of a sender at a port, s. A receiver that has received one and waits longer
+    for the next misses a deadline."""
+    lease: Interval = inf
+    """Lease of liveliness, s: a node loses the liveliness of another if it receives no transmission from it at a port
+    for this long."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether messages are handed to the links as they are."""
+        return False
+
+
+class BestEffort(Quality):
+    """A message is transmitted once, and is not acknowledged."""
+
+    kind: Literal["best_effort"] = "best_effort"
+    pieces: ClassVar[int] = 1
+    needed: ClassVar[int] = 1
+    spacing: ClassVar[float] = 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether messages are handed to the links as they are, because no quality is asked for."""
+        return self == BestEffort()
+
+
+class Reliable(Quality):
+    """A message is retransmitted until its receivers have acknowledged it (automatic repeat request).
+
+    With a window of 1 this is stop-and-wait, otherwise selective repeat (Tanenbaum & Wetherall 2011, "Computer
+    Networks", section 3.4). A broadcast is transmitted once to all neighbours, and then to each neighbour that has not
+    acknowledged it. Acknowledgements are messages on the same links.
+    """
+
+    kind: Literal["reliable"] = "reliable"
+    timeout: Annotated[
+        Annotated[Duration, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
+    ] = "auto"
+    """Time after which an unacknowledged message is transmitted again, s; "auto" is 5/4 of a round trip: two typical
+    latencies, the airtime of the message, and that of one acknowledgement for each receiver."""
+    min_timeout: Duration = 0.001
+    """Least time-out that "auto" gives, s."""
+    backoff: Annotated[float, Field(ge=1, le=10, strict=True)] = 2.0
+    """Factor by which the time-out grows from one attempt to the next."""
+    max_timeout: Timeout = 1.0
+    """Time-out up to which it grows, s; a longer first time-out stays as it is."""
+    max_repeats: Annotated[Limit, AfterValidator(_whole)] = inf
+    """Largest number K of retransmissions of a message to a receiver, then it is given up; inf = unlimited."""
+    window: Window = 10
+    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait."""
+    ordered: Flag = True
+    """Whether messages of a sender at a port are delivered in the order sent, so that a missing one delays the later
+    ones; if not, each is delivered as it arrives."""
+    history: Literal["keep_last", "keep_all"] = "keep_last"
+    """Which unacknowledged messages of a sender at a port are kept. keep_last: the last `depth`, older ones are given
+    up; keep_all: all, so that memory grows without bound if a receiver stays out of reach."""
+    depth: Depth = 10
+    """Number of messages that `keep_last` keeps."""
+
+    @property
+    def gives_up(self) -> bool:
+        """Whether a message may be given up although no newer one replaces it."""
+        return min(self.max_repeats, self.lifespan) < inf
+
+
+class Coded(Quality):
+    """A message is sent as n coded pieces, of which any k suffice to decode it; nothing is acknowledged.
+
+    Each piece has 1/k of the bytes of the body. With k = 1 every piece is a copy of the message (repetition). The code
+    is ideal, as Reed & Solomon's is (1960, "Polynomial Codes over Certain Finite Fields").
+    """
+
+    kind: Literal["coded"] = "coded"
+    pieces: Annotated[int, Field(ge=1, le=255, strict=True)] = 2
+    """Number n of pieces that are transmitted."""
+    needed: Annotated[int, Field(ge=1, le=255, strict=True)] = 1
+    """Number k of pieces that suffice."""
+    spacing: Time = 0.0
+    """Time between the transmissions of two pieces, s; with a time longer than a burst of losses, a burst takes one
+    piece only."""
+
+    @model_validator(mode="after")
+    def _enough(self) -> Self:
+        if self.needed > self.pieces:
+            raise ValueError(f"needed should be at most the number of pieces, {self.pieces} (got {self.needed})")
+        return self
+
+
+Transport = BestEffort | Reliable | Coded
+TRANSPORTS = OneOf(BestEffort, Reliable, Coded, is_closed=True)

@@ -1,0 +1,201 @@
+"""The active faults of a network: nodes whose radio is down, partitions into groups of nodes, jammed discs."""
+
+from bisect import insort
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Integers
+from desim.kernel.core.events import Cause
+from desim.kernel.core.positions import PositionFunction, as_position_source
+
+
+class Cut(NamedTuple):
+    """A partition."""
+
+    group: Mapping[int, int]
+    """The group number of each listed node; all other nodes form one more group."""
+    cause: Cause = "partition"
+    """The cause of its losses."""
+
+
+Disc = tuple[tuple[float, float], float]
+"""Centre (x, y) and radius, m."""
+
+
+class FaultState:
+    """The active faults of a network. Faults may overlap; each lasts until the caller ends it.
+
+    Changes can be planned: their times are announced in advance (`plan`, `desim.kernel.fault_injection`). The network
+    then stores at transmission those arrivals that no planned change can prevent. Once a change has been announced, the
+    methods that change the state therefore raise ValueError outside of `planned_change`.
+
+    Args:
+        positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
+    """
+
+    def __init__(self, positions: PositionFunction | None = None):
+        self._positions = None if positions is None else as_position_source(positions)
+        self._down: Counter[int] = Counter()
+        self._planned: list[int] | None = None
+        self._is_changing = False
+        self._cuts: list[Cut] = []
+        self._jams: list[tuple[Disc, Cause]] = []
+        self._before_change: list[Callable[[], object]] = []
+
+    def plan(self, time: int) -> None:
+        """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`."""
+        self._planned = self._planned or []
+        insort(self._planned, time)
+
+    @contextmanager
+    def planned_change(self) -> Iterator[None]:
+        """Make the next announced change in this context, after a call of the functions given to `before_change`."""
+        assert self._planned is not None
+        for act in self._before_change:
+            act()
+        self._is_changing = True
+        try:
+            yield
+        finally:
+            self._is_changing = False
+        del self._planned[0]
+
+    def changes_by(self, time: int) -> bool:
+        """Return whether an announced change is due at a time (ns) or before, and has not been made yet."""
+        return bool(self._planned and self._planned[0] <= time)
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before each planned change, and before the motion of a node changes."""
+        self._before_change.append(act)
+        if self._positions is not None:
+            self._positions.before_change(act)
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether changes are planned."""
+        return self._planned is not None
+
+    @property
+    def constant_until(self) -> float:
+        """The time, ns, before which the faults certainly block the same receptions as now.
+
+        It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
+        """
+        if self._planned is None or self._jams:
+            return 0
+        return self._planned[0] if self._planned else inf
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether an arrival may be decided after its time, provided that the faults have not changed in between.
+
+        This requires that changes are planned, and that the source of positions, if any, also returns past positions.
+        """
+        return self.is_planned and (self._positions is None or self._positions.looks_back)
+
+    @property
+    def down_nodes(self) -> Mapping[int, int]:
+        """The nodes whose radio is down, each with the number of its crashes that have not ended."""
+        return self._down
+
+    def down(self, node: int) -> bool:
+        """Return whether the radio of a node is down."""
+        return self._down[node] > 0
+
+    def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
+        """Return the cause of loss, (k,), where an active partition separates a node from its sender, else None.
+
+        None instead of a list: nowhere. Of several partitions, the first counts.
+
+        Args:
+            src: the sender, one for all or (k,).
+            nodes: (k,) the nodes.
+        """
+        if not self._cuts:
+            return None
+        here = np.asarray(nodes).tolist()
+        senders = [src] * len(here) if isinstance(src, int) else src.tolist()
+        pairs = list(zip(senders, here, strict=True))
+        cuts = self._cuts
+        return [
+            next((cause for group, cause in cuts if group.get(one, -1) != group.get(other, -1)), None)
+            for one, other in pairs
+        ]
+
+    def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
+        """Return the cause of loss, (k,), where a node was, at its time, within a disc that is jammed now, else None.
+
+        None instead of a list: nowhere. Of several discs, the first counts.
+
+        Args:
+            nodes: (k,) the nodes.
+            times: ns, one for all or (k,); see `PositionSource.at`.
+        """
+        if not self._jams or self._positions is None:
+            return None
+        x, y = self._positions.at(np.asarray(nodes, dtype=np.intp), times).T
+        causes: list[Cause | None] = [None] * len(x)
+        for ((cx, cy), radius), cause in reversed(self._jams):
+            for k in np.flatnonzero((x - cx) ** 2 + (y - cy) ** 2 <= radius**2).tolist():
+                causes[k] = cause
+        return causes
+
+    def crash(self, node: int) -> None:
+        """Take the radio of a node down; overlapping crashes of a node are counted."""
+        self._require_change()
+        self._down[node] += 1
+
+    def recover(self, node: int) -> None:
+        """End one crash of a node; its radio is up again once all its crashes have ended.
+
+        Raises:
+            ValueError: if the node is not down.
+        """
+        self._require_change()
+        if not self.down(node):
+            raise ValueError(f"node {node} is not down")
+        self._down[node] -= 1
+        if not self._down[node]:
+            del self._down[node]
+
+    def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
+        """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
+        self._require_change()
+        cut = Cut({node: number for number, group in enumerate(groups) for node in group}, cause)
+        self._cuts.append(cut)
+        return cut
+
+    def rejoin(self, cut: Cut) -> None:
+        """End a partition, given the cut that `partition` returned."""
+        self._require_change()
+        self._cuts = [each for each in self._cuts if each is not cut]
+
+    def jam(self, disc: Disc, cause: Cause = "jamming") -> None:
+        """Block reception at all nodes within a disc.
+
+        Raises:
+            ValueError: if the nodes have no positions.
+        """
+        self._require_change()
+        if self._positions is None:
+            raise ValueError(f"a jamming disc needs positions (got {disc})")
+        self._jams.append((disc, cause))
+
+    def clear(self, disc: Disc, cause: Cause = "jamming") -> None:
+        """End the jamming of a disc with a cause.
+
+        Raises:
+            ValueError: if the disc is not jammed.
+        """
+        self._require_change()
+        self._jams.remove((disc, cause))
+
+    def _require_change(self) -> None:
+        """Raise ValueError if the state may not be changed now."""
+        if self.is_planned and not self._is_changing:
+            raise ValueError("faults were injected, so the faults cannot be changed otherwise")

@@ -1,0 +1,174 @@
+"""Inboxes: queues of received messages that wake waiting processes."""
+
+from bisect import bisect_left, insort
+from math import inf
+from typing import Any, NamedTuple
+
+import simpy
+
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.message_body import is_immutable, own_copy
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.records import Arrival, per_receiver
+from desim.kernel.core.units import SECOND
+
+
+class Message(NamedTuple):
+    """A message from one node to others."""
+
+    src: int
+    stamp: int
+    """True time at which the message was sent, ns."""
+    body: Any
+
+    @property
+    def sent(self) -> float:
+        """True time at which the message was sent, s."""
+        return self.stamp / SECOND
+
+
+Letter = tuple[int, int, Message]
+"""A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
+FEW = 16
+"""The ratio of all messages to new ones from which on the new ones are inserted rather than all sorted."""
+
+
+class Inbox:
+    """The messages to one port of a node that are in flight or wait to be read.
+
+    A node has one inbox per port; a port is any string. A message is in flight until its arrival time, and then waits
+    until `drain` removes it. The event that `arrival` returns does not consume a message, so no message is lost if a
+    process stops waiting at a time-out.
+    """
+
+    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
+
+    def __init__(self, env: Clock, node: int):
+        self._env = env
+        self._priority = Phase.DECISION + node
+        self._letters: list[Letter] = []
+        """All messages, waiting and in flight."""
+        self._sorted = 0
+        """Length of the sorted prefix of `_letters`."""
+        self._waited_for: simpy.Event | None = None
+        """The event that processes wait for; None if no process waits."""
+        self._wake_time: float = inf
+        """Time of the next scheduled wake-up for a message in flight, ns."""
+
+    def arrival(self, priority: int | None = None) -> simpy.Event:
+        """Return an event that happens when a message arrives, or at once if one is waiting.
+
+        Args:
+            priority: the SimPy priority of the event. If None, the priority of the previous call is kept; initially it
+                is the priority of the decisions of the node.
+        """
+        if priority is not None:
+            self._priority = priority
+        event = self._waited_for or self._env.event()
+        self._waited_for = event
+        self._expect_first()
+        return event
+
+    def drain(self) -> list[Message]:
+        """Remove and return the waiting messages, in the order of arrival."""
+        letters, now = self._in_order(), self._env.now
+        end = len(letters) if letters and letters[-1][0] <= now else bisect_left(letters, (now + 1,))
+        arrived = letters[:end]
+        del letters[:end]
+        self._sorted = len(letters)
+        return [message for _, _, message in arrived]
+
+    def in_flight(self) -> int:
+        """Return the number of messages in flight."""
+        return sum(arrival > self._env.now for arrival, _, _ in self._letters)
+
+    def _in_order(self) -> list[Letter]:
+        """Return all messages in the order of arrival."""
+        letters = self._letters
+        if self._sorted < len(letters):
+            if FEW * (len(letters) - self._sorted) < len(letters):
+                # Sorting compares all messages in flight. Inserting a few new ones does not: it only moves pointers.
+                fresh = letters[self._sorted :]
+                del letters[self._sorted :]
+                for letter in fresh:
+                    insort(letters, letter)
+            else:
+                letters.sort()
+            self._sorted = len(letters)
+        return letters
+
+    def _expect_first(self) -> None:
+        """Schedule a wake-up at the first arrival, or trigger the event at once if a message is waiting."""
+        if self._letters:
+            self._expect(self._in_order()[0][0])
+
+    def _expect(self, arrival: int) -> None:
+        """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier.
+
+        If the message has already arrived, trigger the event at once.
+        """
+        if arrival <= self._env.now:
+            self._trigger()
+        elif arrival < self._wake_time:
+            self._wake_time = arrival
+            Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
+
+    def _wake(self, _: simpy.Event) -> None:
+        self._wake_time = inf
+        if self._waited_for is not None:
+            self._expect_first()
+
+    def _trigger(self) -> None:
+        """Trigger the event that processes wait for, if any, at the current time with the priority `_priority`."""
+        event, self._waited_for = self._waited_for, None
+        if event is not None:
+            self._env.trigger(event, self._priority)
+
+
+class Inboxes:
+    """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used.
+
+    Attributes:
+        has_mutable: whether a message with a mutable body may have been sent.
+    """
+
+    def __init__(self, env: Clock, size: int):
+        self.has_mutable = False
+        self._env, self._size = env, size
+        self._ports: dict[str, list[Inbox]] = {}
+
+    def at(self, port: str) -> list[Inbox]:
+        """Return the inbox of each node at a port."""
+        if port not in self._ports:
+            self._ports[port] = [Inbox(self._env, node) for node in range(self._size)]
+        return self._ports[port]
+
+    def drain(self, node: int) -> None:
+        """Delete the waiting messages of a node at all ports."""
+        for boxes in self._ports.values():
+            boxes[node].drain()
+
+    def in_flight(self) -> int:
+        """Return the number of messages in flight, counted once per receiver."""
+        return portable_sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
+
+    def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
+        """Put a message into the inboxes of its receivers; its arrival wakes the processes that wait at these inboxes.
+
+        Simultaneous messages are ordered by `number`, the number of their transmission. Each receiver gets its own copy
+        of a mutable body.
+        """
+        boxes, copies = self.at(port), self.has_mutable and not is_immutable(message.body)
+        if isinstance(arrival, int) and not copies:
+            letter = arrival, number, message
+            for node in receivers:
+                box = boxes[node]
+                box._letters.append(letter)
+                if box._waited_for is not None:
+                    box._expect(arrival)
+            return
+        for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
+            box = boxes[node]
+            box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
+            if box._waited_for is not None:
+                box._expect(when)

@@ -1,0 +1,194 @@
+"""The links of a scenario as commands `tc qdisc add ... netem`, which give real links of Linux the same behaviour."""
+
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from desim.kernel.models.graphs import Complete
+from desim.kernel.models.latency import Constant, Uniform, mean_of
+from desim.kernel.models.link_overrides import link_overrides
+from desim.kernel.models.links import Links
+from desim.kernel.models.loss import Bernoulli, Correlated, FourState, GilbertElliott
+from desim.kernel.models.medium import Bitrate, Medium, Radio, Unlimited
+from desim.kernel.models.netem import Netem
+from desim.kernel.models.netem_tables import TABLES, fit
+from desim.kernel.models.traits import LinkTraits
+from desim.kernel.tc.syntax import HEADERS, LINK, MAX_LIMIT, order_of
+from desim.kernel.tc.units import rate_word, share_word, time_word, to_bad
+
+DEVICE = re.compile(r"[\w.:@][\w.:@-]{0,14}", re.ASCII)
+"""Matches the name of a network device; a shell expands none of its characters."""
+Words = list[str]
+"""The words of a command."""
+
+
+class Script(NamedTuple):
+    """Commands of tc, and what they need and lack."""
+
+    lines: list[str]
+    """Commands and comments."""
+    tables: dict[str, tuple[int, ...]]
+    """The distribution tables that the commands name, those of iproute2 included."""
+    missing: list[tuple[str, str]]
+    """The keys of `[network]` that the commands do not express, and why."""
+
+
+def script(links: Links, size: int, device: str = "eth0") -> Script:
+    """Return the commands for the links of a network of `size` nodes.
+
+    The first command is for the device of each node. Each link with models of its own has a command for a device of its
+    own on the sender, DEVICE-SENDER-RECEIVER.
+
+    Raises:
+        ValueError: if `links.link` names a link that is not in the graph, an edge attribute is invalid, or the name of
+            a device is.
+    """
+    writer = _Writer(links)
+    lines = ["# on each node", writer.command(device, "network.", links.latency, links.loss, links.order)]
+    own = link_overrides(links, links.make_graph(size))
+    ways = [way for link in links.link for way in link.ways()]
+    ways += [(src, dst) for models in own.values() for src, receivers in models.items() for dst in receivers]
+    for src, dst in dict.fromkeys(ways):
+        latency, loss, order = (
+            own[name].get(src, {}).get(dst, usual)
+            for name, usual in (("latency", links.latency), ("loss", links.loss), ("order", links.order))
+        )
+        link = LINK.format(src=src, dst=dst)
+        lines += ["", f"# {link}", writer.command(f"{device}-{src}-{dst}", f"{link}: ", latency, loss, order)]
+    writer.missing += _missing(links)
+    return Script(lines, writer.tables, list(dict.fromkeys(writer.missing)))
+
+
+class _Writer:
+    """The commands of one script.
+
+    Attributes:
+        tables: the tables that the commands name.
+        missing: the keys that a command does not express, and why.
+    """
+
+    def __init__(self, links: Links):
+        self._medium, self._duplicate = links.medium, links.duplicate
+        self._processing = mean_of(links.processing.sender, 0) + links.processing.receiver
+        self.tables: dict[str, tuple[int, ...]] = {}
+        self.missing: list[tuple[str, str]] = []
+
+    def command(self, device: str, place: str, latency: Any, loss: Any, order: str) -> str:
+        """Return the command for a device; `place` stands before the keys of the models in messages.
+
+        Raises:
+            ValueError: if the name of the device is invalid.
+        """
+        if not DEVICE.fullmatch(device):
+            raise ValueError(
+                f"the name of a device has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
+            )
+        delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
+        keeps_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))
+        if len(delay) > 2 and order != keeps_order:
+            which = "keeps the order of packets" if keeps_order == "fifo" else "lets packets overtake each other"
+            self.missing.append((f"{place}order", f"netem {which} here, see its rate and reorder"))
+        losses = self._words(f"{place}loss", "loss", _loss(loss))
+        copies = self._words("network.duplicate", "duplicate", _random(self._duplicate))
+        return " ".join(["tc qdisc add dev", device, "root netem", *delay, *losses, *copies, *rate])
+
+    def _delay(self, key: str, latency: Any) -> Words:
+        """Return the words of a latency, with the processing delays added."""
+        match latency:
+            case Constant():
+                total = latency.value + self._processing
+                return ["delay", time_word(total)] if total else []
+            case Uniform():
+                middle, half = (latency.low + latency.high) / 2.0, (latency.high - latency.low) / 2.0
+                jitter = [time_word(half)] if half else []
+                return ["delay", time_word(middle + self._processing), *jitter]
+            case Netem():
+                return self._netem(latency)
+        traits = LinkTraits.of(latency)
+        if traits.quantile is None:
+            self.missing.append((key, "netem needs quantiles of the latency that are the same for all links"))
+            return []
+        fitted = fit(traits.quantile)
+        words = ["delay", time_word(fitted.delay + self._processing)]
+        if not fitted.jitter:
+            return words
+        name = self._name(traits.kind or "latency", fitted.table)
+        return [*words, time_word(fitted.jitter), "distribution", name]
+
+    def _netem(self, latency: Netem) -> Words:
+        words = ["delay", time_word(latency.delay + self._processing)]
+        numbers = latency.numbers()
+        if latency.jitter:
+            words += [time_word(latency.jitter), *([share_word(latency.correlation)] if latency.correlation else [])]
+            words += [] if numbers is None else ["distribution", self._name(latency.distribution, numbers)]
+        if latency.reorder:
+            words += ["reorder", share_word(latency.reorder)]
+            words += [share_word(latency.reorder_correlation)] if latency.reorder_correlation else []
+            words += ["gap", str(latency.gap)] if latency.gap > 1 else []
+        return words
+
+    def _name(self, kind: str, numbers: tuple[int, ...]) -> str:
+        """Return the name of a table; it begins with "desim-" unless it is one of iproute2."""
+        plain = f"desim-{re.sub('[^A-Za-z0-9_]+', '-', kind)}"
+        names = [kind] if kind in TABLES else [plain, *(f"{plain}-{k}" for k in range(2, len(self.tables) + 2))]
+        name = next(name for name in names if self.tables.get(name, numbers) == numbers)
+        self.tables[name] = numbers
+        return name
+
+    def _words(self, key: str, option: str, values: Words | None) -> Words:
+        """Return an option with its values; none if it has none (an empty list) or netem has no such model (None)."""
+        if values is None:
+            self.missing.append((key, "netem has no such model"))
+        return [option, *values] if values else []
+
+
+def _random(model: Any) -> Words | None:
+    """Return the probability and the correlation of a loss model that draws random numbers; None for any other."""
+    match model:
+        case Bernoulli():
+            return [share_word(model.p)] if model.p else []
+        case Correlated():
+            return [share_word(model.p), share_word(model.correlation)]
+    return None
+
+
+def _loss(loss: Any) -> Words | None:
+    """Return the values of the option `loss`; None if netem has no such model."""
+    match loss:
+        case GilbertElliott(advance="message"):
+            shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
+            is_gilberts = loss.loss_bad == 1.0 and loss.loss_good == 0.0
+            return ["gemodel", *map(share_word, shares[:2] if is_gilberts else shares)]
+        case FourState():
+            return ["state", *map(share_word, (loss.p13, loss.p31, loss.p32, loss.p23, loss.p14))]
+    values = _random(loss)
+    return ["random", *values] if values else values
+
+
+def _rate(medium: Medium) -> Words:
+    if not isinstance(medium, Bitrate):
+        return []
+    overhead = [str(medium.header - HEADERS)] if medium.header != HEADERS else []
+    limit = ["limit", str(int(medium.queue_limit) + 1)] if medium.queue_limit < MAX_LIMIT else []
+    return ["rate", rate_word(medium.bitrate), *overhead, *limit]
+
+
+def _missing(links: Links) -> Iterator[tuple[str, str]]:
+    """Yield the keys of the network that no command expresses, and why."""
+    medium = links.medium
+    if links.graph != Complete():
+        yield "network.graph", "netem does not remove links: connect only the nodes that are linked"
+    if links.range != Links().range:
+        yield "network.range", "netem does not know positions"
+    if not isinstance(medium, Bitrate | Unlimited):
+        yield "network.medium", "netem has only a bit rate"
+    if isinstance(medium, Radio) and medium.contends:
+        yield "network.medium.access", "netem has no contention: each device has a channel of its own"
+    if type(links.processing.sender) is not Constant:
+        yield "network.processing.sender", "netem has one delay: only the mean of this one is added to it"
+    if medium.shared:
+        yield "network.medium.shared", "netem has a rate for each device"
+    if medium.half_duplex:
+        yield "network.medium.half_duplex", "netem does not know what a device receives"
+    if isinstance(medium, Bitrate) and medium.queue_limit < MAX_LIMIT:
+        yield "network.medium.queue_limit", "netem also counts packets in their delay, and drops the newest"

@@ -1,0 +1,76 @@
+"""The range check: which messages reach their receivers, given the distances between sender and receiver."""
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Integers
+from desim.config.traits import is_ours
+from desim.kernel.core.positions import Nodes
+from desim.kernel.core.seeds import ROOM, pair_uniform
+from desim.kernel.models.reception import Disk, ReceptionModel, bound
+
+
+class RangeCheck:
+    """Decides which nodes a message reaches, given their distances from its sender.
+
+    Args:
+        reception: the probability of reception as a function of distance; a disk if None.
+        range: the communication range of every node, m.
+        per_link: whether random reception is drawn once per pair of nodes; if not, it is drawn for every message.
+        seed: the seed of the random draws.
+        size: number of nodes.
+
+    The arguments of its methods, for k receivers, are the sender `src` (one for all or (k,)), the receivers `dst` (k,),
+    their distances `apart` (k,) in m, and the number of the `message` (one for all or (k,)). Without a number, and with
+    fading per message, a message is received where the probability is at least 1/2.
+    """
+
+    def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
+        self._reception, self._range, self._per_link = reception or Disk(), range, per_link
+        self._seed, self._size = seed, size
+        self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
+        self._drawn: dict[int, Floats] = {}
+        """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
+
+    @property
+    def bound(self) -> float:
+        """The distance, m, beyond which nothing is received; inf if there is none."""
+        return bound(self._reception, self._range)
+
+    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+        """Return (k,) booleans: which of the nodes `dst` receive a message."""
+        if self._is_certain:
+            return apart <= self._range
+        probability = self._reception(apart, self._range)
+        if not self._is_ours:
+            probability = _probabilities(probability, len(apart), self._reception)
+        received: Bools = self._draws(src, dst, message) <= probability
+        return received
+
+    def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
+        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""
+        if not self._per_link:
+            if message is None:
+                return np.full(len(dst), 0.5)
+            return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)
+        if not isinstance(src, int):
+            return pair_uniform(self._seed, "fading", src, dst)
+        if src not in self._drawn and (len(self._drawn) + 1) * self._size <= ROOM:
+            self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
+        kept = self._drawn.get(src)
+        return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
+
+
+def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:
+    """Return the probabilities of reception that a user's model returned for `count` links.
+
+    Raises:
+        ValueError: if they are neither one number in [0, 1] nor one for each link.
+    """
+    probabilities = np.asarray(answer)
+    is_numeric = probabilities.dtype.kind in "biuf" and probabilities.shape in {(), (count,)}
+    if is_numeric and ((probabilities >= 0.0) & (probabilities <= 1.0)).all():
+        return probabilities
+    raise ValueError(
+        f"a model of reception should return a probability in [0, 1] for each of {count} links, got {answer!r} from"
+        f" {model!r}"
+    )

@@ -1,0 +1,274 @@
+"""The current topology: a static graph, restricted to the pairs of nodes that are within range of each other."""
+
+from bisect import bisect_left
+from collections.abc import Callable
+from functools import cached_property, partial
+from math import inf
+
+import networkx as nx
+import numpy as np
+
+from desim.config.arrays import Bools, Integers
+from desim.kernel.core.positions import Nodes, PositionFunction, PositionSource, as_position_source, distances
+from desim.kernel.core.seeds import ROOM
+from desim.kernel.models.graphs import node_names
+from desim.kernel.models.implicit_complete import complete_digraph, is_complete, is_implicit
+from desim.kernel.models.reception import ReceptionModel
+from desim.kernel.topology.range_check import RangeCheck
+from desim.kernel.topology.spatial_hash import CellList
+
+SMALL_NETWORK = 400
+"""Number of nodes up to which computing all distances is faster than a cell list."""
+
+
+class Topology:
+    """The neighbourhoods of nodes 0 .. n - 1.
+
+    The static graph is read once. With a range, distances are computed at every query, so the neighbourhoods follow the
+    positions. In a large complete graph, if reception has a maximum distance, a query uses a cell list and computes
+    only the distances of nearby nodes.
+
+    Args:
+        graph: the communication graph.
+        range: the communication range of every node, m; inf: there is no range.
+        positions: the current positions of the nodes; required if the range is finite.
+        reception: the probability of reception as a function of distance; a disk if None.
+        per_link: whether random reception is drawn once per pair of nodes (fading per link); if not, it is drawn for
+            every message (fading per message).
+        seed: the seed of the random draws.
+        now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
+            all positions.
+
+    Raises:
+        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite without positions.
+    """
+
+    def __init__(
+        self,
+        graph: "nx.Graph[int]",
+        range: float = inf,  # noqa: A002
+        positions: PositionFunction | None = None,
+        reception: ReceptionModel | None = None,
+        *,
+        per_link: bool = True,
+        seed: int = 0,
+        now: Callable[[], float] | None = None,
+    ):
+        self.size = size = len(graph)
+        _check(graph)
+        if range < inf and positions is None:
+            raise ValueError(f"a range of {range} m needs positions")
+        self._complete = is_complete(graph)
+        self._directed = graph.is_directed() and not self._complete
+        self._lists: list[list[int]] | _AllOthers = (
+            _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in sorted(graph)]
+        )
+        self._range = range
+        self._received = RangeCheck(reception, range, per_link, seed, size)
+        self._positions = as_position_source(positions) if positions is not None and range < inf else None
+        if self._positions is not None:
+            self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
+
+    def linked(self, node: int) -> list[int]:
+        """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
+        return self._lists[node]
+
+    def are_linked(self, src: int, dst: int) -> bool:
+        """Return whether the graph links `src` to `dst`, regardless of range."""
+        if self._complete:
+            return src != dst
+        linked = self._lists[src]
+        index = bisect_left(linked, dst)
+        return index < len(linked) and linked[index] == dst
+
+    def links_to(self, src: int, nodes: Nodes) -> Bools:
+        """Return (k,) whether the graph links `src` to each of some nodes, regardless of range."""
+        return nodes != src if self._complete else np.isin(nodes, self._lists[src])
+
+    def hearers(self, node: int, message: int = 0) -> list[int]:
+        """Return the nodes that a message of `node` reaches now, ascending.
+
+        With fading per message, each message has its own draws; `message` is the number of the message.
+
+        Raises:
+            IndexError: if the node does not exist.
+        """
+        if node < 0:
+            raise IndexError(f"there is no node {node}")
+        if self._positions is None:
+            return self._lists[node]
+        near: list[int] = self._near(node, self._candidates(node), message).tolist()
+        return near
+
+    def reaches(
+        self,
+        src: int | Integers,
+        dst: list[int] | Integers,
+        message: int | Integers = 0,
+        times: int | Integers | None = None,
+    ) -> list[bool]:
+        """Return whether each of k messages reaches its receiver, regardless of the graph.
+
+        Args:
+            src: the sender, one for all or (k,).
+            dst: (k,) the receivers.
+            message: the number of the message, one for all or (k,).
+            times: ns, one for all or (k,), see `PositionSource.at`; None: now.
+        """
+        source = self._positions
+        if source is None or not len(dst):
+            return [True] * len(dst)
+        places = source.of if times is None else partial(source.at, times=times)
+        receivers = np.asarray(dst)
+        if isinstance(src, int):
+            apart = distances(places(np.append(src, receivers)), 0)[1:]
+        else:
+            x, y = (places(receivers) - places(src)).T
+            apart = np.hypot(x, y)
+        received: list[bool] = self._received(src, receivers, apart, message).tolist()
+        return received
+
+    @property
+    def is_static(self) -> bool:
+        """Whether there is no range, so that neighbourhoods do not depend on positions."""
+        return self._positions is None
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether `reaches` is valid for times of the past."""
+        return self._positions is None or self._positions.looks_back
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a node changes."""
+        if self._positions is not None:
+            self._positions.before_change(act)
+
+    def neighbours(self, node: int) -> Nodes:
+        """Return the nodes that receive from `node` now, ascending.
+
+        With fading per message, these are the nodes with a probability of reception of at least 1/2.
+
+        Raises:
+            IndexError: if the node does not exist.
+        """
+        if node < 0:
+            raise IndexError(f"there is no node {node}")
+        if self._positions is None:
+            return np.array(self._lists[node], dtype=np.intp)
+        return self._near(node, self._candidates(node))
+
+    def audible(self, node: int) -> list[int]:
+        """Return the nodes that `node` receives from now, ascending; see `neighbours`."""
+        senders: list[int]
+        if not self._directed:
+            senders = self.neighbours(node).tolist()
+        elif self._positions is None:
+            senders = self._senders[node]
+        else:  # reception is the same in both directions
+            senders = self._near(node, _with_linked(node, self._senders[node])).tolist()
+        return senders
+
+    def component(self, node: int) -> set[int]:
+        """Return `node` and all nodes whose messages can reach it now in any number of hops; cost O(nodes + links)."""
+        reached, ahead = {node}, [node]
+        while ahead and len(reached) < self.size:
+            new = set(self.audible(ahead.pop())) - reached
+            reached |= new
+            ahead += new
+        return reached
+
+    @property
+    def mean_degree(self) -> float:
+        """The current mean number of neighbours of a node."""
+        nodes = range(self.size)
+        if self._positions is not None:
+            return sum(len(self.neighbours(node)) for node in nodes) / self.size
+        return self.size - 1.0 if self._complete else sum(len(self._lists[node]) for node in nodes) / self.size
+
+    def graph(self) -> "nx.DiGraph[int]":
+        """Return the current topology as a networkx graph with an arc from each sender to each receiver."""
+        if self._complete and self._positions is None:
+            return complete_digraph(self.size)
+        now: nx.DiGraph[int] = nx.DiGraph()
+        now.add_nodes_from(range(self.size))
+        now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
+        return now
+
+    @cached_property
+    def _senders(self) -> list[list[int]]:
+        """For each node, the nodes that the graph links to it, ascending."""
+        speakers: list[list[int]] = [[] for _ in range(self.size)]
+        for node in range(self.size):
+            for other in self._lists[node]:
+                speakers[other].append(node)
+        return speakers
+
+    def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
+        """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
+        assert self._positions is not None
+        own = int(candidates.searchsorted(node))
+        apart = distances(self._positions.of(candidates), own)
+        apart[own] = self._range  # not the distance to itself, 0: a model may divide by distances
+        received = self._received(node, candidates, apart, message)
+        received[own] = False
+        return candidates[received]
+
+
+class _AllOthers(dict[int, list[int]]):
+    """A mapping from each node to the list of all others, computed on access; at most `ROOM` list items are cached."""
+
+    def __init__(self, size: int):
+        super().__init__()
+        self._size = size
+
+    def __missing__(self, node: int) -> list[int]:
+        if not 0 <= node < self._size:
+            raise IndexError(f"there is no node {node}")
+        others = self._all[:node] + self._all[node + 1 :]
+        if (len(self) + 1) * self._size <= ROOM:
+            self[node] = others
+        return others
+
+    @cached_property
+    def _all(self) -> list[int]:
+        """All nodes: 40 B per node, and not needed with a range."""
+        return list(range(self._size))
+
+
+def _check(graph: "nx.Graph[int]") -> None:
+    """Raise ValueError if the nodes are not 0 .. n - 1, or a node has a self-loop."""
+    if is_implicit(graph):
+        return
+    if set(graph) != set(range(len(graph))):
+        raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {node_names(graph)}")
+    if loops := [node for node in graph if graph.has_edge(node, node)]:
+        raise ValueError(f"no node should be linked to itself, got {loops}")
+
+
+def _candidates(
+    lists: "list[list[int]] | _AllOthers",
+    size: int,
+    positions: PositionSource,
+    bound: float,
+    now: Callable[[], float] | None,
+) -> Callable[[int], Nodes]:
+    """Return a function that returns the nodes that may receive from a node now, and itself, ascending.
+
+    Args:
+        lists: by node, the nodes that the graph links it to.
+        size: number of nodes.
+        positions: the current positions of the nodes.
+        bound: the distance, m, beyond which nothing is received; inf if there is none.
+        now: as in `Topology`.
+    """
+    if isinstance(lists, list):
+        return [_with_linked(node, linked) for node, linked in enumerate(lists)].__getitem__
+    if size > SMALL_NETWORK and bound < inf:
+        return CellList(positions, bound, now).around
+    everyone = np.arange(size)
+    return lambda _: everyone
+
+
+def _with_linked(node: int, linked: list[int]) -> Nodes:
+    """Return a node and its linked nodes, ascending."""
+    return np.array(sorted([*linked, node]), dtype=np.intp)

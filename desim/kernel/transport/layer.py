@@ -1,0 +1,235 @@
+"""The transport layer: the senders and receivers of transports, above the link layer.
+
+Frames of all transports arrive at one port, where the layer takes them at the instant of their arrival. What it
+delivers goes to the inbox of the port to which it was sent.
+
+The state of a node survives a crash with memory: its senders rest while its radio is down, and continue when it is up
+again. After a crash without memory a node numbers its messages anew, in a new session, and remembers nothing of what
+it has received. A message whose acknowledgement was lost may then be delivered a second time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import count
+from math import inf
+from typing import Any, Literal
+
+from desim.config.model import MAX_TIME
+from desim.kernel.core.clock import Phase
+from desim.kernel.core.events import Trace, TransportCounts
+from desim.kernel.core.message_size import checked_size, size_of
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.link_layer.estimates import Estimates
+from desim.kernel.models.transport import Reliable, Transport
+from desim.kernel.state.inbox import Inbox, Message
+from desim.kernel.state.network_state import NetworkState
+from desim.kernel.transport.frames import Acknowledgement, Frame, Piece, Segment, Skip, acknowledgement_size
+from desim.kernel.transport.log import Flow, TransportLog
+from desim.kernel.transport.receiver import CodedReceiver, Expectation, ReliableReceiver
+from desim.kernel.transport.retransmission import first_timeout
+from desim.kernel.transport.sender import CodedSender, Endpoint, ReliableSender, Sender
+
+PORT = ReservedPort("transport frames", __name__)
+"""The port at which frames arrive."""
+FIRST_DELIVERY = 1 << 48
+"""The number of the first delivery: at one instant, deliveries come after messages without a transport."""
+
+
+@dataclass
+class _Node:
+    """The state of a node in the transport layer."""
+
+    endpoint: Endpoint
+    inbox: Inbox
+    """Its inbox of frames."""
+    senders: dict[Flow, Sender] = field(default_factory=dict)
+    receivers: dict[Flow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
+    expectations: dict[tuple[str, int, str], Expectation] = field(default_factory=dict)
+    """By kind (a message, "deadline", or any frame, "lease"), sender and port."""
+
+    def forget(self, now: int) -> None:
+        """Lose the memory, and begin a new session now, ns."""
+        self.endpoint.session = now
+        for sender in self.senders.values():
+            sender.forget()
+        for expectation in self.expectations.values():
+            expectation.drop()
+        for table in (self.senders, self.receivers, self.expectations):
+            table.clear()
+
+
+class TransportLayer:
+    """Carries messages under the transports of their ports.
+
+    Most networks need no transport. The state of the nodes is therefore created when the first message is sent.
+
+    Args:
+        state: the state of the network; its inboxes receive the frames, and the messages that are delivered.
+        estimates: estimates of the delays of the network, for the time-out "auto".
+        trace: receives the events of transports; None if they are not needed.
+        transmit: hands a message to the link layer, given its sender, receiver, size and port.
+    """
+
+    def __init__(
+        self,
+        state: NetworkState,
+        estimates: Estimates,
+        trace: Trace | None,
+        transmit: Callable[[int, int | None, Message, int, str], object],
+    ):
+        self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
+        self._inboxes, self._clocks, self._transmit, self._estimates = state.inboxes, state.clocks, transmit, estimates
+        self._log = TransportLog(state.env, trace)
+        self._transports: dict[str, Transport] = {}
+        """By port."""
+        self._nodes: list[_Node] = []
+        """Empty until the first message."""
+        self._numbers = count(FIRST_DELIVERY)
+
+    def send(
+        self, src: int, dst: int | None, message: Message, port: str, size: int | None, transport: Transport
+    ) -> None:
+        """Send a message to a node, or to all neighbours (None), under a transport.
+
+        Args:
+            src: the sender.
+            dst: the receiver; None: all neighbours.
+            message: the message.
+            port: the port of the inbox.
+            size: the size of the message, bytes; computed from its body if None.
+            transport: how it is carried.
+
+        Raises:
+            ValueError: if the size is not an integer of at least 0, the body has none, or messages at this port have
+                another transport.
+        """
+        size = size_of(message.body) if size is None else checked_size(size)
+        if not self._nodes:
+            self._start()
+        known = self._transports.setdefault(port, transport)
+        if known is not transport and known != transport:
+            raise ValueError(f"a port has one transport: {port!r} has {known!r} (got {transport!r})")
+        flow, node = Flow(src, dst, port), self._nodes[src]
+        sender = node.senders.get(flow)
+        if sender is None:
+            kind = ReliableSender if isinstance(transport, Reliable) else CodedSender
+            sender = node.senders[flow] = kind(flow, transport, node.endpoint)  # type: ignore[arg-type]
+        sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
+
+    def recover(self, node: int, *, memory: bool) -> None:
+        """Let the senders of a node continue, whose radio may be up again; without memory, let it forget them first."""
+        if not self._nodes:
+            return
+        if not memory:
+            self._nodes[node].forget(self._env.now)
+        for sender in self._nodes[node].senders.values():
+            sender.resume()
+
+    def counts(self) -> TransportCounts | None:
+        """Return the counts of all transports up to now; None if no message has been sent."""
+        return self._log.counts() if self._nodes else None
+
+    def _start(self) -> None:
+        """Create the state of the nodes, and let them listen for frames."""
+        self._nodes = [_Node(self._endpoint(node), inbox) for node, inbox in enumerate(self._inboxes.at(PORT))]
+        for node in range(self._topology.size):
+            self._listen(node)
+
+    # Senders.
+
+    def _endpoint(self, node: int) -> Endpoint:
+        """Create the endpoint of a node."""
+        is_up = partial(self._is_up, node)
+        return Endpoint(self._env, self._clocks[node], self._log, self._send_frame, self._auto_timeout, is_up)
+
+    def _is_up(self, node: int) -> bool:
+        return self._fault_state is None or not self._fault_state.down(node)
+
+    def _send_frame(self, src: int, dst: int | None, stamp: int, frame: Frame, size: int) -> None:
+        self._transmit(src, dst, Message(src, stamp, frame), size, PORT)
+
+    def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
+        """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
+        answers = receivers * self._estimates.sending_time(acknowledgement_size(transport.window))
+        sending_time = self._estimates.sending_time(size) + answers
+        return first_timeout(self._estimates.latency, sending_time, transport.min_timeout)
+
+    # Receivers.
+
+    def _listen(self, node: int) -> None:
+        """Take the next frames of a node as they arrive."""
+        event = self._nodes[node].inbox.arrival(Phase.DELIVERY + 1 + node)
+        event.callbacks.append(lambda _: self._receive(node))
+
+    def _receive(self, node: int) -> None:
+        """Process the frames that have arrived at a node."""
+        for src, stamp, frame in self._nodes[node].inbox.drain():
+            transport = self._transports[frame.port]
+            if transport.lease < inf:
+                self._expect(node, "lease", src, frame.port, transport.lease)
+            if isinstance(frame, Acknowledgement):
+                sender = self._nodes[node].senders.get(Flow(node, None if frame.to_all else src, frame.port))
+                if isinstance(sender, ReliableSender):
+                    sender.acknowledge(src, stamp, frame)
+            else:
+                self._take(node, src, stamp, frame, transport)
+        self._listen(node)
+
+    def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | Piece, transport: Transport) -> None:
+        """Deliver what a frame makes deliverable, and acknowledge the frame under a reliable transport.
+
+        A frame of a sender that has lost its memory since is ignored.
+        """
+        flow, receivers = Flow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
+        receiver = receivers.get(flow)
+        if receiver is not None and receiver.session > frame.session:
+            return
+        if receiver is None or receiver.session < frame.session:
+            receiver = receivers[flow] = _receiver(frame, transport)
+        arrived: Any = receiver.receive(src, stamp, frame)  # type: ignore[arg-type]  # a port has one transport
+        for seq, message, attempt in arrived:
+            self._deliver(node, flow, seq, message, attempt, transport)
+        if isinstance(receiver, ReliableReceiver) and isinstance(transport, Reliable):
+            answer = Acknowledgement(frame.port, frame.to_all, frame.session, receiver.expected, receiver.beyond())
+            self._log.acknowledgements += 1
+            self._send_frame(node, src, self._env.now, answer, acknowledgement_size(transport.window))
+
+    def _deliver(self, node: int, flow: Flow, seq: int, message: Message, attempt: int, transport: Transport) -> None:
+        """Put a message into the inbox of its port, unless its lifespan has ended by the clock of the receiver."""
+        now = self._env.now
+        if transport.lifespan < inf:
+            age = self._clocks[node].at(now) - self._clocks[flow.src].at(message.stamp)
+            if age >= transport.lifespan:
+                self._log.expire(flow, node, seq)
+                return
+        self._log.deliver(flow, node, seq, message, attempt)
+        self._inboxes.deliver(message, flow.port, [node], now, next(self._numbers))
+        if transport.deadline < inf:
+            self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
+
+    def _expect(self, node: int, what: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
+        """Let a node expect a message, or any frame, of another within a time, s, by its own clock."""
+        expectations = self._nodes[node].expectations
+        known = expectations.get((what, src, port))
+        if known is None and within <= MAX_TIME:
+            tell = self._log.miss_deadline if what == "deadline" else self._log.lose_liveliness
+
+            def miss() -> None:
+                if self._is_up(node):
+                    tell(src, node, port)
+
+            duration, priority = self._clocks[node].span(within), Phase.RELAY + node
+            known = Expectation(self._env, priority, duration, miss, again=what == "deadline")
+            expectations[what, src, port] = known
+        if known is not None:
+            known.meet()
+
+
+def _receiver(frame: Segment | Skip | Piece, transport: Transport) -> ReliableReceiver | CodedReceiver:
+    """Create the receiver of a flow, given its first frame."""
+    if isinstance(frame, Piece):
+        assert not isinstance(transport, Reliable)
+        return CodedReceiver(frame.session, transport.needed)
+    assert isinstance(transport, Reliable)
+    return ReliableReceiver(frame.session, frame.base, ordered=transport.ordered)

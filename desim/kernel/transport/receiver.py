@@ -1,0 +1,124 @@
+"""The receivers of transports: they remove duplicates, restore the order, decode, and watch deadlines and leases."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from desim.kernel.core.clock import Clock, Timer
+from desim.kernel.state.inbox import Message
+from desim.kernel.transport.frames import Piece, Segment, Skip
+
+REMEMBERED = 64
+"""Number of messages of a flow whose pieces a receiver remembers."""
+
+
+class Arrived(NamedTuple):
+    """A message that has reached a receiver."""
+
+    seq: int
+    message: Message
+    attempt: int
+    """Number of the attempt, or of the piece, with which it arrived, from 1 on."""
+
+
+class ReliableReceiver:
+    """The messages of a flow that have reached one receiver.
+
+    All messages before the number `expected` have been received, or are not expected any more.
+
+    Args:
+        session: the session of the sender.
+        base: the first number to be expected.
+        ordered: whether messages are delivered in the order of their numbers.
+    """
+
+    def __init__(self, session: int, base: int, *, ordered: bool):
+        self.session, self.expected, self._ordered = session, base, ordered
+        self._beyond: dict[int, Arrived] = {}
+        """The messages received beyond `expected`, by number; in order, they are held until those before are there."""
+
+    def receive(self, src: int, stamp: int, frame: Segment | Skip) -> Iterator[Arrived]:
+        """Take a frame with its time stamp, ns, and yield the messages to be delivered now, in order."""
+        if isinstance(frame, Segment) and frame.seq >= self.expected and frame.seq not in self._beyond:
+            arrived = Arrived(frame.seq, Message(src, stamp, frame.body), frame.attempt)
+            self._beyond[frame.seq] = arrived
+            if not self._ordered:
+                yield arrived
+        passed = self._advance(frame.base)
+        if self._ordered:
+            yield from passed
+
+    def beyond(self) -> tuple[int, ...]:
+        """Return the numbers of the messages received beyond `expected`, ascending."""
+        return tuple(sorted(self._beyond))
+
+    def _advance(self, base: int) -> list[Arrived]:
+        """Expect nothing before `base` any more; return the received messages before the new `expected`."""
+        beyond = self._beyond
+        passed = [beyond.pop(seq) for seq in sorted(beyond) if seq < base] if base > self.expected else []
+        self.expected = max(self.expected, base)
+        while self.expected in beyond:
+            passed.append(beyond.pop(self.expected))
+            self.expected += 1
+        return passed
+
+
+class CodedReceiver:
+    """The pieces of a flow that have reached one receiver.
+
+    Args:
+        session: the session of the sender.
+        needed: the number of pieces of a message that suffice.
+    """
+
+    def __init__(self, session: int, needed: int):
+        self.session, self._needed = session, needed
+        self._newest = 0
+        self._pieces: dict[int, set[int]] = {}
+        """The numbers of the pieces received, by number of the message."""
+
+    def receive(self, src: int, stamp: int, piece: Piece) -> Iterator[Arrived]:
+        """Take a piece with its time stamp, ns; yield its message if it can be decoded now, and could not before."""
+        self._newest = max(self._newest, piece.seq)
+        if piece.seq <= self._newest - REMEMBERED:
+            return
+        here = self._pieces.setdefault(piece.seq, set())
+        before = len(here)
+        here.add(piece.part)
+        if len(self._pieces) > REMEMBERED:
+            self._pieces = {seq: each for seq, each in self._pieces.items() if seq > self._newest - REMEMBERED}
+        if before < self._needed == len(here):
+            yield Arrived(piece.seq, Message(src, stamp, piece.body), piece.part)
+
+
+class Expectation:
+    """Something that a node expects to happen again within a time.
+
+    Args:
+        env: the clock.
+        priority: the priority of the event at which it is missed.
+        within: the time, ns.
+        miss: called when it has not happened for that time.
+        again: whether it is missed again each time that the time passes once more, until it happens.
+    """
+
+    def __init__(self, env: Clock, priority: int, within: int, miss: Callable[[], object], *, again: bool):
+        self._env, self._within, self._miss, self._again = env, within, miss, again
+        self._due = 0
+        self._timer = Timer(env, priority, self._check)
+
+    def meet(self) -> None:
+        """Note that it happens now; the first time, it is expected from now on."""
+        self._due = self._env.now + self._within
+        self._timer.set(self._due)
+
+    def drop(self) -> None:
+        """Expect it no more."""
+        self._timer.stop()
+
+    def _check(self) -> None:
+        if self._env.now >= self._due:
+            self._miss()
+            if not self._again:
+                return
+            self._due = self._env.now + self._within
+        self._timer.set(self._due)

@@ -1,0 +1,282 @@
+"""The senders of transports: the messages of a flow that are not delivered yet, and when to transmit them again.
+
+A flow is the messages of one node at one port to one receiver, or to all its neighbours. A sender has one timer,
+whatever the number of its messages.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from math import inf
+from typing import NamedTuple
+
+from desim.config.model import MAX_TIME
+from desim.kernel.core.clock import NEVER, Clock, NodeClock, Phase, Timer
+from desim.kernel.core.events import GiveUp
+from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.kernel.state.inbox import Message
+from desim.kernel.transport.frames import FRAME, SKIP_SIZE, Acknowledgement, Frame, Piece, Segment, Skip, piece_size
+from desim.kernel.transport.log import Flow, TransportLog
+from desim.kernel.transport.retransmission import MAX_GROWTH
+
+
+@dataclass
+class Endpoint:
+    """A node as its senders see it."""
+
+    env: Clock
+    clock: NodeClock
+    """Its own clock."""
+    log: TransportLog
+    transmit: Callable[[int, int | None, int, Frame, int], object]
+    """Transmits a frame of the node (first argument) to one node, or to all (None), given its time stamp, ns, and its
+    size, bytes."""
+    auto_timeout: Callable[[Reliable, int, int], float]
+    """Returns the first time-out "auto", s, of a message of a size, bytes, to a number of receivers."""
+    is_up: Callable[[], bool]
+    """Returns whether its radio is up."""
+    session: int = 0
+    """When it began to number its messages, ns: 0, or when it lost its memory."""
+
+
+@dataclass(slots=True)
+class Owed:
+    """The state of a message for one receiver that has not acknowledged it.
+
+    A message is outstanding, or held: the receiver has it, and waits for earlier ones before it delivers it.
+    """
+
+    due: int
+    """When to act next, ns: to repeat an outstanding message, or to tell the receiver not to wait; or `NEVER`."""
+    attempts: int = 0
+    is_held: bool = False
+
+
+class Entry(NamedTuple):
+    """A message that some receivers have not acknowledged."""
+
+    seq: int
+    message: Message
+    size: int
+    """Bytes, without the header of the transport."""
+    expires: int
+    """The end of its lifespan, ns, or `NEVER`."""
+    owed: dict[int, Owed]
+    """By receiver that has not acknowledged it."""
+
+
+class ReliableSender:
+    """A sender that repeats its messages until they are acknowledged, given up or superseded.
+
+    Args:
+        flow: its messages.
+        model: the transport.
+        endpoint: its node.
+    """
+
+    def __init__(self, flow: Flow, model: Reliable, endpoint: Endpoint):
+        self._flow, self._model, self._endpoint, self._log = flow, model, endpoint, endpoint.log
+        self._capacity = model.depth if model.history == "keep_last" else inf
+        self._entries: dict[int, Entry] = {}
+        """The messages that some receivers have not acknowledged, by sequence number, ascending."""
+        self._next = 1
+        """The sequence number of the next message."""
+        self._unsent = 1
+        """The first sequence number that has not been transmitted."""
+        self._acknowledged: dict[int, int] = {}
+        """The time stamp, ns, of the newest acknowledgement of each receiver."""
+        self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
+
+    def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
+        """Accept a message for some receivers, and transmit it if the window allows."""
+        now, lifespan = self._endpoint.env.now, self._model.lifespan
+        expires = NEVER if lifespan > MAX_TIME else now + self._endpoint.clock.span(lifespan)
+        owed = {node: Owed(NEVER) for node in receivers}
+        self._log.submitted += len(owed)
+        self._entries[self._next] = Entry(self._next, message, size, expires, owed)
+        self._next += 1
+        if len(self._entries) > self._capacity:
+            self._drop(next(iter(self._entries.values())), "superseded")
+        self.advance()
+
+    def acknowledge(self, node: int, stamp: int, acknowledgement: Acknowledgement) -> None:
+        """Take note of an acknowledgement, with its time stamp, ns; one that a newer one has overtaken is ignored."""
+        if stamp < self._acknowledged.get(node, 0) or acknowledgement.session != self._endpoint.session:
+            return
+        self._acknowledged[node] = stamp
+        now, received = self._endpoint.env.now, set(acknowledgement.received)
+        acts = False
+        for entry in list(self._sent()):
+            owed = entry.owed.get(node)
+            if owed is None:
+                continue
+            if entry.seq < acknowledgement.expected or (entry.seq in received and not self._model.ordered):
+                self._finish(entry, node)
+                acts |= not entry.owed
+            elif owed.is_held != (entry.seq in received):  # a receiver that has lost its memory holds nothing any more
+                owed.is_held, acts = not owed.is_held, True
+                owed.due = NEVER if owed.is_held else now
+        if self._close_gap(node) or acts:
+            self.advance()
+
+    def advance(self) -> None:
+        """Perform all actions that are due, transmit what the window allows, and set the timer."""
+        if not self._endpoint.is_up():
+            return
+        now = self._endpoint.env.now
+        while self._entries and (first := next(iter(self._entries.values()))).expires <= now:
+            self._drop(first, "lifespan")
+        for entry in list(self._sent()):
+            for node, owed in list(entry.owed.items()):
+                if owed.due <= now:
+                    self._act(entry, node, owed)
+        while self._unsent < self._next and self._unsent < next(iter(self._entries), self._unsent) + self._model.window:
+            unsent = self._entries.get(self._unsent)
+            self._unsent += 1
+            if unsent is not None:
+                self._transmit(unsent)
+        if (due := self._next_due()) < NEVER:
+            self._timer.set(due)
+
+    def resume(self) -> None:
+        """Continue at this instant, because the radio of the node may be up again."""
+        self._timer.set(self._endpoint.env.now)
+
+    def forget(self) -> None:
+        """Give up all messages, because the node has lost its memory."""
+        self._timer.stop()
+        for entry in list(self._entries.values()):
+            self._drop(entry, "memory_loss")
+
+    def _sent(self) -> Iterator[Entry]:
+        """Yield the messages that have been transmitted and are not acknowledged by all, ascending."""
+        for entry in self._entries.values():
+            if entry.seq >= self._unsent:
+                return
+            yield entry
+
+    def _next_due(self) -> int:
+        """Return the time of the next action, ns, or `NEVER`."""
+        first = next(iter(self._entries.values()), None)
+        if first is None:
+            return NEVER
+        return min([first.expires, *(owed.due for entry in self._sent() for owed in entry.owed.values())])
+
+    def _transmit(self, entry: Entry) -> None:
+        """Transmit a message for the first time, to all its receivers at once."""
+        self._send_segment(entry, self._flow.dst, next(iter(self._entries)), 1)
+        self._log.attempts += len(entry.owed)
+        for owed in entry.owed.values():
+            owed.attempts, owed.due = 1, self._endpoint.env.now + self._timeout(entry, 0)
+        if not entry.owed:
+            del self._entries[entry.seq]
+
+    def _act(self, entry: Entry, node: int, owed: Owed) -> None:
+        """Repeat a message to a receiver, tell the receiver of a held message not to wait, or give the message up."""
+        if owed.attempts > self._model.max_repeats:
+            self._log.give_up(self._flow, node, entry.seq, "repeats")
+            self._finish(entry, node)
+            self._close_gap(node)
+            return
+        base = next(each.seq for each in self._entries.values() if node in each.owed)
+        owed.due = self._endpoint.env.now + self._timeout(entry, owed.attempts)
+        owed.attempts += 1
+        if owed.is_held:
+            skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, base)
+            self._endpoint.transmit(self._flow.src, node, self._endpoint.env.now, skip, SKIP_SIZE)
+        else:
+            self._log.retransmit(self._flow, node, entry.seq, owed.attempts)
+            self._send_segment(entry, node, base, owed.attempts)
+
+    def _send_segment(self, entry: Entry, dst: int | None, base: int, attempt: int) -> None:
+        flow, message = self._flow, entry.message
+        segment = Segment(flow.port, flow.dst is None, self._endpoint.session, entry.seq, base, attempt, message.body)
+        self._endpoint.transmit(flow.src, dst, message.stamp, segment, entry.size + FRAME)
+
+    def _timeout(self, entry: Entry, attempts: int) -> int:
+        """Return the time-out after a number of earlier attempts, ns of true time."""
+        model = self._model
+        first = model.timeout
+        if first == "auto":
+            first = self._endpoint.auto_timeout(model, entry.size + FRAME, len(entry.owed))
+        grown = min(first * model.backoff ** min(attempts, MAX_GROWTH), model.max_timeout)
+        return self._endpoint.clock.span(max(first, grown))
+
+    def _drop(self, entry: Entry, cause: GiveUp) -> None:
+        """Give up a message to all receivers that have not acknowledged it."""
+        del self._entries[entry.seq]
+        for node in entry.owed:
+            self._log.give_up(self._flow, node, entry.seq, cause)
+            self._close_gap(node)
+
+    def _finish(self, entry: Entry, node: int) -> None:
+        """Owe a message to a node no more."""
+        del entry.owed[node]
+        if not entry.owed:
+            del self._entries[entry.seq]
+
+    def _close_gap(self, node: int) -> bool:
+        """Plan to tell a receiver not to wait, if it holds the first message that it has not acknowledged.
+
+        The messages that it waits for have then been given up. Return whether this is planned now.
+        """
+        first = next((entry.owed[node] for entry in self._sent() if node in entry.owed), None)
+        if first is None or not first.is_held or first.due < NEVER:
+            return False
+        first.attempts, first.due = 0, self._endpoint.env.now
+        return True
+
+
+class CodedSender:
+    """A sender that transmits the pieces of its messages, each once; under best effort a message is a single piece.
+
+    Args:
+        flow: its messages.
+        model: the transport.
+        endpoint: its node.
+    """
+
+    def __init__(self, flow: Flow, model: Coded | BestEffort, endpoint: Endpoint):
+        self._flow, self._model, self._endpoint = flow, model, endpoint
+        self._spacing = endpoint.clock.span(model.spacing)
+        self._next = 1
+        """The sequence number of the next message."""
+        self._waiting: list[tuple[int, int, int, Message, int, int]] = []
+        """A heap of the pieces to be transmitted: time, ns; numbers of the message and of the piece; the message, its
+        bytes and the number of its receivers."""
+        self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
+
+    def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
+        """Accept a message, and transmit its first piece."""
+        now, count = self._endpoint.env.now, len(list(receivers))
+        self._endpoint.log.submitted += count
+        if isinstance(self._model, Coded):
+            size = piece_size(size, self._model.needed)
+        for part in range(1, self._model.pieces + 1):
+            heappush(self._waiting, (now + (part - 1) * self._spacing, self._next, part, message, size, count))
+        self._next += 1
+        self.advance()
+
+    def advance(self) -> None:
+        """Transmit the pieces that are due, and set the timer; a node whose radio is down drops them."""
+        now, flow, waiting = self._endpoint.env.now, self._flow, self._waiting
+        while waiting and waiting[0][0] <= now:
+            _, seq, part, message, size, count = heappop(waiting)
+            if self._endpoint.is_up():
+                piece = Piece(flow.port, flow.dst is None, self._endpoint.session, seq, part, message.body)
+                self._endpoint.log.attempts += count
+                self._endpoint.transmit(flow.src, flow.dst, message.stamp, piece, size)
+        if waiting:
+            self._timer.set(waiting[0][0])
+
+    def resume(self) -> None:
+        """Continue at this instant, because the radio of the node may be up again."""
+        self._timer.set(self._endpoint.env.now)
+
+    def forget(self) -> None:
+        """Drop all pieces that wait, because the node has lost its memory."""
+        self._timer.stop()
+        self._waiting.clear()
+
+
+Sender = ReliableSender | CodedSender

@@ -1,0 +1,354 @@
+"""Byzantine faults: pursuers whose messages are false, forged, old or withheld.
+
+The term is that of Lamport, Shostak & Pease (1982, "The Byzantine Generals Problem"). A Byzantine fault names its
+pursuers or a random share of the team. While it lasts, the messages of such a pursuer are replaced; its protocol,
+beliefs and motion are not changed, except that with `acts = "stay"` it does not chase. `desim.pursuit.byzantine.lying`
+applies these models in a run.
+"""
+
+from cmath import isfinite
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isnan
+from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from pydantic import model_validator
+
+from desim.config.choice import OneOf
+from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probability, Rate, Value
+from desim.config.python_numbers import real
+from desim.kernel.core.seeds import pair_uniform, stream
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, Window
+from desim.kernel.models.graphs import Node
+from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
+from desim.pursuit.motion.capture import least_capture_time
+from desim.pursuit.sensing.views import View
+from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
+from desim.pursuit.team.trust import Accusation
+
+Said = Literal["truth", "chase", "stay", "opposite"]
+"""The action that a liar announces: its action, a chase, no chase, or the contrary of its action."""
+CHASE_OR_STAY: tuple[Said, Said] = ("chase", "stay")
+
+
+# The speakers.
+
+
+@runtime_checkable
+class Falsifiable(Protocol):
+    """An announcement of a protocol of its own, such as a claim in an auction, that a liar can change."""
+
+    def falsified(self, pursuer: int, action: int, phi: float) -> Any:
+        """Return the announcement with which a pursuer pretends to act so, and to have the capture time phi, s."""
+        ...
+
+    def phi(self, pursuer: int) -> float:
+        """Return the capture time, s, that it states for the chase of a pursuer; inf if it states none."""
+        ...
+
+
+@dataclass(frozen=True)
+class Speaker:
+    """A pursuer that speaks, and the facts that it can lie about.
+
+    Attributes:
+        id: the pursuer.
+        view: its view of the world.
+        seed: the seed of the run.
+        rng: the random stream of its lies.
+        now: the time, ns.
+        history: its honest announcements up to now, oldest first: (time in ns, body).
+    """
+
+    id: int
+    view: View
+    seed: int
+    rng: np.random.Generator
+    now: int
+    history: Sequence[tuple[int, Any]] = ()
+
+    def action(self, says: Said) -> int:
+        """Return the action that it says it has: an evader, or 0."""
+        true = self.view.state.profile[self.id]
+        if says == "truth" or (says == "chase" and true):
+            return true
+        return 0 if says == "stay" or true else self._closest()
+
+    def phi(self, evader: int) -> float:
+        """Return its true capture time for an evader, s; with 0, the least one for any evader at large."""
+        evaders = [evader] if evader else self.view.state.at_large
+        return min((self.view.capture_times_of([self.id], each)[0] for each in evaders), default=inf)
+
+    def least_phi(self, evader: int) -> float:
+        """Return the least capture time for an evader, s, that any pursuer at its position could have; see `phi`."""
+        state, position = self.view.state, self.view.state.position(self.id)
+        return min(
+            (
+                least_capture_time(
+                    abs(self.view.evader(each) - position), state.radius, state.top_speed, state.body(each).speed
+                )
+                for each in ([evader] if evader else state.at_large)
+            ),
+            default=inf,
+        )
+
+    def _closest(self) -> int:
+        """Return the evader at large that it could capture first; 0 if there is none."""
+        return min(self.view.state.at_large, key=self.phi, default=0)
+
+
+# The faults.
+
+
+class ByzantineFault(Window):
+    """Base of the Byzantine faults: the pursuers concerned, and how they act."""
+
+    node: Node | None = None
+    """The number of the pursuer; give this or `share`."""
+    share: Probability | None = None
+    """The share of the team, drawn at random per seed, in [0, 1]; a larger share contains the smaller ones."""
+    acts: Literal["protocol", "stay"] = "protocol"
+    """Actions of these pursuers. protocol: those of their protocol; stay: they never chase."""
+
+    @model_validator(mode="after")
+    def _names_pursuers(self) -> Self:
+        if (self.node is None) == (self.share is None):
+            raise ValueError("should have a node or a share of the team, and not both")
+        return self
+
+    def liars(self, size: int, rng: np.random.Generator) -> list[int]:
+        """Return the pursuers concerned, in a team of `size` pursuers."""
+        if self.share is None:
+            assert self.node is not None
+            return [self.node]
+        drawn: list[int] = rng.permutation(size)[: round(self.share * size)].tolist()
+        return sorted(drawn)
+
+    def named(self) -> Mapping[str, int]:
+        """Return the pursuers that it names, by key."""
+        return {} if self.node is None else {"node": self.node}
+
+    def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
+        """Return what a pursuer announces in place of `body`: the pursuer in whose name, and the body."""
+        return me.id, body
+
+    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]] | None:
+        """Return each body that a pursuer announces, with the neighbours that it tells so; None if all get the same."""
+        return None
+
+    def drops(self, me: Speaker) -> bool:
+        """Return whether a pursuer withholds a record, or a token, of others that it should forward."""
+        return False
+
+    def accuses(self) -> Accusation | None:
+        """Return the accusation that a pursuer sends in place of its own, once per `Trust.period`; None: its own."""
+        return None
+
+
+class Silent(ByzantineFault):
+    """A pursuer sends nothing, but still receives and decides."""
+
+    kind: Literal["silent"] = "silent"
+
+
+class FalseAnnouncements(ByzantineFault):
+    """Base of the Byzantine faults with false announcements: what is false about the capture time and the position.
+
+    A lie has an effect if the announcement contains what it falsifies: the payload "time" has a capture time, "state" a
+    position, and each payload the action. The claims of auctions have the action and, as a bid, the capture time.
+    """
+
+    phi: Annotated[Any, FALSE_TIMES] | None = None
+    """The capture time that is announced; if absent, the true one."""
+    position: Annotated[Any, FALSE_POSITIONS] | None = None
+    """The position that is announced; if absent, the true one."""
+
+    def falsified(self, me: Speaker, body: Any, action: int) -> Any:
+        """Return an announcement with this action and with a false capture time and position."""
+        if isinstance(body, Falsifiable):
+            return body.falsified(me.id, action, self._phi(me, action, me.phi(action)))
+        if isinstance(body, TimedAssignment):
+            truth = body.capture_time if action == body.active else me.phi(action)
+            return TimedAssignment(action, self._phi(me, action, truth))
+        if isinstance(body, Located):
+            place = complex(body.x, body.y)
+            place = place if self.position is None else self._place(place, me)
+            return body._replace(active=action, x=place.real, y=place.imag)
+        return Assignment(action) if isinstance(body, Assignment) else body
+
+    def _phi(self, me: Speaker, action: int, truth: float) -> float:
+        if self.phi is None:
+            return truth
+        phi = real(self.phi(truth, me.least_phi(action), me.rng), "a false capture time, in s,")
+        if isnan(phi):
+            raise ValueError("a false capture time, in s, should be a number or inf (got nan)")
+        return phi
+
+    def _place(self, truth: complex, me: Speaker) -> complex:
+        place: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
+        if not isinstance(place, (complex, float, int, np.number)) or not isfinite(complex(place)):
+            raise ValueError(f"a false position should be a finite complex number, x + yj in m (got {place!r})")
+        return complex(place)
+
+
+class Liar(FalseAnnouncements):
+    """A pursuer announces a false action, capture time or position."""
+
+    kind: Literal["liar"] = "liar"
+    action: Said = "truth"
+    """The action that it announces."""
+
+    def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
+        """Return the false announcement of a pursuer."""
+        return me.id, self.falsified(me, body, me.action(self.action))
+
+
+class Spoof(FalseAnnouncements):
+    """A pursuer announces in the name of a teammate, and nothing in its own name.
+
+    The receivers cannot tell. The forged record takes the next sequence number of the victim, so it replaces what the
+    victim has announced, until the victim announces again.
+    """
+
+    kind: Literal["spoof"] = "spoof"
+    victim: Node | None = None
+    """The teammate; if absent, a random one for each announcement."""
+    action: Said = "opposite"
+    """The action that is announced; "truth" and "opposite" refer to the action of the teammate."""
+
+    def named(self) -> Mapping[str, int]:
+        """Return the pursuers that it names, by key."""
+        return {**super().named(), **({} if self.victim is None else {"victim": self.victim})}
+
+    def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
+        """Return the forged announcement."""
+        size, victim = me.view.state.size, self.victim
+        if victim is None:
+            victim = (me.id + int(me.rng.integers(1, size))) % size if size > 1 else me.id
+        other = replace(me, id=victim)
+        if isinstance(body, Announcement):
+            body = type(body).announced_by(victim, me.view)
+        return victim, self.falsified(other, body, other.action(self.action))
+
+
+class Equivocate(FalseAnnouncements):
+    """A pursuer tells some neighbours that it chases, and the others that it stays.
+
+    It broadcasts two messages, and each neighbour heeds one of them. Which of the two is drawn once per seed.
+    """
+
+    kind: Literal["equivocate"] = "equivocate"
+
+    def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]]:
+        """Return the two bodies, each with the neighbours that it tells so."""
+        chase, stay = (self.falsified(me, body, me.action(says)) for says in CHASE_OR_STAY)
+        drawn = pair_uniform(me.seed, "equivocation", me.id, np.array(neighbours, int), symmetric=False).tolist()
+        told_so = {j for j, draw in zip(neighbours, drawn, strict=True) if draw < 0.5}
+        versions = (told_so, chase), (set(neighbours) - told_so, stay)
+        return [(told, version) for told, version in versions if told]
+
+
+class ReplayAttack(ByzantineFault):
+    """A pursuer announces again what it announced some time ago, as if it were new."""
+
+    kind: Literal["replay"] = "replay"
+    delay: Duration = 5.0
+    """Age of the announcements, s; before there is one as old, its first one."""
+
+    def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
+        """Return the old announcement."""
+        latest = me.now - nanoseconds(self.delay)
+        old = [each for t, each in me.history if t <= latest] or [each for _, each in me.history[:1]]
+        return me.id, old[-1] if old else body
+
+
+class Selective(ByzantineFault):
+    """A pursuer withholds what it should forward: records of others, and tokens; its own announcements are honest."""
+
+    kind: Literal["selective"] = "selective"
+    drop: Probability = 1.0
+    """Probability that a record or a token is withheld, in [0, 1]."""
+
+    def drops(self, me: Speaker) -> bool:
+        """Return whether a record is withheld."""
+        return bool(me.rng.random() < self.drop)
+
+
+class Slander(ByzantineFault):
+    """A pursuer accuses honest teammates whenever it could accuse others (`announce.trust` "accusations")."""
+
+    kind: Literal["slander"] = "slander"
+    accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]
+    """The teammates that it accuses."""
+
+    def named(self) -> Mapping[str, int]:
+        """Return the pursuers that it names, by key."""
+        return {**super().named(), "accused": max(self.accused)}
+
+    def accuses(self) -> Accusation | None:
+        """Return the false accusation."""
+        return Accusation(self.accused)
+
+
+class RandomLies(Value):
+    """Random Byzantine faults with random parameters, for soak tests."""
+
+    kind: Literal["random_lies"] = "random_lies"
+    rate: Rate = 1.0
+    """Rate of faults, 1/s."""
+    mean_duration: Duration = 1.0
+    """Mean duration of a fault, s."""
+    end: Extent = inf
+    """Time by which all faults have ended, s."""
+
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[ByzantineFault]:
+        """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
+        t, end = 0.0, min(self.end, horizon)
+        while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
+            until = min(t + max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION), self.end)
+            yield self._lie(int(rng.integers(size)), {"start": t, "end": until}, rng)
+
+    def _lie(self, pursuer: int, window: dict[str, float], rng: np.random.Generator) -> ByzantineFault:
+        acts: Any = ("protocol", "stay")[rng.integers(2)]
+        action: Any = ("truth", "chase", "stay", "opposite")[rng.integers(4)]
+        phi = (None, "constant", "scaled", "random", "plausible")[rng.integers(5)]
+        position = (None, "shifted", "random")[rng.integers(3)]
+        kind = LIES[rng.integers(len(LIES))]
+        parameters = {"action": action, "phi": phi, "position": position, "delay": 0.5, "drop": 0.5}
+        parameters["accused"] = (int(rng.integers(pursuer + 1)),)
+        own = {key: each for key, each in parameters.items() if key in kind.model_fields}
+        return kind(node=pursuer, acts=acts, **window, **own)
+
+
+LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
+"""The Byzantine faults."""
+PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies, takes=PLANNED_WITH)
+"""The kinds of `[[fault]]` in a scenario: those of the network, and the Byzantine faults."""
+
+
+def is_lie(fault: object) -> bool:
+    """Return whether a fault of a scenario is a Byzantine fault, or a plan of them."""
+    return isinstance(fault, ByzantineFault | RandomLies)
+
+
+def draw_lies(
+    faults: Sequence[object], size: int, horizon: float, seed: int
+) -> list[tuple[Misbehaviour, ByzantineFault]]:
+    """Draw the Byzantine faults of a run: for each pursuer concerned, its misbehaviour and the model behind it.
+
+    Each model has a random stream of its own; faults of the network are left out.
+    """
+    drawn: list[tuple[Misbehaviour, ByzantineFault]] = []
+    for number, fault in enumerate(faults):
+        if is_lie(fault):
+            rng = stream(seed, "faults of word", number)
+            models = fault(size, horizon, rng) if isinstance(fault, RandomLies) else [fault]
+            for model in models:
+                assert isinstance(model, ByzantineFault)
+                kind = str(dict(model)["kind"])
+                for pursuer in model.liars(size, rng):
+                    one = Misbehaviour(node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn))
+                    drawn.append((one, model))
+    return drawn

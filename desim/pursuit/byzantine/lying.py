@@ -1,0 +1,232 @@
+"""The messages of a team of which some members misbehave: what they say replaces what their protocols say.
+
+An agent sends through a `Voice`, which in an honest team is the network (`desim.pursuit.team.voice`). Otherwise it is a
+`LyingTeam`, which replaces the messages of the pursuers whose Byzantine faults (`desim.pursuit.byzantine.lies`) are
+active.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import simpy
+
+from desim.config.model import MAX_TIME
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Trace
+from desim.kernel.core.message_body import as_sent
+from desim.kernel.core.message_size import size_of
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.records import Record
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.faults import FaultEnded, FaultStarted, Misbehaviour
+from desim.kernel.models.transport import BestEffort, Transport
+from desim.kernel.network import Network
+from desim.pursuit.byzantine.lies import ByzantineFault, ReplayAttack, Silent, Speaker
+from desim.pursuit.sensing.views import View
+from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
+from desim.pursuit.team.trust import PORT as ACCUSATIONS
+from desim.pursuit.team.trust import Accusation
+
+PORT = ReservedPort("forged announcements", __name__)
+"""The port at which announcements arrive that are not broadcast in the name of their sender."""
+AS_PUBLISHED = BestEffort()
+"""The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
+Lie = tuple[Misbehaviour, ByzantineFault]
+SetAction = Callable[[int, int], None]
+"""A function that sets the action of a pursuer."""
+
+
+class _Version(NamedTuple):
+    """A body, and the receiver or receivers of the message that contains it."""
+
+    dst: int | None
+    """None: all neighbours, or `only` those."""
+    only: Collection[int] | None
+    body: Any
+
+
+class LyingTeam:
+    """The voice of a team of which some members misbehave.
+
+    Args:
+        env: the clock of the simulation.
+        network: the network that carries all messages.
+        views: (N,) the view of each pursuer.
+        seed: the seed of the run.
+        set_action: sets the action of a pursuer in the world.
+        lies: the Byzantine faults; see `desim.pursuit.byzantine.lies.draw_lies`.
+        trace: receives the events `FaultStarted` and `FaultEnded`.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        network: Network,
+        views: Sequence[View],
+        seed: int,
+        set_action: SetAction,
+        lies: Sequence[Lie],
+        trace: Trace,
+    ):
+        self._env, self._network, self._views, self._trace = env, network, views, trace
+        self._seed, self._set_action = seed, set_action
+        self._active: defaultdict[int, list[Lie]] = defaultdict(list)
+        self._rng = {one.node: stream(seed, "words", one.node) for one, _ in lies}
+        replaying = {one.node for one, model in lies if isinstance(model, ReplayAttack)}
+        self._history: dict[int, list[tuple[int, Any]]] = {pursuer: [] for pursuer in replaying}
+        for lie in lies:
+            self._at(lie[0].start, partial(self._begin, lie))
+            if lie[0].end <= MAX_TIME:
+                self._at(lie[0].end, partial(self._end, lie))
+
+    # What the pursuers do.
+
+    def set_action(self, pursuer: int, action: int) -> None:
+        """Set the action of a pursuer, or 0 if it should chase and a Byzantine fault lets it stay."""
+        self._set_action(pursuer, 0 if self._stays(pursuer) else action)
+
+    def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
+        """Broadcast the state of a pursuer, or what it says instead."""
+        self._remember(src, body)
+        if not self._active[src]:
+            self._network.publish(src, body, size, stamp)
+        elif not self._is_silent(src):
+            name, said = self._says(src, body)
+            told = self._says_to(src, said)
+            if told is None and name == src:
+                self._network.publish(src, said, size, stamp)
+            else:
+                record = self._network.next_record(name, said, stamp)
+                for only, version in [(None, said)] if told is None else told:
+                    self._forge(src, only, record._replace(body=version), size)
+
+    def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
+        """Return a new record of a pursuer, or of the teammate in whose name it speaks."""
+        self._remember(src, body)
+        name, said = self._says(src, body) if self._active[src] else (src, body)
+        return self._network.next_record(name, said, stamp)
+
+    def send(
+        self,
+        src: int,
+        dst: int | None,
+        body: Any,
+        *,
+        port: str = "",
+        size: int | None = None,
+        transport: Transport | None = None,
+    ) -> None:
+        """Send a message of a pursuer, or what it sends instead."""
+        for to, only, said in self._messages(src, dst, body) if self._active[src] else [_Version(dst, None, body)]:
+            self._network.send(src, to, said, port=port, size=size, transport=transport, only=only)
+
+    def unless_silent(self, pursuer: int, act: Callable[[], object]) -> Callable[[], object]:
+        """Return a function that calls another one unless the pursuer is silent."""
+        return lambda: None if self._is_silent(pursuer) else act()
+
+    def accusing(self, pursuer: int, report: Callable[[], object]) -> Callable[[], object]:
+        """Return a function that sends the false accusations of a pursuer or, without any, calls `report`."""
+
+        def act() -> None:
+            accusations = [model.accuses() for _, model in self._active[pursuer]]
+            accused = {suspect for each in accusations if each is not None for suspect in each.accused}
+            if accused:
+                self.send(pursuer, None, Accusation(tuple(sorted(accused))), port=ACCUSATIONS)
+            else:
+                report()
+
+        return act
+
+    def receive(self, agent: Agent) -> Process:
+        """Merge the records in forged announcements that an agent receives."""
+        while True:
+            yield agent.arrival(PORT, Phase.RELAY)
+            for message in agent.mail(PORT):
+                agent.merge_records(message.body.records)
+
+    # What becomes of a message.
+
+    def _says(self, src: int, body: Any) -> tuple[int, Any]:
+        """Return what a pursuer announces in place of a body: in whose name, and the body."""
+        name = src
+        for _, model in self._active[src]:
+            name, body = model.says(self._speaker(src), body)
+        return name, body
+
+    def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
+        """Return each body that a pursuer announces, with the nodes that it tells so; None if all get the same."""
+        linked = self._network.topology.linked(src)
+        told = (model.says_to(self._speaker(src), body, linked) for _, model in self._active[src])
+        return next((versions for versions in told if versions is not None), None)
+
+    def _messages(self, src: int, dst: int | None, body: Any) -> Iterator[_Version]:
+        """Yield each message that a pursuer sends in place of one."""
+        if self._is_silent(src):
+            return
+        records = relayed_records(body)
+        body = body if records is None else self._forwarded(src, body, records)
+        if body is None:
+            return
+        own = next((record for record in relayed_records(body) or () if record.src == src), None)
+        told = None if own is None else self._says_to(src, own.body)
+        if own is None or told is None:
+            yield _Version(dst, None, body)
+            return
+        for only, said in told:
+            if dst is None or dst in only:
+                forged = [
+                    own._replace(body=said) if record is own else record for record in relayed_records(body) or ()
+                ]
+                yield _Version(dst, only if dst is None else None, with_records(body, forged))
+
+    def _forwarded(self, src: int, body: Any, records: Sequence[Record]) -> Any:
+        """Return a message without the records of others that a pursuer withholds; None if nothing is left.
+
+        A message that is more than its records, such as a token, is withheld as a whole.
+        """
+        if not isinstance(body, Forwarded):
+            relays = any(record.src != src for record in records)
+            return None if relays and self._drops(src) else body
+        kept = tuple(record for record in records if record.src == src or not self._drops(src))
+        return body._replace(records=kept) if kept else None
+
+    def _forge(self, src: int, only: Collection[int] | None, record: Record, size: int | None) -> None:
+        """Broadcast a record in the name of any pursuer, as the network broadcasts those that are published."""
+        size = size_of(record.body) if size is None else size
+        self._network.send(src, None, Forwarded((record,)), port=PORT, size=size, transport=AS_PUBLISHED, only=only)
+
+    def _speaker(self, src: int) -> Speaker:
+        history = self._history.get(src, ())
+        return Speaker(src, self._views[src], self._seed, self._rng[src], self._env.now, history)
+
+    def _remember(self, src: int, body: Any) -> None:
+        if src in self._history:
+            self._history[src].append((self._env.now, as_sent(body)))
+
+    def _is_silent(self, pursuer: int) -> bool:
+        return any(isinstance(model, Silent) for _, model in self._active[pursuer])
+
+    def _stays(self, pursuer: int) -> bool:
+        return any(model.acts == "stay" for _, model in self._active[pursuer])
+
+    def _drops(self, pursuer: int) -> bool:
+        return any(model.drops(self._speaker(pursuer)) for _, model in self._active[pursuer])
+
+    # When the faults begin and end.
+
+    def _at(self, time: float, change: Callable[[simpy.Event], None]) -> None:
+        Instant(self._env, nanoseconds(time), Phase.FAULT).callbacks.append(change)
+
+    def _begin(self, lie: Lie, _: simpy.Event) -> None:
+        self._trace.append(FaultStarted(self._env.now, lie[0]))
+        self._active[lie[0].node].append(lie)
+        if self._stays(lie[0].node) and self._views[lie[0].node].state.profile[lie[0].node]:
+            self._set_action(lie[0].node, 0)
+
+    def _end(self, lie: Lie, _: simpy.Event) -> None:
+        self._trace.append(FaultEnded(self._env.now, lie[0]))
+        self._active[lie[0].node].remove(lie)

@@ -1,0 +1,316 @@
+"""An evader in a run: its body, its controller and its delayed perception."""
+
+from collections import deque
+from collections.abc import Collection
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.arrays import Floats, Points
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.core.state import State, lengths
+from desim.pursuit.evaders.evasion import PureEvasion, Strategy, away
+from desim.pursuit.evaders.observation import EvaderObservation
+from desim.pursuit.motion.capture import RadialTime
+from desim.pursuit.motion.dead_reckoning import EvaderTrack, MotionState
+from desim.pursuit.motion.dynamics import Courses, Dynamics, capture_times_with
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.flow_capture import capture_times_in_flow
+from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
+
+
+class EvaderController:
+    """The perception and the decisions of one evader in one run.
+
+    Args:
+        strategy: the evasion strategy, which chooses the heading.
+        rng: random stream of the evader's decisions, used by nothing else.
+        speed: speed of the evader, m/s.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: capture radius, m.
+        sensing_range: range up to which the evader senses pursuers, m.
+        reaction_delay: delay, s, with which the evader perceives the positions and actions of pursuers.
+        motion_interval: time, s, between two looks from which the evader infers who chases; 0: it knows.
+        motion_error: standard deviation, m, of each coordinate of the positions at these looks.
+    """
+
+    def __init__(
+        self,
+        strategy: Strategy,
+        rng: np.random.Generator,
+        *,
+        speed: float,
+        speeds: Floats,
+        radius: float,
+        sensing_range: float = inf,
+        reaction_delay: float = 0.0,
+        motion_interval: float = 0.0,
+        motion_error: float = 0.0,
+    ):
+        self._strategy, self._rng = strategy, rng
+        self._speed, self._speeds, self._radius, self._sensing_range = speed, speeds, radius, sensing_range
+        self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
+        period = nanoseconds(motion_interval)
+        self._inference = InferredActivity(period, motion_error, speeds, rng.spawn(1)[0]) if period else None
+        flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
+        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None
+        self._heading = 0j
+        self._since: int | None = None
+
+    def heading(self, state: State, handover: bool = False) -> complex:
+        """Return the heading of the evader, of length at most 1; calls must be in order of time.
+
+        Args:
+            state: the true state.
+            handover: whether an announcement of a change of action is in flight.
+
+        Raises:
+            ValueError: if the strategy returns no number, or one that is longer than 1 or nan.
+        """
+        if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
+            return away(state)
+        perceived = self._memory(state) if self._memory else state
+        if self._inference is not None:
+            perceived = self._inference(perceived)
+        observation = EvaderObservation(
+            perceived,
+            self._speeds,
+            self._speed,
+            self._radius,
+            self._heading,
+            0.0 if self._since is None else seconds(state.stamp - self._since),
+            handover,
+        )
+        if self._sensing_range < inf:
+            observation = observation.only(observation.distances <= self._sensing_range)
+        heading = self._strategy(observation, self._rng)
+        if type(heading) is not complex and not isinstance(heading, (int, float, complex, np.number)):
+            raise ValueError(f"a heading should be a complex number, got {heading!r} from {self._strategy!r}")
+        if not abs(heading) <= 1.0 + 1e-9:
+            raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
+        self._heading, self._since = complex(heading), state.stamp
+        return heading
+
+
+class DelayedState:
+    """Delayed perception: a call returns the present state, but with the pursuers as they were `delay` (ns) earlier.
+
+    Positions are interpolated linearly between two successive states; the actions are those of the earlier one. The
+    first state also stands for all times before it.
+    """
+
+    def __init__(self, delay: int):
+        self._delay = delay
+        self._seen: deque[State] = deque()
+
+    def __call__(self, state: State) -> State:
+        """Append a state, not earlier than the last, and return the perceived state."""
+        seen, then = self._seen, state.stamp - self._delay
+        seen.append(state)
+        while len(seen) > 1 and seen[1].stamp <= then:
+            seen.popleft()
+        pursuers = seen[0].pursuers
+        if seen[0].stamp < then:
+            share = (then - seen[0].stamp) / (seen[1].stamp - seen[0].stamp)
+            pursuers = pursuers + share * (seen[1].pursuers - pursuers)
+        return State(state.stamp, pursuers, state.evader, seen[0].active)
+
+
+class InferredActivity:
+    """Activity that is inferred from motion: a call returns a state in which those chase that seem to move.
+
+    The pursuers are looked at in intervals. One that seems to have moved, from one look to the next, by more than half
+    of what its speed allows counts as active until the next look. So the evader notices a change after half an interval
+    to one and a half. With errors of deviation s, a pursuer of speed v that stands still counts as active after a look
+    with the probability exp(-(v T / 4 s)^2), where T is the interval: the difference of two positions has the deviation
+    sqrt(2) s per coordinate, and its length is distributed by Rayleigh's law. Before the second look, all count as
+    active.
+
+    Args:
+        interval: T, ns; a look is at the first state that is at least as late.
+        error: s, m.
+        speeds: (N,) the speeds of the pursuers, m/s.
+        rng: the random stream of the errors.
+    """
+
+    def __init__(self, interval: int, error: float, speeds: Floats, rng: np.random.Generator):
+        self._interval, self._error, self._speeds, self._rng = interval, error, speeds, rng
+        self._last: tuple[int, Points] | None = None
+        self._active: NDArray[np.bool_] = np.ones(len(speeds), dtype=bool)
+
+    def __call__(self, state: State) -> State:
+        """Return a state, not earlier than the last, with the inferred activity."""
+        if self._last is None or state.stamp >= self._last[0] + self._interval:
+            self._look(state)
+        return State(state.stamp, state.pursuers, state.evader, self._active)
+
+    def _look(self, state: State) -> None:
+        """Look at the pursuers, and compare their positions with those of the last look."""
+        across, along = self._rng.standard_normal((2, len(self._speeds)))
+        seen = state.pursuers + self._error * (across + 1j * along)
+        if self._last is not None:
+            then, before = self._last
+            self._active = lengths(seen - before) > 0.5 * self._speeds * seconds(state.stamp - then)
+        self._last = state.stamp, seen
+
+
+MAX_SCALAR_SIZE = 16
+"""Up to this number of pursuers, scalar computations are faster than array operations over the team."""
+
+
+class EvaderBody:
+    """An evader in the world: its position and velocity, the capture times of the pursuers, and its capture.
+
+    It is at large until `captured` is set. From then on it stands still, and its `capture_times` are inf.
+
+    Args:
+        number: its number, 1 .. M; a pursuer that chases it has this number as its action.
+        speed: its speed, m/s.
+        controller: its controller, which chooses its heading.
+        path: its path, as pursuers observe it.
+        players: positions and velocities of all players: the N pursuers, then the evaders in order.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: capture radius, m.
+        top_speed: the greatest speed of any pursuer, m/s.
+        dynamics: the dynamics of the pursuers.
+        environment: the medium.
+
+    Attributes:
+        slow: (N,) whether each pursuer is no faster than the evader.
+        is_radial: whether capture times are functions of the distances alone.
+        captured: time of its capture, ns; None while it is at large.
+        player: its index among the players.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        speed: float,
+        controller: EvaderController,
+        path: EvaderTrack,
+        *,
+        players: Kinematics,
+        speeds: Floats,
+        radius: float,
+        top_speed: float,
+        dynamics: Dynamics,
+        environment: Environment,
+    ):
+        self.number, self.speed, self.path = number, speed, path
+        self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
+        self._environment, self.is_radial = environment, dynamics.is_simple and environment.keeps_distances
+        self.player = self._size + number - 1
+        self._controller, self._players = controller, players
+        self._radial_time = RadialTime(speeds, speed, radius)
+        self.slow: list[bool] = self._radial_time.slow.tolist()
+        self._closing_bound = max(top_speed + speed, 1e-9)  # bound on the closing speed, m/s
+        self.captured: int | None = None
+        self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
+        self._safe_until = -1  # no capture is possible up to this time, ns
+        self._state: State | None = None
+        self._state_positions: Points | None = None  # the positions from which _state was computed
+        self._times: tuple[float, ...] | None = None
+
+    @property
+    def position(self) -> complex:
+        """Its present position, m."""
+        return self._players.position(self.player)
+
+    def set_chasers(self, chasers: NDArray[np.bool_]) -> None:
+        """Set the (N,) mask of the pursuers that chase it from now on."""
+        chasers.setflags(write=False)
+        self._chasers, self._state_positions = chasers, None
+
+    def state(self, now: int) -> State:
+        """Return the state of the pursuit of this evader at `now` (ns)."""
+        places = self._players.positions()
+        if self._state is None or places is not self._state_positions:
+            self._state = State(now, places[: self._size], places.item(self.player), self._chasers)
+            self._state_positions, self._times = places, None
+        return self._state
+
+    def capture_times(self, now: int) -> tuple[float, ...]:
+        """Return the capture time, s, of each pursuer at `now` (ns); inf once the evader has been captured."""
+        if self.captured is not None:
+            return (inf,) * self._size
+        state = self.state(now)
+        if self._times is None:
+            self._times = self.capture_times_at(state.evader, state.pursuers, state.distances)
+        return self._times
+
+    def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
+        """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured."""
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
+            times = self.capture_times(now)
+            return [times[pursuer] for pursuer in pursuers]
+        return list(map(self._radial_time.of, pursuers, self._players.distances(self.player, pursuers)))
+
+    def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
+        """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
+
+        Args:
+            place: the assumed position, m.
+            pursuers: (N,) positions of the pursuers, m.
+            distances: (N,) distances to allow for, m: at least the actual ones, if the position is uncertain.
+        """
+        if self.is_radial:
+            return tuple(self._radial_time(distances).tolist())
+        courses = None if self._dynamics.is_simple else self._players.courses(range(self._size))
+        return tuple(self._planar_times(place, pursuers, distances, courses, self._speeds).tolist())
+
+    def capture_time_from(self, pursuer: int, motion: MotionState, place: complex, distance: float) -> float:
+        """Return the capture time, s, of one pursuer with an assumed motion; see `capture_times_at`."""
+        course = motion.course
+        if self.is_radial or (course is None and not self._dynamics.is_simple):
+            return self._radial_time.of(pursuer, distance)
+        courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
+        own = np.array([motion.position]), np.array([distance])
+        return float(self._planar_times(place, *own, courses, self._speeds[pursuer : pursuer + 1])[0])
+
+    def _planar_times(
+        self, place: complex, pursuers: Points, distances: Floats, courses: Courses | None, speeds: Floats
+    ) -> Floats:
+        """Return the (k,) capture times, s, of pursuers with inertia, or in a flow; see `capture_times_at`."""
+        if self._dynamics.is_simple or courses is None:
+            return capture_times_in_flow(
+                self._environment, place, pursuers, distances, speeds, self.speed, self._radius, self._players.now
+            )
+        offsets = place - pursuers
+        stretched = offsets * (distances / np.maximum(lengths(offsets), SMALLEST))
+        return capture_times_with(self._dynamics, stretched, courses, speeds, self.speed, self._radius)
+
+    def choose_velocity(self, state: State, *, handover: bool) -> complex:
+        """Return the velocity, m/s, that the evader chooses in the present state; 0 once it has been captured.
+
+        Args:
+            state: the present state, from the method `state`.
+            handover: whether an announcement of a change of action is in flight.
+        """
+        if self.captured is not None:
+            return 0j
+        return self.speed * self._controller.heading(state, handover)
+
+    def contact(self, now: int, until: int, broken: NDArray[np.bool_], test: CaptureTest) -> tuple[float, int] | None:
+        """Return the first capture that `test` finds up to `until` if no motion changes, or None.
+
+        Args:
+            now: the present, ns.
+            until: end of the interval, ns.
+            broken: (N,) mask of pursuers that are down and capture nothing.
+            test: see `desim.scenario.scenario.Capture`.
+
+        Returns:
+            (time from now to the capture, s; id of the capturer).
+        """
+        if until <= self._safe_until:
+            return None
+        state = self.state(now)
+        gap = state.distances.item(state.nearest) - self._radius
+        # Whatever the velocities, no capture is possible up to this time; the factor 0.999 is a margin for rounding.
+        # The time is in the past if a pursuer is within the radius.
+        self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
+        if until <= self._safe_until:
+            return None
+        return self._players.contact(self.player, state.offsets, broken, self._radius, seconds(until - now), test)

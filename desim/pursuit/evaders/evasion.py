@@ -1,0 +1,270 @@
+"""Evasion strategies: a strategy maps what an evader observes of the pursuit to a heading.
+
+A strategy is an immutable object without memory: the observation contains the previous heading and the time since it
+was chosen. No parameter refers to the motion step, so a strategy needs no change if the step changes.
+"""
+
+from cmath import rect
+from functools import lru_cache
+from math import pi, sqrt
+from typing import Annotated, ClassVar, Literal, Protocol
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from desim.config.arrays import Floats, Points
+from desim.config.choice import OneOf
+from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
+from desim.kernel.core.portable_math import power
+from desim.pursuit.core.state import State, coordinates
+from desim.pursuit.core.traits import StrategyTraits
+from desim.pursuit.evaders.observation import EvaderObservation
+from desim.pursuit.evaders.recorded import RecordedMotion
+from desim.pursuit.motion.capture import intercept_time
+
+
+def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
+    if not bounds[0] < bounds[1]:
+        raise ValueError(f"should be [lower, upper] with lower < upper (got {bounds[0]:g} and {bounds[1]:g})")
+    return bounds
+
+
+class Strategy(Protocol):
+    """An evader's strategy: `strategy(state, rng)` returns a heading, a complex number of length at most 1.
+
+    The velocity is the heading times the speed; with a heading of 0 the evader stands still.
+
+    A strategy that reads `state.handover` has an attribute `listens = True`; see
+    `desim.pursuit.core.traits.StrategyTraits`.
+    """
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex: ...  # noqa: D102
+
+
+class Fleeing(Value):
+    """Base of the strategies that flee from pursuers; without a pursuer to flee from, the evader stands still."""
+
+    flees_from: Literal["all", "active"] = "all"
+    """The pursuers from which it flees. all: all that it senses; active: the sensed pursuers that chase this evader."""
+
+    def fled_from(self, state: EvaderObservation) -> EvaderObservation:
+        """Return an observation restricted to the pursuers from which the evader flees."""
+        return state if self.flees_from == "all" else state.only(state.active)
+
+
+class PureEvasion(Fleeing):
+    """Flee straight from the nearest pursuer (Lee & Bakolas, section "Pure evasion")."""
+
+    kind: Literal["pure_evasion"] = "pure_evasion"
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; 0 if it is at the evader's position."""
+        return away(self.fled_from(state))
+
+
+ROUNDING = 1e-12
+"""A sum of n vectors of length at most 1 counts as 0 if its length is at most n times this value."""
+
+
+class WeightedFlee(Fleeing):
+    """Flee from all pursuers at once, weighted by distance."""
+
+    kind: Literal["weighted_flee"] = "weighted_flee"
+    power: Limit = 2.0
+    """Exponent p of the weights 1 / distance^p; inf: only the nearest counts."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the direction of sum_i xi_i / |xi_i|^(p + 1), where xi_i = x_e - x_i; 0 if the sum or an xi_i is 0."""
+        fled_from = self.fled_from(state)
+        if not away(fled_from):
+            return 0j
+        distances = fled_from.distances
+        weights = power(distances[fled_from.nearest] / distances, self.power)  # at most 1, so that nothing overflows
+        push = complex((fled_from.offsets / distances * weights).sum())
+        return unit(push) if abs(push) > ROUNDING * len(distances) else 0j
+
+
+class MaxMin(Fleeing):
+    """Flee on the straight line that maximises the least intercept time over all pursuers."""
+
+    kind: Literal["max_min"] = "max_min"
+    candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 72
+    """Number of candidate headings, evenly spaced and including that of pure evasion."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the candidate heading u with the greatest min_i phi_i(u).
+
+        phi_i(u) is the least time in which pursuer i can intercept an evader that keeps the heading u. Of equally good
+        candidates, the first counter-clockwise from the heading of pure evasion is chosen.
+        """
+        fled_from = self.fled_from(state)
+        straight = away(fled_from)
+        if not straight:
+            return 0j
+        turns = _turns(self.candidates)
+        headings = straight.real * turns + straight.imag * (1j * turns)  # numpy's complex product varies by processor
+        return complex(headings[first_captures(fled_from, headings).argmax()])
+
+
+class Zigzag(Fleeing):
+    """Flee from the nearest pursuer at an angle, to the left for half a period and to the right for the other half."""
+
+    kind: Literal["zigzag"] = "zigzag"
+    period: Period = 2.0
+    """Period of the zigzag, one half to the left and one to the right, s; the first begins at time 0."""
+    amplitude: Annotated[float, Field(ge=0, le=pi, strict=True)] = 0.7
+    """Angle from the heading of pure evasion, rad."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the heading of pure evasion, rotated by the amplitude to the left or right."""
+        halves = 2 * state.stamp // round(self.period * 1e9)  # ns
+        return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
+
+
+class VoronoiVertex(Fleeing):
+    """Go to the farthest point of an arena that the evader would reach before any pursuer if all had equal speeds.
+
+    This point is a vertex of the Voronoi cell of the evader. On the way another vertex may become the farthest; the
+    hysteresis delays the turn to it. An evader outside the arena goes to the nearest point of the arena.
+    """
+
+    kind: Literal["voronoi_vertex"] = "voronoi_vertex"
+    arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_with_area)]
+    """Lower and upper bound of both coordinates of the arena, m."""
+    hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
+    """Share by which another vertex must be farther than the vertex ahead, the one closest to the present heading,
+    before the evader turns to the farther one."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the heading to the farthest vertex, or to the vertex ahead if it is almost as far."""
+        fled_from = self.fled_from(state)
+        if not len(fled_from.pursuers):
+            return 0j
+        x, y = (min(max(each, self.arena[0]), self.arena[1]) for each in (state.evader.real, state.evader.imag))
+        if complex(x, y) != state.evader:
+            return unit(complex(x, y) - state.evader)
+        vertices = voronoi_cell(fled_from, self.arena)
+        goal = max(vertices, key=abs)
+        ahead = max(vertices, key=lambda vertex: (unit(vertex) * state.heading.conjugate()).real)
+        near_enough = state.heading and abs(goal) <= (1.0 + self.hysteresis) * abs(ahead)
+        return unit(ahead if near_enough else goal)
+
+
+class Diffusion(Value):
+    """Move randomly, independently of the pursuers: the initial angle is uniform, and it follows a Brownian motion."""
+
+    turns_at_once: ClassVar[bool] = False
+    kind: Literal["diffusion"] = "diffusion"
+    sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
+    """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t)."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the present heading, rotated by a normal angle of variance sigma^2 times the elapsed time."""
+        if not state.heading:
+            return random_heading(rng)
+        return unit(state.heading * rect(1.0, rng.normal(0.0, self.sigma * sqrt(state.elapsed))))
+
+
+class ConstantHeading(Value):
+    """Move straight, independently of the pursuers."""
+
+    turns_at_once: ClassVar[bool] = False
+    kind: Literal["constant_heading"] = "constant_heading"
+    angle: Annotated[float, Field(ge=-2 * pi, le=2 * pi, strict=True)] | None = None
+    """Angle from the x axis, rad; if absent, a uniform random draw per seed."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the heading at the given angle; without one, the present heading, which is random at first."""
+        return rect(1.0, self.angle) if self.angle is not None else unit(state.heading) or random_heading(rng)
+
+
+class Still(Value):
+    """Stand still."""
+
+    turns_at_once: ClassVar[bool] = False
+    kind: Literal["still"] = "still"
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return 0."""
+        return 0j
+
+
+SIMPLE = (PureEvasion, WeightedFlee, MaxMin, Zigzag, VoronoiVertex, Diffusion, ConstantHeading, Still)
+CALLED_WITH = ("state", "rng")
+
+
+class Listener(Value):
+    """Eavesdrop on the pursuers' radio: follow one strategy during a handover, and another otherwise.
+
+    A handover lasts while an announcement of a change of action is in flight. Each strategy continues from the heading
+    of the other.
+    """
+
+    listens: ClassVar[bool] = True
+    kind: Literal["listener"] = "listener"
+    during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = PureEvasion()
+    """The strategy during a handover."""
+    normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = Still()
+    """The strategy at all other times."""
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the heading of `during_handover` during a handover, else that of `normally`."""
+        return (self.during_handover if state.handover else self.normally)(state, rng)
+
+
+STRATEGIES = OneOf(*SIMPLE, RecordedMotion, Listener, takes=CALLED_WITH, traits=StrategyTraits)
+"""The strategies of an evader."""
+
+
+def unit(vector: complex) -> complex:
+    """Return the direction of a vector; 0 if it is 0."""
+    return vector / abs(vector) if vector else 0j
+
+
+def random_heading(rng: np.random.Generator) -> complex:
+    """Return a heading in a uniformly distributed random direction."""
+    return rect(1.0, rng.uniform(0.0, 2.0 * pi))
+
+
+@lru_cache(maxsize=256)
+def _turns(count: int) -> Points:
+    """Return (count,) evenly spaced unit vectors, counter-clockwise from the x axis."""
+    return np.array([rect(1.0, 2.0 * pi * k / count) for k in range(count)])
+
+
+def away(state: State) -> complex:
+    """Return the heading straight away from the nearest pursuer; 0 at distance 0 or without pursuers."""
+    return unit(complex(state.offsets[state.nearest])) if state.nearest >= 0 else 0j
+
+
+def first_captures(state: EvaderObservation, headings: Points) -> Floats:
+    """Return for each of (K,) constant headings the least intercept time, s, over all pursuers; (K,)."""
+    evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
+    velocities = state.speed * coordinates(headings)
+    times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
+    return times
+
+
+def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
+    """Return the vertices, m, of the evader's Voronoi cell in an arena, relative to the evader."""
+    (low, high), evader = arena, state.evader
+    cell = [complex(x, y) - evader for x, y in ((low, low), (high, low), (high, high), (low, high))]
+    for pursuer in state.distances.argsort():
+        middle = complex(state.offsets[pursuer]) / -2.0
+        if abs(middle) >= max(map(abs, cell)):
+            break  # neither this pursuer nor a farther one cuts the cell
+        cell = _clipped(cell, middle)
+    return cell
+
+
+def _clipped(polygon: list[complex], middle: complex) -> list[complex]:
+    """Return the part of a convex polygon that is nearer to the origin than to the point `2 * middle`."""
+    beyond = [((z - middle) * middle.conjugate()).real for z in polygon]
+    kept = []
+    for k, z in enumerate(polygon):
+        if (beyond[k - 1] > 0.0) != (beyond[k] > 0.0):
+            share = beyond[k - 1] / (beyond[k - 1] - beyond[k])
+            kept.append(polygon[k - 1] + share * (z - polygon[k - 1]))
+        if beyond[k] <= 0.0:
+            kept.append(z)
+    return kept

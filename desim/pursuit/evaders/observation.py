@@ -1,0 +1,57 @@
+"""The observation that an evader has of the pursuit, from which its strategy chooses a heading."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.arrays import Floats
+from desim.pursuit.core.state import State
+
+
+class EvaderObservation(State):
+    """The observation of an evader: the perceived state of the pursuit, and the evader's parameters and heading.
+
+    Unobserved pursuers are left out of all arrays. The others keep their order, but an index is not a pursuer id.
+
+    Attributes:
+        speeds: (N,) speeds of the pursuers, m/s.
+        speed: speed of the evader, m/s.
+        radius: capture radius, m.
+        heading: present heading of the evader, of length at most 1; 0 at the start and while it stands still.
+        elapsed: time since the evader chose this heading, s; 0 at the start.
+        handover: whether an announcement of a change of action is in flight; always False unless a strategy in the run
+            overhears the radio (its attribute `listens`).
+    """
+
+    def __init__(
+        self,
+        state: State,
+        speeds: Floats,
+        speed: float,
+        radius: float,
+        heading: complex = 0j,
+        elapsed: float = 0.0,
+        handover: bool = False,
+    ):
+        self.__dict__.update(state.__dict__)  # shares the arrays of `state`
+        for array in (self.offsets, self.distances):
+            array.setflags(write=False)
+        self.speeds = speeds
+        self.speed = speed
+        self.radius = radius
+        self.heading = heading
+        self.elapsed = elapsed
+        self.handover = handover
+
+    def only(self, who: NDArray[np.bool_]) -> "EvaderObservation":
+        """Return this observation restricted to the pursuers in an (N,) mask."""
+        if who.all():
+            return self
+        return EvaderObservation(
+            State(self.stamp, self.pursuers[who], self.evader, self.active[who]),
+            self.speeds[who],
+            self.speed,
+            self.radius,
+            self.heading,
+            self.elapsed,
+            self.handover,
+        )

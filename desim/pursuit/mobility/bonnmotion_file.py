@@ -1,0 +1,114 @@
+"""Mobility files of BonnMotion.
+
+A file of BonnMotion (Aschenbruck et al. 2010, "BonnMotion: A Mobility Scenario Generation and Analysis Tool") has one
+line for each node. The node is at (x1, y1) at time t1, and moves straight and at constant speed from each position to
+the next; a pause is a repeated position. Lines that begin with `#` are comments.
+
+    t1 x1 y1 t2 x2 y2 ...
+
+With heights, each waypoint has four numbers, t x y z. BonnMotion then writes `#3D` in the first line. INET, which reads
+such files, does not need it.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+from desim.config.number_files import number_of
+from desim.kernel.measured.measurements import start_of, time_of
+from desim.pursuit.mobility.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
+
+Dimensions = Literal[2, 3]
+"""The coordinates of each waypoint of BonnMotion."""
+MARKER_3D = re.compile(r"#\s*3D\b", re.IGNORECASE)
+"""Matches the first line of a file of BonnMotion with heights."""
+
+
+class BonnMotionFile(MobilityFile):
+    """A file of BonnMotion: a node is a line that is no comment."""
+
+    def __init__(self, file: Path, lines: Sequence[str], dimensions: Dimensions | None):
+        self._rows = [
+            (number, row) for number, line in enumerate(lines, 1) if (row := line.split()) and row[0][0] != "#"
+        ]
+        super().__init__(file, range(len(self._rows)))
+        self._is_marked = bool(MARKER_3D.match(lines[0])) if lines else False
+        if self._is_marked and dimensions == 2:
+            raise ValueError(f"{file}, line 1: {lines[0].strip()} says that dimensions should be 3")
+        self._width = dimensions + 1 if dimensions is not None else self._likely_width()
+
+    def _likely_width(self) -> int:
+        """Return the numbers of a waypoint, 3 or 4; raise ValueError if both are possible."""
+        if self._is_marked:
+            return 4
+        if uneven := [(line, len(row)) for line, row in self._rows if len(row) % 3]:
+            if not any(len(row) % 4 for _, row in self._rows):
+                line, count = uneven[0]
+                raise ValueError(f"{self.file}, line {line}: {SHOULD_BE_TRIPLES}; there are {count}{SET_3}")
+            return 3
+        if any(len(row) % 4 for _, row in self._rows) or not self._rows:
+            return 3
+        likely = [width for width in (3, 4) if all(_increase(row[::width]) for _, row in self._rows)]
+        if len(likely) > 1:
+            raise ValueError(
+                f"{self.file} can be read with two and with three coordinates for each waypoint: set dimensions = 2"
+                " (t x y) or dimensions = 3 (t x y z)"
+            )
+        return likely[0] if likely else 3
+
+    def _track(self, node: NodeName) -> Track:
+        line, row = self._rows[int(node)]
+        place, width = f"{self.file}, line {line}", self._width
+        if len(row) % width:
+            form = SHOULD_BE_TRIPLES if width == 3 else "should be t1 x1 y1 z1 t2 ..., four numbers each"
+            raise ValueError(f"{place}: {form}; there are {len(row)}{SET_3 if width == 3 and not len(row) % 4 else ''}")
+        start = start_of(_first_times(self._rows))
+        is_high, waypoints = False, list[Waypoint]()
+        for k in range(0, len(row), width):
+            t, x, y = time(row[k], place, start), coordinate(row[k + 1], place), coordinate(row[k + 2], place)
+            if width == 4:
+                is_high |= coordinate(row[k + 3], place) != 0.0
+            append(waypoints, Waypoint(t, x, y, line), place)
+        if len(waypoints) == 1 and _is_table_without_header([row for _, row in self._rows], width):
+            raise ValueError(
+                f"{self.file}: each line has one waypoint, at a time of its own: the first line of a table should name"
+                " its columns, t, x and y"
+            )
+        return Track(waypoints, is_high)
+
+
+SHOULD_BE_TRIPLES = "should be t1 x1 y1 t2 x2 y2 ..., three numbers each"
+SET_3 = "; 4 numbers per waypoint? Then set dimensions = 3"
+
+
+def _first_times(rows: Iterable[tuple[int, Sequence[str]]]) -> Iterator[Decimal]:
+    """Yield the first time of each row that begins with a valid one."""
+    for _, row in rows:
+        try:
+            yield time_of(row[0])
+        except ValueError:
+            continue
+
+
+def _increase(times: Sequence[str]) -> bool:
+    """Return whether texts may be the times of waypoints, of which some may be repeated."""
+    try:
+        numbers = list(map(number_of, times))
+    except ValueError:
+        return True  # which says nothing about the number of coordinates
+    return (
+        numbers[0] >= 0.0
+        and all(before <= after for before, after in pairwise(numbers))
+        and (len(numbers) == 1 or numbers[0] < numbers[-1])
+    )
+
+
+def _is_table_without_header(rows: Sequence[Sequence[str]], width: int) -> bool:
+    """Return whether the lines look like a table of the waypoints of one node: their times differ and increase."""
+    if len(rows) < 3 or any(len(row) != width for row in rows):
+        return False
+    times = list(_first_times(enumerate(rows)))
+    return len(times) == len(rows) and all(before < after for before, after in pairwise(times))

@@ -1,0 +1,128 @@
+"""The recorded motion of nodes, as a mobility file of any format describes it; see `mobility_file`."""
+
+from collections.abc import Iterable
+from decimal import Decimal
+from pathlib import Path
+from typing import NamedTuple
+
+from desim.config.model import MAX_COORDINATE, MAX_TIME
+from desim.config.number_files import number_of
+from desim.config.suggestion import did_you_mean
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.measured.measurements import LIKE_NUMBER, time_of
+
+MAX_NAMES = 10
+"""Maximum number of nodes listed in an error message."""
+NodeName = int | str
+"""The number or the name of a node in a file."""
+
+
+class Waypoint(NamedTuple):
+    """A position that a node has at a time."""
+
+    t: float
+    """s"""
+    x: float
+    """m"""
+    y: float
+    """m"""
+    line: int
+    """The line of the file that it is from."""
+
+
+class Track(NamedTuple):
+    """The recorded motion of one node."""
+
+    waypoints: list[Waypoint]
+    """The waypoints; their times increase."""
+    has_heights: bool
+    """Whether the file says that the node is not at height 0."""
+
+
+class MobilityFile:
+    """The nodes of a mobility file.
+
+    Args:
+        file: the path.
+        nodes: the nodes in the order of the file, ascending if they are numbers.
+    """
+
+    def __init__(self, file: Path, nodes: Iterable[NodeName]):
+        self.file = file
+        self.nodes = tuple(nodes)
+
+    def track(self, node: NodeName) -> Track:
+        """Return the motion of a node: one of `nodes` or, if these are names, also the index of a name.
+
+        Raises:
+            ValueError: if there is no such node, or a line about the node is not valid; the message names the file and
+                the line.
+        """
+        names = [name for name in self.nodes if isinstance(name, str)]
+        if isinstance(node, int) and node < len(names):
+            if len(names) > 1 and any(map(LIKE_NUMBER.fullmatch, names)):
+                shown = ", ".join(repr(name) for name in names[:MAX_NAMES])
+                raise ValueError(f"{self.file}: node {node} is not clear, because names look like numbers: {shown}")
+            node = names[node]
+        if node not in self.nodes:
+            raise ValueError(self._lacks(node))
+        return self._track(node)
+
+    def _track(self, node: NodeName) -> Track:
+        raise NotImplementedError
+
+    def _lacks(self, node: NodeName) -> str:
+        names, count = list(map(str, self.nodes)), len(self.nodes)
+        hint = did_you_mean(node, names) if isinstance(node, str) else ""
+        if self.nodes == tuple(range(count)) and count > 1:
+            which = f"nodes 0 to {count - 1}"
+        else:
+            which = (
+                f"node{'s' if count > 1 else ''} {', '.join(names[:MAX_NAMES])}{', ...' if count > MAX_NAMES else ''}"
+            )
+        return f"{self.file} has no node {node}{hint}: it has {which if names else 'no nodes'}"
+
+
+def append(waypoints: list[Waypoint], new: Waypoint, place: str) -> None:
+    """Append a waypoint, unless it repeats the last one; raise ValueError if its time is not later."""
+    if waypoints and nanoseconds(new.t) <= nanoseconds(waypoints[-1].t):
+        if new[:3] == waypoints[-1][:3]:
+            return
+        raise ValueError(f"{place}: the times of a node should increase; after {waypoints[-1].t:g} s comes {new.t:g} s")
+    waypoints.append(new)
+
+
+def time(text: str, place: str, start: Decimal = Decimal(0)) -> float:
+    """Return the time of the simulation, s, that a text says; `start` is that of its beginning.
+
+    Raises:
+        ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.
+    """
+    try:
+        found = float(time_of(text) - start)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
+    return _within(found, text, place, "a time", 0.0, MAX_TIME, "s")
+
+
+def coordinate(text: str, place: str) -> float:
+    """Return a coordinate, m; raise ValueError if the text is none."""
+    return _within(_number(text, place), text, place, "a coordinate", -MAX_COORDINATE, MAX_COORDINATE, "m")
+
+
+def speed(text: str, place: str) -> float:
+    """Return a speed, m/s; raise ValueError if the text is none."""
+    return _within(_number(text, place), text, place, "a speed", 0.0, MAX_COORDINATE, "m/s")
+
+
+def _number(text: str, place: str) -> float:
+    try:
+        return number_of(text)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
+
+
+def _within(number: float, text: str, place: str, what: str, low: float, high: float, unit: str) -> float:
+    if not low <= number <= high:
+        raise ValueError(f"{place}: {what} should be from {low:g} to {high:g} {unit} (got {text})")
+    return number

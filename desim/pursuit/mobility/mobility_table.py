@@ -1,0 +1,146 @@
+"""Mobility files that are tables: a header, which names at least the columns t, x and y, and a waypoint in each row.
+
+t,node,x,y
+0.0,uav1,10.0,20.0
+2.5,uav1,12.0,20.0
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from desim.config.number_files import COMMAS
+from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
+from desim.kernel.measured.measurements import start_of, time_of
+from desim.pursuit.mobility.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
+
+COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "t": ("t", "time", "timestamp", "t_s", "time_s", "sec", "seconds", "date", "datetime"),
+    "x": ("x", "x_m", "pos_x", "posx", "position_x", "east", "easting"),
+    "y": ("y", "y_m", "pos_y", "posy", "position_y", "north", "northing"),
+    "z": ("z", "z_m", "pos_z", "posz", "position_z", "height", "altitude", "alt"),
+    "node": ("node", "name", "node_id", "nodeid", "id", "vehicle", "vehicle_id", "agent", "robot", "uav"),
+}
+"""The names that a column of a table may have, in lower case; the first that a table has is read."""
+DEGREES = {"lat", "latitude", "lon", "lng", "long", "longitude"}
+UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
+HEADER_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
+"""Matches the name of a column and its unit, for example `x [m]`."""
+
+
+class Header(NamedTuple):
+    """The cells of a header, in lower case without units, and the units."""
+
+    names: list[str]
+    units: list[str | None]
+
+
+def header_of(lines: Sequence[str]) -> tuple[int, str, Header] | None:
+    """Return the line of a header, from 0, the delimiter of its table ("": white space), and the header.
+
+    A header may be a comment, as numpy writes it. Return None if the first line is no header.
+    """
+    for number, line in enumerate(lines):
+        text = line.strip()
+        if not text:
+            continue
+        is_comment = text.startswith("#")
+        text = text.lstrip("#").strip()
+        delimiter = separator_in(text)
+        header = _header(text.split(delimiter) if delimiter else text.split())
+        known = {name for names in COLUMNS.values() for name in names} | DEGREES
+        if len(known & set(header.names)) >= (3 if is_comment else 2):
+            return number, delimiter, header
+        if not is_comment:
+            is_bonnmotion = len(text.split()) > 2 and all(map(COMMAS.fullmatch, text.split()))  # refused there
+            return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
+    return None
+
+
+def _header(cells: Sequence[str]) -> Header:
+    parts = [HEADER_CELL.fullmatch(cell.strip().strip('"')) for cell in cells]
+    return Header([part[1].lower() if part else "" for part in parts], [part[2] if part else None for part in parts])
+
+
+class MobilityTable(MobilityFile):
+    """A table with a waypoint in each row."""
+
+    def __init__(self, file: Path, lines: Sequence[str], first: int, delimiter: str, header: Header):
+        self._file = file
+        columns = {key: self._column(header, key) for key in COLUMNS}
+        if missing := [key for key in ("t", "x", "y") if columns[key] is None]:
+            if DEGREES & set(header.names):
+                raise ValueError(f"{file} has positions in degrees; project them to m, as columns x and y")
+            raise ValueError(
+                f"{file}, line {first + 1}: has no column {missing[0]}; the first line should name the columns, t, x"
+                f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
+            )
+        self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
+        used = [column for column in columns.values() if column is not None]
+        rows = _cells(file, lines, first, delimiter)
+        if delimiter in {";", "\t"}:
+            rows = with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(file))
+        for line, cells in rows:
+            if len(cells) != len(header.names):
+                raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {len(header.names)}")
+            node = "0" if columns["node"] is None else cells[columns["node"]].strip()
+            self._rows.setdefault(node, []).append((line, cells))
+        if not self._rows:
+            raise ValueError(f"{file} has no rows below its header")
+        super().__init__(file, sorted(map(int, self._rows)) if all(map(_is_number, self._rows)) else self._rows)
+        if len(self._rows) > 2 and all(len(rows) == 1 for rows in self._rows.values()):
+            times = [self._time(rows[0]) for rows in self._rows.values()]
+            if all(before < after for before, after in pairwise(times)):
+                name = header.names[columns["node"] or 0]
+                raise ValueError(f"{file}: column {name!r} is different in each row, so it does not name the nodes")
+
+    def _column(self, header: Header, key: str) -> int | None:
+        """Return the index of a column; None if the table lacks it."""
+        for name in COLUMNS[key]:
+            if header.names.count(name) > 1:
+                raise ValueError(f"{self._file} has several columns {name!r}")
+            if name in header.names:
+                index = header.names.index(name)
+                unit, right = header.units[index], UNITS.get(key)
+                if unit and right and unit != right:
+                    hint = "; name it without its unit, and set scale" if right == "m" else ""
+                    raise ValueError(f"{self._file}: column {name!r} is in {unit}, and should be in {right}{hint}")
+                return index
+        return None
+
+    def _time(self, row: tuple[int, list[str]]) -> Decimal:
+        line, cells = row
+        try:
+            return time_of(cells[self._columns["t"] or 0])
+        except ValueError as error:
+            raise ValueError(f"{self._file}, line {line}: {error}") from error
+
+    def _track(self, node: NodeName) -> Track:
+        start = start_of(self._time(row) for rows in self._rows.values() for row in rows)
+        t, x, y = (self._columns[key] or 0 for key in "txy")
+        z = self._columns["z"]
+        waypoints, is_high = list[Waypoint](), False
+        for line, cells in self._rows[str(node)]:
+            place = f"{self.file}, line {line}"
+            new = Waypoint(time(cells[t], place, start), coordinate(cells[x], place), coordinate(cells[y], place), line)
+            is_high |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
+            append(waypoints, new, place)
+        return Track(waypoints, is_high)
+
+
+def _is_number(name: str) -> bool:
+    return name.isascii() and name.isdecimal() and name == str(int(name))
+
+
+def _cells(file: Path, lines: Sequence[str], first: int, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row below the header."""
+    below = lines[first + 1 :]
+    if delimiter:  # the lines above are left blank, so that each row is on its line
+        yield from rows_of("\n" * (first + 1) + "\n".join(below), str(file), delimiter)
+        return
+    for line, text in enumerate(below, first + 2):
+        if (row := text.split()) and not row[0].startswith("#"):
+            yield line, row

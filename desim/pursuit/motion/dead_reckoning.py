@@ -1,0 +1,127 @@
+"""Dead reckoning: computing where a pursuer is now from a known earlier position, if it has chased an evader since.
+
+During a motion step, all pursuers observe the same motion of the evader: a straight line from its position at the start
+of the step. Guidance depends only on this motion and on the position and speed of the pursuer that chases. A pursuer
+that has observed the evader can therefore retrace the path of a teammate.
+
+This is exact for simple motion. A teammate with inertia follows, up to the end of the motion step, the command that it
+was given at the start of the step or as its action changed. From an announcement at any other instant, the command is
+computed anew, which is a small error.
+"""
+
+from bisect import bisect_left, bisect_right
+from operator import itemgetter
+from typing import NamedTuple
+
+from desim.kernel.core.units import seconds
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.motion.dynamics import Course, Dynamics
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.guidance import Guidance, guided_velocity
+
+MAX_RETRACINGS = 10_000
+"""Maximum number of retraced paths in the cache."""
+
+
+class TrackSegment(NamedTuple):
+    """The evader as pursuers observe it during one motion step."""
+
+    begun: int
+    """Start of the step, ns."""
+    evader: complex
+    """Position of the evader at the start of the step, m."""
+    aim: complex
+    """The point that pursuers aim at, m."""
+    velocity: complex
+    """The observed velocity of the evader, m/s."""
+    end: int
+    """End of the step, ns."""
+
+    def at(self, t: int) -> complex:
+        """Return the observed position, m, of the evader at an instant, ns."""
+        return self.evader + self.velocity * seconds(t - self.begun)
+
+
+class MotionState(NamedTuple):
+    """The position and the course of a pursuer at one instant."""
+
+    position: complex
+    """m"""
+    course: Course | None = None
+    """None: unknown; the motion of the pursuer is then assumed to be simple."""
+
+
+class EvaderTrack:
+    """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
+
+    Calls of `see` must be in order of time, and so must calls of `retrace` for the same chase (see there).
+
+    Args:
+        law: the guidance law of the pursuers.
+        dynamics: the dynamics of the pursuers.
+        environment: the medium.
+        radius: capture radius, m.
+        remembers: whether paths can be retraced.
+
+    Attributes:
+        last: the present step.
+    """
+
+    last: TrackSegment
+
+    def __init__(
+        self, law: Guidance, dynamics: Dynamics, environment: Environment, radius: float, *, remembers: bool = True
+    ):
+        self._law, self._dynamics, self._remembers, self._environment = law, dynamics, remembers, environment
+        self._radius = radius
+        self._segments: list[TrackSegment] = []
+        self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
+
+    def see(self, t: int, evader: complex, aim: complex, velocity: complex, end: int) -> None:
+        """Append a motion step at its start; the arguments are those of `TrackSegment`."""
+        self.last = TrackSegment(t, evader, aim, velocity, end)
+        if self._remembers:
+            self._segments.append(self.last)
+
+    def retrace(self, start: MotionState, speed: float, since: int, now: int) -> MotionState:
+        """Return the motion at time `now` of a pursuer that began to chase from `start` at time `since`.
+
+        Times are in ns. The first three arguments identify a chase. For each chase, the motion at the start of the last
+        retraced motion step is cached, so the cost is O(motion steps since the previous call). A `since` before time 0
+        counts as 0, because nothing moves before time 0.
+        """
+        assert self._remembers
+        known = (start, speed, since)
+        began, origin = t, motion = self._retracings.pop(known, (max(since, 0), start))
+        first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
+        last = bisect_left(self._segments, now, key=itemgetter(0))  # `now` is in the past if the chase has ended
+        ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
+        for segment, end in zip(self._segments[first:], ends, strict=False):  # at time 0 there may be no segment yet
+            began, origin = t, motion
+            motion = self._chase(motion, segment, speed, t, end)
+            t = end
+        self._retracings[known] = (began, origin)
+        if len(self._retracings) > MAX_RETRACINGS:
+            del self._retracings[next(iter(self._retracings))]  # the least recently used
+        return motion
+
+    def _chase(self, motion: MotionState, segment: TrackSegment, speed: float, begin: int, end: int) -> MotionState:
+        """Return the motion at the end of an interval (ns) within a motion step."""
+        place, course = motion
+        step, duration = seconds(segment.end - begin), seconds(end - begin)
+        wind = self._environment.drift(place, 0j, begin, step)
+        gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
+        command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
+        if course is not None:
+            command = self._dynamics.steered(command, course, aim, self._radius)
+        drift = self._environment.drift(place, command, begin, step)
+        if course is None:
+            return MotionState(place + (command + drift) * duration)
+        piece = self._dynamics(place, course, command)._replace(drift=drift)
+        return MotionState(piece.at(duration), piece.course_at(duration))
+
+
+def moved_towards(position: complex, evader: complex, length: float) -> complex:
+    """Return the position, m, after moving a length (m) straight towards the evader, at most up to the evader."""
+    gap = evader - position
+    return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -1,0 +1,329 @@
+"""Dynamics: the motion of a player that has been commanded a velocity.
+
+A player with simple motion takes any commanded velocity at once. Robots with inertia need time to change their
+velocity: their acceleration or their turn rate is limited. In each case the motion is known in closed form, a curve and
+then a straight line. It is a `Piece`.
+"""
+
+from cmath import phase, rect
+from math import pi, sin
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Floats, Points
+from desim.config.choice import OneOf
+from desim.config.model import Value
+from desim.config.traits import Follows, Traits, is_ours, name_of
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.capture import RadialTime, accelerated_capture_times
+from desim.pursuit.motion.turning import turning_capture_times
+
+
+class Course(NamedTuple):
+    """The velocity and the heading of a player; a player that stands still also has a heading."""
+
+    velocity: complex = 0j
+    """m/s"""
+    heading: complex = 1.0 + 0j
+    """of length 1"""
+
+
+class Piece(NamedTuple):
+    """A piece of motion between two commands: a curve, and then a straight line at the velocity at its end.
+
+    The curve is a parabola, of constant acceleration, or an arc of a circle, of constant turn rate.
+    """
+
+    position: complex
+    """Position at the start, m."""
+    course: Course
+    """Course at the start."""
+    curved: float = 0.0
+    """Duration of the curve, s."""
+    acceleration: complex = 0j
+    """Acceleration in the curve, m/s^2."""
+    turn_rate: float = 0.0
+    """Turn rate in the curve, rad/s, positive to the left."""
+    drift: complex = 0j
+    """Velocity of the flow, m/s; the course is relative to it."""
+
+    def at(self, t: float) -> complex:
+        """Return the position, m, at a time t >= 0 after the start, s."""
+        bent = min(t, self.curved)
+        velocity = self.course.velocity
+        if self.turn_rate:
+            angle = self.turn_rate * bent
+            place = self.position + velocity * rect(2.0 * sin(angle / 2.0) / self.turn_rate, angle / 2.0)
+        else:
+            place = self.position + velocity * bent + self.acceleration * (0.5 * bent * bent)
+        if t > bent:
+            place += self.course_at(bent).velocity * (t - bent)
+        return place + self.drift * t
+
+    def course_at(self, t: float) -> Course:
+        """Return the course at a time t >= 0 after the start, s."""
+        bent = min(t, self.curved)
+        velocity, heading = self.course
+        if self.turn_rate:
+            turned = rect(1.0, self.turn_rate * bent)
+            return Course(velocity * turned, heading * turned)
+        velocity = velocity + self.acceleration * bent
+        return Course(velocity, velocity / abs(velocity) if velocity else heading)
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity over ground, m/s, at a time t >= 0 after the start, s."""
+        return self.course_at(t).velocity + self.drift
+
+    @property
+    def curvature(self) -> float:
+        """The magnitude of the acceleration in the curve, m/s^2."""
+        return abs(self.turn_rate * self.course.velocity) + abs(self.acceleration)
+
+
+class Dynamics(Protocol):
+    """The dynamics of a player: how it follows commanded velocities."""
+
+    is_simple: ClassVar[bool]
+    """Whether a commanded velocity is taken at once."""
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return the motion from a position (m) and a course on, if a velocity (m/s) is commanded."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return the initial headings, of length 1, of several players."""
+
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command, m/s, that a pursuer follows if its guidance commands another one.
+
+        Args:
+            command: the velocity that the guidance commands, m/s.
+            course: its course.
+            aim: the vector from the pursuer to the point at which it aims, m.
+            radius: capture radius, m.
+        """
+
+    def capture_times(
+        self, offsets: Points, courses: "Courses", speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s, of pursuers with these dynamics for an evader that flees straight.
+
+        The evader flees at its full speed in the direction of `offsets`.
+
+        Args:
+            offsets: (k,) vectors from each pursuer to the evader, m.
+            courses: the courses of the k pursuers.
+            speeds: (k,) speeds of the pursuers while they chase, m/s.
+            evader_speed: speed of the evader, m/s.
+            radius: capture radius, m.
+        """
+
+
+def coasts(dynamics: Dynamics) -> bool:
+    """Return whether a moving player that is commanded to stand still goes on moving, for instance brakes."""
+    return dynamics(0j, Course(1.0 + 0j), 0j).at(1.0) != 0j
+
+
+@runtime_checkable
+class Limited(Protocol):
+    """Dynamics with a limit that a watcher can compare with positions (`desim.testing.pursuits`)."""
+
+    @property
+    def limits(self) -> Literal["acceleration", "turn rate"]:
+        """What is limited: the acceleration, or the turn rate."""
+        ...
+
+    @property
+    def limit(self) -> float:
+        """The limit, m/s^2 or rad/s."""
+        ...
+
+
+class Courses(NamedTuple):
+    """The courses of several players."""
+
+    velocities: Points
+    """(k,) m/s"""
+    headings: Points
+    """(k,) of length 1"""
+
+
+class _WithoutHeading(Value):
+    """Common part of dynamics for which the heading has no effect."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return equal headings."""
+        return [1.0 + 0j] * count
+
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command of the guidance."""
+        return command
+
+
+class Simple(_WithoutHeading):
+    """Take each commanded velocity at once (Lee & Bakolas: simple motion, x' = u)."""
+
+    is_simple: ClassVar[bool] = True
+    kind: Literal["simple"] = "simple"
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return a straight line."""
+        return Piece(position, Course(command, command / abs(command) if command else course.heading))
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return RadialTime(speeds, evader_speed, radius)(lengths(offsets))
+
+
+class Acceleration(_WithoutHeading):
+    """Change the velocity with an acceleration of limited magnitude: x'' = a, |a| <= limit and |x'| <= v.
+
+    A player begins at rest. The acceleration has the limit as its magnitude and the direction of the missing velocity,
+    until the velocity is the commanded one. A player that is to stand still brakes.
+
+    A pursuer assumes that it and the evader move along the line of sight. The time of its capture is the root of the
+    parabola, or of the line that follows it: see `desim.pursuit.motion.capture.accelerated_capture_times`.
+    """
+
+    is_simple: ClassVar[bool] = False
+    limits: ClassVar[Literal["acceleration"]] = "acceleration"
+    kind: Literal["acceleration"] = "acceleration"
+    limit: Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False, strict=True)] = 1.0
+    """Greatest acceleration, m/s^2."""
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return a parabola and a line."""
+        missing = command - course.velocity
+        if abs(missing) < SMALLEST:
+            return Piece(position, course)
+        return Piece(position, course, abs(missing) / self.limit, missing / abs(missing) * self.limit)
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return accelerated_capture_times(offsets, courses.velocities, speeds, evader_speed, radius, self.limit)
+
+
+class TurnRate(Value):
+    """Turn at a limited rate, and move forwards only: a unicycle with the least turning radius v / limit.
+
+    A player that is commanded a velocity takes its speed at once, and turns to its direction along the shorter arc. A
+    pursuer whose aim is within its turning circle turns away first.
+    A player that is to stand still stops at once and keeps its heading.
+
+    A pursuer computes its capture time along the shortest path of bounded curvature with a free final heading
+    (Boissonnat & Bui 1994), towards an evader that flees straight along the present line of sight: see
+    `desim.pursuit.motion.turning`. An evader that turns aside in time can escape a pursuer that turns too slowly,
+    however fast it is (Isaacs 1965, the homicidal chauffeur): see `desim.pursuit.motion.turning.least_capture_radius`.
+    """
+
+    is_simple: ClassVar[bool] = False
+    limits: ClassVar[Literal["turn rate"]] = "turn rate"
+    kind: Literal["turn_rate"] = "turn_rate"
+    limit: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)] = 1.0
+    """Greatest turn rate, rad/s."""
+    heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | None = None
+    """Initial heading, rad from the x axis to the left; if absent, a uniform random draw per player and seed."""
+
+    def headings(self, rng: np.random.Generator, count: int) -> list[complex]:
+        """Return the initial headings, of length 1, of several players."""
+        angles = rng.uniform(-pi, pi, count).tolist() if self.heading is None else [self.heading] * count
+        return [rect(1.0, angle) for angle in angles]
+
+    def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
+        """Return the command of the guidance or, while its aim is within the turning circle, one to turn away from it.
+
+        Otherwise the pursuer would circle around its aim. This is the first arc of the shortest path.
+        """
+        speed, ahead = abs(command), aim / course.heading
+        side, turning_radius = 1j if ahead.imag >= 0.0 else -1j, speed / self.limit
+        within = abs(ahead - side * turning_radius) < turning_radius - radius
+        return -side * course.heading * speed if within else command
+
+    def __call__(self, position: complex, course: Course, command: complex) -> Piece:
+        """Return an arc and a line."""
+        speed, heading = abs(command), course.heading
+        if not speed:
+            return Piece(position, Course(0j, heading))
+        angle = phase(command / heading)
+        begun = Course(speed * heading, heading)
+        return Piece(position, begun, abs(angle) / self.limit, turn_rate=self.limit if angle > 0.0 else -self.limit)
+
+    def capture_times(
+        self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+    ) -> Floats:
+        """Return the (k,) capture times, s."""
+        return turning_capture_times(offsets, courses.headings, speeds, evader_speed, radius, self.limit)
+
+
+CALLED_WITH_INERTIA = ("__call__", "steered", "headings", "capture_times")
+"""The methods of dynamics that are called only if `is_simple` is false."""
+
+
+class DynamicsTraits(Traits):
+    """The attribute of dynamics that must agree with their methods."""
+
+    is_simple: Annotated[bool, Follows(*CALLED_WITH_INERTIA)] = False
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Raise ValueError if methods are overridden that are not called, because `is_simple` is inherited."""
+        super().check(value)
+        if "is_simple" in cls.outdated(type(value)) and value.is_simple:
+            methods = [name for name in CALLED_WITH_INERTIA if Follows(name).is_outdated("is_simple", type(value))]
+            raise ValueError(
+                f"{name_of(value)} inherits is_simple = True, so that commanded velocities are taken at once, and its"
+                f" own {', '.join(methods)} would have no effect: it should have is_simple: ClassVar[bool] = False, too"
+            )
+
+
+def capture_times_with(
+    dynamics: Dynamics, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
+) -> Floats:
+    """Return the (k,) capture times, s, with some dynamics; see `Dynamics.capture_times`.
+
+    Raises:
+        ValueError: if those of a user return something else.
+    """
+    times = dynamics.capture_times(offsets, courses, speeds, evader_speed, radius)
+    if is_ours(type(dynamics)):
+        return times
+    array = np.asarray(times)
+    if array.shape != speeds.shape or array.dtype.kind not in "iuf" or np.isnan(array).any():
+        raise ValueError(
+            f"capture_times of dynamics should return a time in s, or inf, for each of {len(speeds)} pursuers, got"
+            f" {times!r} from {dynamics!r}"
+        )
+    return array.astype(float)
+
+
+def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> list[complex]:
+    """Return the initial headings, of length 1, of several players; see `Dynamics.headings`.
+
+    Raises:
+        ValueError: if the dynamics of a user return something else.
+    """
+    headings = dynamics.headings(rng, count)
+    if is_ours(type(dynamics)):
+        return headings
+    array = np.asarray(headings)
+    if array.shape != (count,) or array.dtype.kind not in "iufc" or not np.allclose(np.abs(array), 1.0):
+        raise ValueError(
+            f"headings of dynamics should return a complex number of length 1 for each of {count} players, got"
+            f" {headings!r} from {dynamics!r}"
+        )
+    return array.astype(complex).tolist()  # type: ignore[no-any-return]
+
+
+DYNAMICS = OneOf(
+    *(Simple, Acceleration, TurnRate),
+    needs=("is_simple", "headings", "steered", "capture_times"),
+    takes=("position", "course", "command"),
+    traits=DynamicsTraits,
+)
+"""The kinds of dynamics."""

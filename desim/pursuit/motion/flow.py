@@ -1,0 +1,429 @@
+"""Flow: a moving medium, such as air or water, that carries the players.
+
+A player in the flow moves over ground with the sum of its own velocity and that of the flow. Its speed, its commanded
+velocity and its course are relative to the flow. Points and velocities are complex numbers, as in
+`desim.pursuit.core.state`.
+"""
+
+from bisect import bisect_right
+from functools import cache, cached_property
+from itertools import accumulate, pairwise
+from math import inf, pi, sin
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, cast
+
+import numpy as np
+from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
+
+from desim.config.arrays import Points
+from desim.config.choice import OneOf
+from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
+from desim.config.traits import Follows, Traits, inherits, is_ours
+from desim.config.trust import resolve_path
+from desim.kernel.core import portable_math
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import SECOND
+from desim.kernel.measured.measurements import PER_SECOND, Unit, timed_rows
+
+Component = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
+"""A component of a velocity, m/s."""
+Velocity = tuple[Component, Component]
+CARRIED_STEP = 50_000_000
+"""Longest step, ns, of the integration of the path of a player that the flow carries."""
+
+
+class FlowTraits(Traits):
+    """The optional attributes of a flow, in addition to `__call__`."""
+
+    top_speed: Annotated[float, Field(ge=0), Follows("__call__", "velocity_at")] = inf
+    """Upper bound of its speed everywhere and at all times, m/s."""
+
+
+class Flow(Protocol):
+    """A flow: `flow(places, t)` returns the (k,) velocities, m/s, at (k,) places, m, at a time, s."""
+
+    def __call__(self, places: Points, t: float) -> Points: ...  # noqa: D102
+
+
+class UniformFlow(Value):
+    """Base of the flows that are the same everywhere."""
+
+    def __call__(self, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s."""
+        return np.full(len(places), self.velocity_at(t))
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity at a time, s."""
+        raise NotImplementedError
+
+    def displacement(self, begin: float, end: float) -> complex:
+        """Return the integral of the velocity between two times (s), m."""
+        raise NotImplementedError
+
+    def trend(self, begin: float) -> tuple[complex, float]:
+        """Return a mean velocity, m/s, and an upper bound of the displacement from it after `begin` (s), m."""
+        raise NotImplementedError
+
+    @property
+    def top_speed(self) -> float:
+        """The greatest speed, m/s."""
+        raise NotImplementedError
+
+    @property
+    def top_acceleration(self) -> float:
+        """The greatest rate of change of the velocity, m/s^2."""
+        raise NotImplementedError
+
+
+class NoFlow(UniformFlow):
+    """The medium is at rest."""
+
+    kind: Literal["none"] = "none"
+    top_speed: ClassVar[float] = 0.0
+    top_acceleration: ClassVar[float] = 0.0
+
+    def velocity_at(self, t: float) -> complex:
+        """Return 0."""
+        return 0j
+
+    def displacement(self, begin: float, end: float) -> complex:
+        """Return 0."""
+        return 0j
+
+    def trend(self, begin: float) -> tuple[complex, float]:
+        """Return 0."""
+        return 0j, 0.0
+
+
+class SteadyFlow(UniformFlow):
+    """A flow of constant velocity."""
+
+    kind: Literal["uniform"] = "uniform"
+    velocity: Velocity
+    """Velocity [x, y], m/s."""
+    top_acceleration: ClassVar[float] = 0.0
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity, m/s."""
+        return complex(*self.velocity)
+
+    def displacement(self, begin: float, end: float) -> complex:
+        """Return the displacement between two times, m."""
+        return complex(*self.velocity) * (end - begin)
+
+    def trend(self, begin: float) -> tuple[complex, float]:
+        """Return the velocity, m/s, and 0."""
+        return complex(*self.velocity), 0.0
+
+    @property
+    def top_speed(self) -> float:
+        """The speed, m/s."""
+        return abs(complex(*self.velocity))
+
+
+class HarmonicFlow(UniformFlow):
+    """A flow that oscillates: velocity + amplitude sin(2 pi t / period + phase)."""
+
+    kind: Literal["harmonic"] = "harmonic"
+    velocity: Velocity = (0.0, 0.0)
+    """Mean velocity [x, y], m/s."""
+    amplitude: Velocity
+    """Amplitude [x, y], m/s."""
+    period: Duration
+    """Period, s."""
+    phase: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] = 0.0
+    """Phase at time 0, rad."""
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity at a time (s), m/s."""
+        return complex(*self.velocity) + complex(*self.amplitude) * sin(self._rate * t + self.phase)
+
+    def displacement(self, begin: float, end: float) -> complex:
+        """Return the displacement between two times (s), m."""
+        middle, half = self._rate * (begin + end) / 2.0 + self.phase, self._rate * (end - begin) / 2.0
+        swing = 2.0 / self._rate * sin(middle) * sin(half)  # the difference of two cosines, without cancellation
+        return complex(*self.velocity) * (end - begin) + complex(*self.amplitude) * swing
+
+    def trend(self, begin: float) -> tuple[complex, float]:
+        """Return the mean velocity, m/s, and the greatest displacement by the oscillation, m."""
+        return complex(*self.velocity), 2.0 * abs(complex(*self.amplitude)) / self._rate
+
+    @property
+    def top_speed(self) -> float:
+        """An upper bound of the speed, m/s."""
+        return abs(complex(*self.velocity)) + abs(complex(*self.amplitude))
+
+    @property
+    def top_acceleration(self) -> float:
+        """The greatest rate of change of the velocity, m/s^2."""
+        return abs(complex(*self.amplitude)) * self._rate
+
+    @property
+    def _rate(self) -> float:
+        """The angular frequency, rad/s."""
+        return 2.0 * pi / self.period
+
+
+class RecordedFlow(UniformFlow):
+    """A measured flow, the same everywhere: linear in time between the measurements, and constant outside of them."""
+
+    kind: Literal["recorded"] = "recorded"
+    velocities: Annotated[tuple[Annotated[tuple[Time, Component, Component], FirstError()], ...], FirstError()] = ()
+    """Measurements [t, x, y] (s, m/s, m/s), in order of time."""
+    file: str | None = None
+    """Instead of measurements: path of a CSV file with the columns t, x and y, relative to the scenario file. The file
+    is read once, when the model is created. Times that are dates, or count from one, count from the earliest."""
+    time_unit: Unit = "s"
+    """Unit of the times of the file: s, ms, us or ns; if in doubt, s."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        if not isinstance(given, dict) or given.get("file") is None:
+            return make(given)
+        if "velocities" in given:
+            raise ValueError("should have velocities or a file of velocities, not both")
+        unit = given.get("time_unit", "s")
+        if not isinstance(unit, str) or unit not in PER_SECOND:
+            return make(given)  # which raises the error
+        rows = _measurements(resolve_path(given["file"], info), cast("Unit", unit))
+        return make(given | {"file": None, "time_unit": "s", "velocities": rows})
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.velocities:
+            raise ValueError("should have velocities, or a file of velocities")
+        for (before, _, _), (t, _, _) in pairwise(self.velocities):
+            if not before < t:
+                raise ValueError(f"the times of velocities should increase; after {before:g} s comes {t:g} s")
+        return self
+
+    def velocity_at(self, t: float) -> complex:
+        """Return the velocity at a time (s), m/s."""
+        k = bisect_right(self._times, t)
+        if k in {0, len(self._times)}:
+            return self._values[min(k, len(self._times) - 1)]
+        share = (t - self._times[k - 1]) / (self._times[k] - self._times[k - 1])
+        return self._values[k - 1] + share * (self._values[k] - self._values[k - 1])
+
+    def displacement(self, begin: float, end: float) -> complex:
+        """Return the displacement between two times (s), m."""
+        return self._position(end) - self._position(begin)
+
+    def trend(self, begin: float) -> tuple[complex, float]:
+        """Return the last velocity, m/s, and an upper bound of the displacement by the differences from it, m."""
+        last, times = self._values[-1], [max(t, begin) for t in self._times]
+        differences = [abs(self.velocity_at(t) - last) for t in times]
+        before = differences[0] * max(times[0] - begin, 0.0)
+        pieces = zip(pairwise(times), pairwise(differences), strict=True)
+        return last, before + portable_sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
+
+    @property
+    def top_speed(self) -> float:
+        """The greatest speed, m/s."""
+        return max(map(abs, self._values))
+
+    @property
+    def top_acceleration(self) -> float:
+        """The greatest rate of change of the velocity, m/s^2."""
+        changes = zip(pairwise(self._times), pairwise(self._values), strict=True)
+        return max((abs(w - v) / (t - s) for (s, t), (v, w) in changes), default=0.0)
+
+    def _position(self, t: float) -> complex:
+        """Return the displacement since the first measurement, m; negative times included."""
+        k = max(bisect_right(self._times, t) - 1, 0)
+        since = t - self._times[k]
+        return self._integrals[k] + (self._values[k] + self.velocity_at(t)) * (since / 2.0)
+
+    @cached_property
+    def _times(self) -> list[float]:
+        return [t for t, _, _ in self.velocities]
+
+    @cached_property
+    def _values(self) -> list[complex]:
+        return [complex(x, y) for _, x, y in self.velocities]
+
+    @cached_property
+    def _integrals(self) -> list[complex]:
+        """The displacement from the first measurement to each, m."""
+        pieces = zip(pairwise(self._times), pairwise(self._values), strict=True)
+        return [*accumulate(((v + w) * ((t - s) / 2.0) for (s, t), (v, w) in pieces), initial=0j)]
+
+
+def _measurements(file: Path, unit: Unit) -> list[tuple[float, ...]]:
+    """Return the rows (t, x, y) of a CSV file, in order of time."""
+    rows, places = timed_rows(file, ("t", "x", "y"), unit)
+    for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
+        if not before < t:
+            raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")
+    return rows
+
+
+class AffineFlow(Value):
+    """A flow that expands or contracts, and rotates, about a centre: velocity + (a + i omega) (place - centre).
+
+    The distance d of two players in this flow changes at the rate a d in addition to their own motion. The rotation
+    does not change it.
+    """
+
+    kind: Literal["affine"] = "affine"
+    velocity: Velocity = (0.0, 0.0)
+    """Velocity [x, y] at the centre, m/s."""
+    expansion: Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False, strict=True)] = 0.0
+    """Rate of expansion a, 1/s; negative for a contraction."""
+    rotation: Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False, strict=True)] = 0.0
+    """Rate of rotation omega, rad/s, positive to the left."""
+    centre: tuple[Coordinate, Coordinate] = (0.0, 0.0)
+    """Centre [x, y], m."""
+
+    def __call__(self, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s."""
+        return complex(*self.velocity) + complex(self.expansion, self.rotation) * (places - complex(*self.centre))
+
+
+class GyreFlow(Value):
+    """A flow of square cells that rotate alternately to the left and to the right (Solomon & Gollub 1988).
+
+    Its stream function is (U L / pi) sin(pi (x - s) / L) sin(pi y / L), where s = shift sin(2 pi t / period).
+    """
+
+    kind: Literal["gyre"] = "gyre"
+    speed: Speed
+    """Greatest speed U, m/s."""
+    size: Length
+    """Edge of a cell L, m."""
+    shift: Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)] = 0.0
+    """Greatest shift of the cells along x, m; 0 = the flow is constant in time."""
+    period: Duration = 10.0
+    """Period of the shift, s."""
+
+    def __call__(self, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s."""
+        scale, shift = pi / self.size, self.shift * sin(2.0 * pi * t / self.period)
+        x, y = (places.real - shift) * scale, places.imag * scale
+        sin_x, cos_x, sin_y, cos_y = (f(z) for z in (x, y) for f in (portable_math.sin, portable_math.cos))
+        return complex(-self.speed) * (sin_x * cos_y) + 1j * self.speed * (cos_x * sin_y)
+
+    @property
+    def top_speed(self) -> float:
+        """The greatest speed, m/s."""
+        return self.speed
+
+
+def is_uniform(flow: Flow) -> TypeGuard[UniformFlow]:
+    """Return whether a flow is the same everywhere, and its displacement is known in closed form."""
+    return isinstance(flow, UniformFlow) and _is_closed(type(flow))
+
+
+@cache
+def _is_closed(flow: type[UniformFlow]) -> bool:
+    """Return whether a class has the displacement of its own velocity, and no other velocity elsewhere."""
+    follows = Follows("velocity_at", "displacement")
+    closed = ("displacement", "trend", "top_acceleration")
+    return flow.__call__ is UniformFlow.__call__ and not any(follows.is_outdated(name, flow) for name in closed)
+
+
+FLOWS = OneOf(
+    *(NoFlow, SteadyFlow, HarmonicFlow, RecordedFlow, AffineFlow, GyreFlow), takes=("places", "t"), traits=FlowTraits
+)
+"""The kinds of flow."""
+
+
+class Environment(Value):
+    """The medium in which the players move."""
+
+    flow: Annotated[Flow, FLOWS] = NoFlow()
+    """Flow of the medium. All pursuers know it."""
+    on: Literal["all", "pursuers"] = "all"
+    """Which players the flow carries: all, or the pursuers alone, as wind that carries drones but no robot on the
+    ground. Recorded motion is motion over ground, which no flow changes."""
+
+    @property
+    def is_still(self) -> bool:
+        """Whether there is no flow."""
+        flow = self.flow
+        return type(flow) is NoFlow or (is_uniform(flow) and inherits(flow, NoFlow, "velocity_at"))
+
+    @property
+    def keeps_distances(self) -> bool:
+        """Whether the flow carries all players alike, so that it changes no distance."""
+        return self.is_still or (is_uniform(self.flow) and self.on == "all")
+
+    @property
+    def top_speed(self) -> float:
+        """Upper bound of the speed of the flow, m/s."""
+        return float(FlowTraits.of(self.flow).top_speed)
+
+    @property
+    def relative_speed(self) -> float:
+        """Upper bound of the speed at which the flow moves players relative to each other, m/s."""
+        if self.keeps_distances:
+            return 0.0
+        return self.top_speed * (1.0 if self.on == "pursuers" else 2.0)
+
+    def velocities(self, places: Points, t: float) -> Points:
+        """Return the (k,) velocities of the flow, m/s, at (k,) places, m, at a time, s.
+
+        Raises:
+            ValueError: if a user's flow returns anything else than k finite velocities.
+        """
+        velocities = self.flow(places, t)
+        if is_ours(type(self.flow)):
+            return velocities
+        found = np.asarray(velocities)
+        if found.dtype.kind not in "iufc" or found.shape != places.shape or not np.isfinite(found).all():
+            raise ValueError(
+                f"a flow should return an array of {len(places)} finite velocities, complex numbers in m/s, one for"
+                f" each place, got {velocities!r} from {self.flow!r}"
+            )
+        return found
+
+    def relative(self, target: complex, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
+
+        Args:
+            target: the position of the evader, m.
+            places: (k,) positions of the pursuers, m.
+            t: the time, s.
+        """
+        found = -self.velocities(places, t)
+        return found + self.velocities(np.array([target]), t) if self.on == "all" else found
+
+    def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
+        """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
+
+        With them, straight motion over ground ends where the player ends: exactly in a uniform flow, else with the
+        error of one step of the Runge-Kutta method of order 4.
+
+        Args:
+            places: (k,) positions at the start, m.
+            commands: (k,) own velocities, m/s.
+            begin: the start, ns.
+            duration: the length of the step, s.
+        """
+        t, flow = begin / SECOND, self.flow
+        if is_uniform(flow):
+            return np.full(len(places), flow.displacement(t, t + duration) / duration)
+        first = self.velocities(places, t)
+        second = self.velocities(places + (commands + first) * (duration / 2.0), t + duration / 2.0)
+        third = self.velocities(places + (commands + second) * (duration / 2.0), t + duration / 2.0)
+        fourth = self.velocities(places + (commands + third) * duration, t + duration)
+        return (first + 2.0 * second + 2.0 * third + fourth) / 6.0
+
+    def drift(self, place: complex, command: complex, begin: int, duration: float) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of one player; see `drifts`."""
+        if self.is_still:
+            return 0j
+        return complex(self.drifts(np.array([place]), np.array([command]), begin, duration)[0])
+
+    def carried(self, place: complex, begin: int, end: int) -> complex:
+        """Return where a player that does not move by itself is carried between two times (ns), m."""
+        if is_uniform(self.flow):
+            return place + self.flow.displacement(begin / SECOND, end / SECOND)
+        steps = max(-(-(end - begin) // CARRIED_STEP), 1)
+        for k in range(steps):
+            t, until = begin + (end - begin) * k // steps, begin + (end - begin) * (k + 1) // steps
+            duration = (until - t) / SECOND
+            if duration:
+                place += self.drift(place, 0j, t, duration) * duration
+        return place

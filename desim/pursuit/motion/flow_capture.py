@@ -1,0 +1,114 @@
+"""Capture times in a flow, for an evader that flees straight from each pursuer at its full speed.
+
+A flow that carries all players alike changes no capture time. Otherwise the pursuers know the flow, and allow for it:
+
+- a flow on the pursuers alone, the same everywhere: the pursuer meets the evader as if it moved with its own velocity
+  less that of the flow, in closed form or, if the flow changes in time, at the root of the distance;
+- an affine flow on all: the distance d grows at the rate a d + v_e - v;
+- any other flow: the present difference of the flow at the two players is assumed to stay. This is an approximation.
+"""
+
+from math import inf
+
+import numpy as np
+
+from desim.config.arrays import Floats, Points
+from desim.config.traits import inherits
+from desim.kernel.core import portable_math
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.capture import NO_SPEED, intercept_times
+from desim.pursuit.motion.flow import AffineFlow, Environment, UniformFlow, is_uniform
+
+MAX_STEPS = 1_000
+"""Maximum number of steps towards a root; most roots take 5. A pursuer without a root by then is never in time."""
+ROUNDING = 1e-13
+"""Relative error at which a root counts as found."""
+
+
+def capture_times_in_flow(
+    environment: Environment,
+    target: complex,
+    places: Points,
+    distances: Floats,
+    speeds: Floats,
+    evader_speed: float,
+    radius: float,
+    now: int,
+) -> Floats:
+    """Return the (k,) capture times, s, of pursuers with simple motion in a flow.
+
+    Args:
+        environment: the flow, and the players that it carries.
+        target: position of the evader, m.
+        places: (k,) positions of the pursuers, m.
+        distances: (k,) distances to allow for, m: at least those of `target`, if it is uncertain.
+        speeds: (k,) speeds of the pursuers, m/s.
+        evader_speed: speed of the evader, m/s.
+        radius: capture radius, m.
+        now: the present, ns.
+    """
+    flow = environment.flow
+    if inherits(flow, AffineFlow) and environment.on == "all":
+        return expanding_capture_times(distances, speeds - evader_speed, radius, flow.expansion)
+    offsets = target - places
+    bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
+    offsets, flight = bearings * distances, bearings * evader_speed
+    if is_uniform(flow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
+        return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
+    relative = environment.relative(target, places, now / SECOND)
+    return intercept_times(offsets, flight + relative, speeds, radius)
+
+
+def expanding_capture_times(distances: Floats, closing: Floats, radius: float, expansion: float) -> Floats:
+    """Return the (k,) times, s, after which distances that change at the rate a d - c have fallen to a radius.
+
+    They are (1/a) ln((c - a eps) / (c - a d)); inf if the distance does not fall to the radius.
+
+    Args:
+        distances: (k,) distances d, m.
+        closing: (k,) closing speeds c in a medium at rest, m/s.
+        radius: the radius eps, m.
+        expansion: the rate a, 1/s.
+    """
+    a = expansion
+    times = np.where(distances <= radius, 0.0, inf)
+    falls = (times > 0.0) & (closing - a * distances > NO_SPEED) & (closing - a * radius > NO_SPEED)
+    d, c = distances[falls], closing[falls]
+    # ln(1 + z) / a, where z is the relative change of the closing speed
+    change = a * (d - radius) / (c - a * d)
+    times[falls] = (d - radius) / (c - a * d) if a == 0.0 else portable_math.log1p(change) / a
+    return times
+
+
+def _drifting_capture_times(
+    offsets: Points, flight: Points, speeds: Floats, radius: float, flow: UniformFlow, begin: float
+) -> Floats:
+    """Return the (k,) least times t, s, with |offset + flight t - D(t)| <= v t + eps in a flow on the pursuers alone.
+
+    D(t) is the displacement by the flow from `begin` (s) on. It remains within a distance B of that of a mean velocity,
+    so no root is before that for a radius of eps + B and the mean velocity. With f the difference of both sides and A
+    the greatest acceleration of the flow, f is at least f + f' t - A t^2 / 2 after a time t. Steps from root to root of
+    this bound approach the least root from before.
+    """
+    mean, distance = flow.trend(begin)
+    times = intercept_times(offsets, flight - mean, speeds, radius + distance)
+    left = np.flatnonzero(times < inf)
+    for _ in range(MAX_STEPS):
+        own, speed, w = times[left], speeds[left], flight[left]
+        ends = (begin + own).tolist()
+        gaps = offsets[left] + w * own - np.array([flow.displacement(begin, end) for end in ends])
+        distances = lengths(gaps)
+        missing = distances - speed * own - radius
+        remains = missing > ROUNDING * (radius + distances)
+        if not remains.any():
+            break
+        rates = w - np.array([flow.velocity_at(end) for end in ends])
+        slopes = (gaps.real * rates.real + gaps.imag * rates.imag) / np.maximum(distances, SMALLEST) - speed
+        root = np.sqrt(slopes**2 + 2.0 * flow.top_acceleration * np.maximum(missing, 0.0)) - slopes
+        times[left] += np.where(remains, 2.0 * missing / np.maximum(root, SMALLEST), 0.0)
+        left = left[remains]
+    else:
+        times[left] = inf
+    return times

@@ -1,0 +1,126 @@
+"""Turning: shortest paths of bounded curvature, and the capture times of pursuers that turn at a limited rate.
+
+A pursuer of speed v and turn rate omega moves forwards along paths of radius at least rho = v / omega. Its shortest
+path to a point, with a free final heading, is an arc and a line. If the point lies within the circle on which the
+pursuer would turn towards it, the path is an arc away from the point, and an arc on the other side (Boissonnat & Bui
+1994, "Accessibility region for a car that only moves forwards along optimal paths"). Points are complex numbers; here
+the pursuer is at the origin and heads along the x axis.
+"""
+
+from cmath import phase, rect
+from math import acos, asin, atan2, inf, pi, sqrt
+
+import numpy as np
+
+from desim.config.arrays import Floats, Points
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.capture import NO_SPEED
+
+MAX_ITERATIONS = 100
+"""Maximum number of iterations for a root; most roots take 5."""
+ROUNDING = 1e-14
+"""Relative rounding error of a length."""
+ANGLE_ROUNDING = 1e-9
+"""An angle less than a full turn by at most this value, rad, is 0."""
+
+
+def shortest_paths(targets: Points, radii: Floats) -> tuple[Floats, Points]:
+    """Return the (k,) lengths, m, and the (k,) final headings of the shortest paths to targets.
+
+    For |y| beyond the turning circle, with D the distance of the target from the centre of this circle, the length is
+    rho ((theta - acos(rho / D)) mod 2 pi) + sqrt(D^2 - rho^2), where theta = atan2(x, rho - |y|).
+
+    Args:
+        targets: (k,) positions relative to the pursuer, which heads along the x axis, m.
+        radii: (k,) least radii rho, greater than 0, m.
+    """
+    x, y = targets.real, np.abs(targets.imag)
+    squared = x * x + y * (y - 2.0 * radii)  # D^2 - rho^2
+    line = np.sqrt(np.maximum(squared, 0.0))
+    turned = (radii - y + 1j * x) * (radii - 1j * line)
+    angles = np.array([atan2(z.imag, z.real) % (2.0 * pi) for z in turned.tolist()])
+    angles[angles > 2.0 * pi - ANGLE_ROUNDING] = 0.0
+    found: Floats = radii * angles + line
+    headings = np.array([rect(1.0, angle) for angle in angles.tolist()], dtype=complex)
+    for k in np.flatnonzero(squared < 0.0).tolist():
+        found[k], headings[k] = _path_within(complex(x[k], y[k]), float(radii[k]))
+    return found, np.where(targets.imag < 0.0, headings.conj(), headings)
+
+
+def _path_within(target: complex, rho: float) -> tuple[float, complex]:
+    """Return the length, m, and the final heading of the shortest path to a target within the left turning circle."""
+    centre = complex(0.0, -rho)  # of the right turning circle
+    there = target - centre
+    half = acos(min((abs(there) ** 2 + 3.0 * rho * rho) / (4.0 * rho * abs(there)), 1.0))
+    angle = phase(there) - half  # phase(there) + half gives a longer path
+    second = centre + rect(2.0 * rho, angle)  # the centre of the second arc
+    first_arc = (pi / 2.0 - angle) % (2.0 * pi)
+    second_arc = phase((target - second) / rect(-1.0, angle)) % (2.0 * pi)
+    return rho * (first_arc + second_arc), 1j * (target - second) / rho
+
+
+def turning_capture_times(
+    offsets: Points, headings: Points, speeds: Floats, evader_speed: float, radius: float, limit: float
+) -> Floats:
+    """Return the (k,) capture times, s, of pursuers of limited turn rate for an evader that flees straight.
+
+    This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
+    velocity of the evader, in the direction of `offsets`. It is 0 within the capture radius. Beyond it, it is inf for a
+    pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its distance, and falls
+    where it leaves a turning circle. L - v t therefore falls strictly, and has one root.
+
+    Args:
+        offsets: (k,) vectors from each pursuer to the evader, m.
+        headings: (k,) headings of the pursuers, of length 1.
+        speeds: (k,) speeds v of the pursuers, m/s.
+        evader_speed: speed of the evader, m/s.
+        radius: capture radius eps, m.
+        limit: greatest turn rate, rad/s.
+    """
+    times = np.where(lengths(offsets) <= radius, 0.0, inf)
+    able = (times > 0.0) & (speeds - evader_speed > NO_SPEED)
+    if able.any():
+        targets, v = offsets[able] * headings[able].conj(), speeds[able]
+        times[able] = _roots(targets, v, v / limit, evader_speed, radius)
+    return times
+
+
+def _roots(targets: Points, speeds: Floats, radii: Floats, evader_speed: float, radius: float) -> Floats:
+    """Return the (k,) times t, s, at which L - eps - v t changes its sign, by Newton's method within a bracket."""
+    distances = lengths(targets)
+    bearings = targets / distances
+    low, high = np.zeros(len(targets)), (distances + 4.0 * pi * radii) / (speeds - evader_speed)
+    times, before = low, np.full(len(targets), inf)
+    for _ in range(MAX_ITERATIONS):
+        paths, headings = shortest_paths(targets + bearings * (evader_speed * times), radii)
+        missing = paths - radius - speeds * times
+        known = (np.abs(missing) <= ROUNDING * (radii + speeds * times)) | (high - low <= ROUNDING * high)
+        if known.all():
+            break
+        low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
+        away = bearings.real * headings.real + bearings.imag * headings.imag
+        step = times + missing / (speeds - evader_speed * away)
+        improves = np.abs(missing) < before / 2.0  # else Newton's method may alternate across the discontinuity
+        before = np.abs(missing)
+        step = np.where(improves & (step >= low) & (step <= high), step, (low + high) / 2.0)
+        times = np.where(known, times, step)
+    return times
+
+
+def least_capture_radius(turning_radius: float, speed_ratio: float) -> float:
+    """Return the capture radius, m, above which a pursuer of limited turn rate captures an evader from anywhere.
+
+    It is rho (sqrt(1 - g^2) + g asin(g) - 1), where g = v_e / v (Isaacs 1965, "Differential Games", the homicidal
+    chauffeur). With a smaller capture radius, an evader that turns aside in time is never captured.
+
+    Args:
+        turning_radius: the least turning radius rho of the pursuer, m.
+        speed_ratio: the speed g of the evader as a share of that of the pursuer, in [0, 1).
+
+    Raises:
+        ValueError: if the pursuer is not faster than the evader.
+    """
+    if not 0.0 <= speed_ratio < 1.0:
+        raise ValueError(f"the evader should be slower than the pursuer, got {speed_ratio:g} of its speed")
+    g = speed_ratio
+    return turning_radius * (sqrt(1.0 - g * g) + g * asin(g) - 1.0)

@@ -1,0 +1,319 @@
+"""Sight with errors: pursuers measure the positions of evaders, filter the sightings, and exchange them.
+
+A pursuer measures each evader in its sensing range once per `sensing.interval`. Without an estimator the newest
+sighting, its own or a reported one, is its estimate. Otherwise a filter (`desim.pursuit.sensing.tracking`) keeps a
+track of each evader. Captures follow the true positions.
+"""
+
+from collections.abc import Generator, Iterable, Iterator
+from math import inf, nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from desim.config.traits import is_ours
+from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.network import Network
+from desim.pursuit.core.events import Estimated
+from desim.pursuit.sensing.noise import Covariance, Noiseless
+from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
+from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered, fused
+from desim.pursuit.sensing.views import EvaderEstimate, Prune
+
+if TYPE_CHECKING:
+    import simpy
+
+    from desim.pursuit.sensing.world_state import Actions, WorldState
+
+
+class Sighted(NamedTuple):
+    """A report of a sighting."""
+
+    evader: int
+    """1 .. M"""
+    measurement: Measurement
+
+
+class Tracked(NamedTuple):
+    """A report of a track."""
+
+    evader: int
+    """1 .. M"""
+    stamp: int
+    """Time of the track by the clock of its sender, ns."""
+    state: tuple[float, ...]
+    """(4,) x, y, vx, vy, m and m/s."""
+    covariance: tuple[float, ...]
+    """(10,) the upper triangle of the covariance, row by row."""
+
+
+class NoisySensor:
+    """The sensors of a team whose sightings have errors; it takes the place of `sensing.TeamSensor`.
+
+    Args:
+        sensing: the parameters.
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        network: the network that delivers reports.
+        clocks: (N,) the local clocks.
+        env: the clock of the simulation.
+        seed: the seed of the run.
+
+    Attributes:
+        views: (N,) the view of each pursuer.
+    """
+
+    def __init__(
+        self,
+        sensing: Sensing,
+        state: "WorldState",
+        prune: Prune,
+        network: Network,
+        clocks: Iterable[NodeClock],
+        env: Clock,
+        seed: int,
+    ):
+        assert not isinstance(sensing.noise, Noiseless)
+        self.sensing, self._state, self._env, self._noise = sensing, state, env, sensing.noise
+        self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
+        self.views = [TrackingView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
+        self._measure()
+        env.process(self._measurements())
+
+    def look(self, now: int) -> None:
+        """Do nothing: sightings have times of their own, not those of motion steps."""
+
+    def blind(self, actions: "Actions") -> list[int]:
+        """Return the pursuers that chase: none knows the true position of its evader."""
+        found: list[int] = actions.nonzero()[0].tolist()
+        return found
+
+    def estimates(self) -> Iterator[Estimated]:
+        """Yield the present estimates, with covariances, of all evaders at large by the pursuers that are up.
+
+        No reports are read, so that recording the estimates changes nothing.
+        """
+        if not self.sensing.has_covariances:
+            return
+        for pursuer in (~self._state.broken).nonzero()[0].tolist():
+            for evader in self._state.at_large:
+                track = self.views[pursuer].track(evader)
+                if track is not None and track.covariance is not None:
+                    (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
+                    x, y = track.state[:2]
+                    yield Estimated(self._env.now, pursuer, evader, x, y, xx, xy, yy)
+
+    def _measurements(self) -> "Generator[simpy.Event, None, None]":
+        period = nanoseconds(self.sensing.interval)
+        while True:
+            yield Instant(self._env, self._env.now + period, Phase.CAPTURE - 1)
+            self._measure()
+
+    def _measure(self) -> None:
+        """Let each pursuer that is up measure each evader in its range; the draws do not depend on these."""
+        state, radius = self._state, self.sensing.radius
+        for evader, rng in enumerate(self._streams, start=1):
+            draws = rng.standard_normal((state.size, 2)).tolist()
+            if evader not in state.at_large:
+                continue
+            offsets = (state.body(evader).position - state.positions()).tolist()
+            for view, offset, (first, second), broken in zip(
+                self.views, offsets, draws, state.broken.tolist(), strict=True
+            ):
+                if not broken and abs(offset) <= radius:
+                    measured: Any = self._noise(offset, first, second)
+                    if not isinstance(measured, (complex, float, int, np.number)) or measured != measured:
+                        raise ValueError(
+                            f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
+                            f" {self._noise!r}"
+                        )
+                    view.measure(evader, complex(measured), self.covariance_at(complex(measured)))
+
+    def covariance_at(self, offset: complex) -> Covariance:
+        """Return the covariance of the error of a measurement, given the true vector to the evader, m.
+
+        Raises:
+            ValueError: if that of a user's noise is not positive definite.
+        """
+        given: Any = self._noise.covariance(offset)
+        if type(given) is Covariance and is_ours(type(self._noise)):
+            return given
+        try:
+            covariance = Covariance(*(float(entry) for entry in given))
+        except (TypeError, ValueError):
+            covariance = Covariance(nan, nan, nan)
+        xx, xy, yy = covariance
+        if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
+            raise ValueError(
+                "covariance(offset) of a noise should return the entries xx, xy and yy of a positive definite matrix,"
+                f" in m^2, got {given!r} from {self._noise!r}"
+            )
+        return covariance
+
+
+Sensor = TeamSensor | NoisySensor
+"""The sensors of a team, exact within a radius or with errors."""
+
+
+class TrackingView(LimitedView):
+    """The view of one pursuer whose sightings have errors.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        pursuer: the id of the pursuer.
+        sensor: the sensors of the team.
+        network: the network that delivers reports.
+        clock: the local clock of the pursuer.
+    """
+
+    def __init__(
+        self,
+        state: "WorldState",
+        prune: Prune,
+        pursuer: int,
+        sensor: NoisySensor,
+        network: Network,
+        clock: NodeClock,
+    ):
+        super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+        self._covariance_at = sensor.covariance_at
+        self._last: dict[int, Measurement] = {}
+        """By evader, the newest sighting of its own."""
+        self._newest: dict[int, Measurement] = {}
+        """By evader, the newest sighting, its own or a reported one."""
+        self._filters: dict[int, Filter] = {}
+        self._tracks: dict[tuple[int, int], Track] = {}
+        """By evader and sender, the newest reported track."""
+        self._fused: dict[int, Track | None] = {}
+        """By evader, the track at the time `_fused_at`, ns, until something new is known."""
+        self._fused_at: int | None = None
+
+    def sees(self, evader: int) -> bool:
+        """Return False: it never knows the true position of an evader."""
+        return False
+
+    def measure(self, evader: int, offset: complex, covariance: Covariance) -> None:
+        """Process a sighting of its own: the measured vector to an evader, m."""
+        origin = self.state.position(self._id)
+        place = origin + offset
+        self._last[evader] = Measurement(
+            self._clock.stamp, self._id, place.real, place.imag, covariance, origin.real, origin.imag
+        )
+        self._add(evader, self._last[evader])
+
+    def estimate(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
+        self._read_reports()
+        if isinstance(self._sensing.estimator, Unfiltered):
+            return self._estimate_from_sighting(evader)
+        track, now, sensing = self.track(evader), self._clock.stamp, self._sensing
+        if track is None or self.state.body(evader).captured is not None:
+            return None
+        newest = self._newest_stamp(evader)
+        age = max(now - newest, 0) / SECOND
+        if age <= sensing.track_timeout:
+            return EvaderEstimate(track.position, track.velocity, 0.0, track.deviation)
+        if sensing.on_lost == "stay":
+            return None
+        lost = track.position - track.velocity * (age - sensing.track_timeout)
+        return EvaderEstimate(lost + self._search(age), 0j, 0.0, track.deviation)
+
+    def newest(self, evader: int) -> Sighting | None:
+        """Return the newest sighting of an evader, its own or a reported one, without a velocity; None without any."""
+        self._read_reports()
+        seen = self._newest.get(evader)
+        return None if seen is None else Sighting(evader, seconds(seen.stamp), seen.x, seen.y, 0.0, 0.0)
+
+    def track(self, evader: int) -> Track | None:
+        """Return the track of an evader now, fused with those of teammates; None without any."""
+        now = self._clock.stamp
+        if self._fused_at != now:
+            self._fused, self._fused_at = {}, now
+        if evader not in self._fused:
+            self._fused[evader] = self._fuse(evader, now)
+        return self._fused[evader]
+
+    def _fuse(self, evader: int, now: int) -> Track | None:
+        """Return the track of an evader at `now` (ns, local clock)."""
+        sensing = self._sensing
+        assert not isinstance(sensing.estimator, Unfiltered)
+        own = self._filters[evader].at(now) if evader in self._filters else None
+        for _, reported in sorted((src, each) for (j, src), each in self._tracks.items() if j == evader):
+            other = sensing.estimator.predict(reported, now)
+            own = other if own is None else fused(own, other, sensing.fusion)
+        return own
+
+    def report(self) -> None:
+        """Broadcast what it knows that is at most `track_timeout` old; what others reported only with `relay`."""
+        reports = tuple(filter(None, map(self._report_of, self.state.at_large)))
+        if reports:
+            self._network.send(self._id, None, reports, port=PORT)
+
+    def forget(self, *, heard_only: bool) -> None:
+        """Delete all sightings and tracks; those of its own only unless `heard_only`."""
+        self._network.inbox(self._id, PORT).drain()
+        own = self._last if heard_only else {}
+        self._last, self._newest, self._filters = dict(own), dict(own), {}
+        self._tracks.clear()
+        self._fused_at = None
+        for evader, seen in own.items():
+            self._add(evader, seen)
+
+    def _report_of(self, evader: int) -> Sighted | Tracked | None:
+        """Return what it reports about an evader; None if it is too old, or nothing is known."""
+        self._read_reports()
+        oldest = self._clock.stamp - nanoseconds(min(self._sensing.track_timeout, 1e9))
+        if self._sensing.fusion == "by_stamp":
+            seen = (self._newest if self._sensing.relay else self._last).get(evader)
+            return None if seen is None or seen.stamp < oldest else Sighted(evader, seen)
+        if self._sensing.relay:
+            track = self.track(evader)
+            return None if track is None or self._newest_stamp(evader) < oldest else _packed(evader, track)
+        track = self._filters[evader].track if evader in self._filters else None
+        return None if track is None or track.stamp < oldest else _packed(evader, track)
+
+    def _add(self, evader: int, seen: Measurement) -> None:
+        """Process a sighting, its own or a reported one."""
+        self._fused_at = None
+        known = self._newest.get(evader)
+        if known is None or seen.stamp > known.stamp:
+            self._newest[evader] = seen
+        model = self._sensing.estimator
+        if not isinstance(model, Unfiltered):
+            if evader not in self._filters:
+                window = nanoseconds(min(self._sensing.track_timeout, 1e9))
+                self._filters[evader] = Filter(model, window, self._covariance_at)
+            self._filters[evader].add(seen)
+
+    def _newest_stamp(self, evader: int) -> int:
+        """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""
+        own = [self._newest[evader].stamp] if evader in self._newest else []
+        return max([*own, *(each.stamp for (j, _), each in self._tracks.items() if j == evader)], default=-1)
+
+    def _read_reports(self) -> None:
+        """Process the reports that have arrived."""
+        for message in self._network.inbox(self._id, PORT).drain():
+            for report in message.body:
+                if isinstance(report, Sighted):
+                    self._add(report.evader, report.measurement)
+                else:
+                    key, track = (report.evader, message.src), _unpacked(report)
+                    if key not in self._tracks or self._tracks[key].stamp < track.stamp:
+                        self._tracks[key], self._fused_at = track, None
+
+
+def _packed(evader: int, track: Track) -> Tracked:
+    """Return a track as a report."""
+    covariance = np.array(track.covariance)
+    return Tracked(evader, track.stamp, tuple(track.state), tuple(covariance[np.triu_indices(4)].tolist()))
+
+
+def _unpacked(report: Tracked) -> Track:
+    """Return the track of a report."""
+    covariance = np.zeros((4, 4))
+    covariance[np.triu_indices(4)] = report.covariance
+    full = covariance + covariance.T - np.diag(np.diag(covariance))
+    return Track(report.stamp, list(report.state), full.tolist())

@@ -1,0 +1,329 @@
+"""Sensing of evaders by pursuers with a limited range, and estimation from past sightings.
+
+Within the sensing radius a pursuer sees the true position of an evader. Beyond this radius, the pursuer estimates the
+position from the newest sighting that it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its
+guidance use this estimate. The sensing radius applies to evaders only: teammates are sensed at any distance or announce
+their positions, and all pursuers know which evaders are captured.
+"""
+
+from cmath import rect
+from collections.abc import Iterable
+from math import inf, pi, sqrt
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from desim.config.model import MAX_COORDINATE, Flag, Limit, Period, Timeout, Value
+from desim.kernel.core.clock import NodeClock
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.network import Network
+from desim.pursuit.sensing.noise import NOISES, Noise, Noiseless
+from desim.pursuit.sensing.tracking import ESTIMATORS, Estimator, Fusion, Kalman, Unfiltered
+from desim.pursuit.sensing.views import NOWHERE, EvaderEstimate, Prune, View
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from desim.config.arrays import Points
+    from desim.pursuit.sensing.world_state import Actions, WorldState
+
+PORT = ReservedPort("sightings", __name__)
+"""The port of sighting reports."""
+NEVER = -1
+"""Stands for the time of the last sighting, ns, of an evader that was never seen."""
+
+
+class Sensing(Value):
+    """The sensing of evaders, and the estimation of the positions of unseen ones."""
+
+    radius: Limit = inf
+    """Sensing radius R_s up to which a pursuer sees an evader, m."""
+    estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
+    """Estimated position of an unseen evader. hold: the position of the last sighting; constant_velocity: this position
+    extrapolated with the velocity at the last sighting; worst_case: the position of the last sighting, with the capture
+    time phi = (d + v_e a - eps) / (v_i - v_e), where d is the distance to this position and a the age of the sighting.
+    If all clocks are equal, this phi is an upper bound. It is refused with a flow, and for pursuers with inertia."""
+    period: Period = 0.1
+    """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
+    until the sighting is `track_timeout` old or a newer one is reported to it."""
+    relay: Flag = False
+    """Whether a pursuer also relays the newest reported sighting, so that sightings spread over several hops."""
+    track_timeout: Timeout = 5.0
+    """Time T_lost, s: an evader is lost if its newest sighting is older than this."""
+    on_lost: Literal["stay", "search"] = "search"
+    """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the
+    speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
+    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps. It is rotated by another angle for each
+    pursuer. A pursuer without any sighting of an evader may not chase it."""
+    noise: Annotated[Noise, NOISES] = Noiseless()
+    """Noise of sightings."""
+    interval: Period = 0.05
+    """Time between two noisy sightings of a pursuer, s; without noise it sees at every motion step."""
+    estimator: Annotated[Unfiltered | Estimator, ESTIMATORS] = Unfiltered()
+    """Filter of noisy sightings; without one, the newest sighting is the estimate (`estimate`)."""
+    fusion: Fusion = "by_stamp"
+    """How reports are combined. by_stamp: reports contain the newest sighting of a pursuer, and the filter of a
+    receiver processes all sightings in the order of their time stamps; naive, covariance_intersection: reports contain
+    tracks with their covariances, and are fused as if they were independent, or consistently whatever they have in
+    common."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        is_noisy, has_filter = not isinstance(self.noise, Noiseless), not isinstance(self.estimator, Unfiltered)
+        if has_filter and not is_noisy:
+            raise ValueError("estimator: there is nothing to estimate without noise (sensing.noise)")
+        if is_noisy and not has_filter and self.estimate == "constant_velocity":
+            raise ValueError(
+                "estimate: noisy sightings have no velocity; choose an estimator (alpha_beta, kalman), or the estimate"
+                " hold or worst_case"
+            )
+        if self.fusion != "by_stamp" and not isinstance(self.estimator, Kalman):
+            raise ValueError("fusion: tracks have a covariance with the estimator kalman only")
+        return self
+
+    @property
+    def limited(self) -> bool:
+        """Whether the sensing radius is finite."""
+        return self.radius < inf
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether sightings have errors."""
+        return not isinstance(self.noise, Noiseless)
+
+    @property
+    def has_covariances(self) -> bool:
+        """Whether estimates have covariances."""
+        return isinstance(self.estimator, Kalman)
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether all pursuers see all evaders exactly."""
+        return not (self.limited or self.is_noisy)
+
+
+class Sighting(NamedTuple):
+    """A past observation of an evader."""
+
+    evader: int
+    """1 .. M"""
+    seen: float
+    """Time of the sighting by the clock of the observer, s."""
+    x: float
+    """m"""
+    y: float
+    """m"""
+    velocity_x: float
+    """m/s"""
+    velocity_y: float
+    """m/s"""
+
+    @property
+    def position(self) -> complex:
+        """Position of the evader at the sighting, m."""
+        return complex(self.x, self.y)
+
+    @property
+    def velocity(self) -> complex:
+        """Velocity of the evader at the sighting, m/s."""
+        return complex(self.velocity_x, self.velocity_y)
+
+
+class TeamSensor:
+    """The sensors of the whole team, sampled once every motion step for all pursuers and evaders together.
+
+    Attributes:
+        views: (N,) the sensed view of each pursuer.
+    """
+
+    def __init__(
+        self, sensing: Sensing, state: "WorldState", prune: Prune, network: Network, clocks: Iterable[NodeClock]
+    ):
+        self.sensing, self._state = sensing, state
+        shape = state.evader_count, state.size
+        self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
+        self._positions: Points = np.full(shape, NOWHERE)
+        self._velocities: Points = np.zeros(shape, dtype=complex)
+        self.views = [SensedView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.look(state.now)
+
+    def look(self, now: int) -> None:
+        """Record, for each pursuer that is not down, a sighting at `now` (ns) of each evader in its sensing range."""
+        state, able = self._state, ~self._state.broken
+        for evader in state.at_large:
+            seeing = able & (state.distances(evader) <= self.sensing.radius)
+            row = evader - 1
+            self._seen[row, seeing] = now
+            self._positions[row, seeing] = state.body(evader).position
+            self._velocities[row, seeing] = state.velocity(evader)
+
+    def blind(self, actions: "Actions") -> list[int]:
+        """Return the pursuers whose evader is outside their sensing radius now, given the (N,) actions."""
+        unseen = np.zeros(self._state.size, dtype=bool)
+        for evader in self._state.at_large:
+            unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
+        found: list[int] = np.flatnonzero(unseen).tolist()
+        return found
+
+    def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
+        """Return the last sighting of an evader by a pursuer: time (ns, or `NEVER`), position (m), velocity (m/s)."""
+        cell = evader - 1, pursuer
+        return int(self._seen[cell]), complex(self._positions[cell]), complex(self._velocities[cell])
+
+    def forget(self, pursuer: int) -> None:
+        """Delete all sightings that a pursuer has made itself."""
+        self._seen[:, pursuer] = NEVER
+
+
+class LimitedView(View):
+    """The view of a pursuer that does not always know the true position of an evader: common part of such views.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        pursuer: the id of the pursuer.
+        sensing: the parameters.
+        network: the network that delivers reports.
+        clock: the local clock of the pursuer.
+    """
+
+    unlimited: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        state: "WorldState",
+        prune: Prune,
+        pursuer: int,
+        sensing: Sensing,
+        network: Network,
+        clock: NodeClock,
+    ):
+        super().__init__(state, prune)
+        self._id, self._sensing, self._network, self._clock = pursuer, sensing, network, clock
+
+    def newest(self, evader: int) -> Sighting | None:
+        """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""
+        raise NotImplementedError
+
+    def report(self) -> None:
+        """Broadcast what the pursuer knows of the evaders."""
+        raise NotImplementedError
+
+    def forget(self, *, heard_only: bool) -> None:
+        """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
+        raise NotImplementedError
+
+    def _estimate_from_sighting(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate that follows from the newest sighting (`sensing.estimate`); None if there is none."""
+        sighting, sensing = self.newest(evader), self._sensing
+        if sighting is None:
+            return None
+        age = max(self._clock.now - sighting.seen, 0.0)
+        worst = sensing.estimate == "worst_case"
+        uncertainty = self.state.body(evader).speed * age if worst else 0.0
+        velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
+        if age <= sensing.track_timeout:
+            return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
+        if sensing.on_lost == "stay":
+            return None
+        off = self._search(age)
+        return EvaderEstimate(
+            sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
+        )
+
+    def _search(self, age: float) -> complex:
+        """Return the place of the search, m from the last estimated position, if the newest sighting is `age` s old."""
+        apart = 2.0 * max(min(self._sensing.radius, MAX_COORDINATE), self.state.radius)
+        arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
+        return arm * spiral(self.state.speed(self._id) * (age - self._sensing.track_timeout), apart)
+
+
+class SensedView(LimitedView):
+    """The view of one pursuer with limited sensing.
+
+    An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
+    unknown (there is no sighting).
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        pursuer: the id of the pursuer.
+        sensor: the sensors of the team, which keep the pursuer's own sightings.
+        network: the network that delivers reports.
+        clock: the local clock of the pursuer.
+    """
+
+    def __init__(
+        self,
+        state: "WorldState",
+        prune: Prune,
+        pursuer: int,
+        sensor: TeamSensor,
+        network: Network,
+        clock: NodeClock,
+    ):
+        super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+        self._sensor = sensor
+        self._reported: dict[int, Sighting] = {}
+
+    def sees(self, evader: int) -> bool:
+        """Return whether an evader is within the sensing radius of the pursuer now."""
+        return bool(self.state.distances(evader)[self._id] <= self._sensing.radius)
+
+    def newest(self, evader: int) -> Sighting | None:
+        """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""
+        self._read_reports()
+        reported = self._reported.get(evader)
+        if self.sees(evader):
+            return _sighting(evader, self._clock.now, self.state.body(evader).position, self.state.velocity(evader))
+        when, place, velocity = self._sensor.last(self._id, evader)
+        if when == NEVER:
+            return reported
+        own = self._clock.at(when)
+        return reported if reported is not None and reported.seen > own else _sighting(evader, own, place, velocity)
+
+    def estimate(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
+        return super().estimate(evader) if self.sees(evader) else self._estimate_from_sighting(evader)
+
+    def report(self) -> None:
+        """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""
+        oldest = self._clock.now - self._sensing.track_timeout
+        newest = [each for each in map(self.newest, self.state.at_large) if each is not None and each.seen >= oldest]
+        reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
+        if reports:
+            self._network.send(self._id, None, reports, port=PORT)
+
+    def forget(self, *, heard_only: bool) -> None:
+        """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
+        self._read_reports()
+        self._reported.clear()
+        if not heard_only:
+            self._sensor.forget(self._id)
+
+    def _read_reports(self) -> None:
+        """Read the reports that have arrived, and keep the newest reported sighting of each evader."""
+        for message in self._network.inbox(self._id, PORT).drain():
+            for sighting in message.body:
+                known = self._reported.get(sighting.evader)
+                if known is None or sighting.seen > known.seen:
+                    self._reported[sighting.evader] = sighting
+
+
+def spiral(length: float, apart: float) -> complex:
+    """Return the point (m) of an Archimedean spiral at an arc length (m) from its start, the origin.
+
+    The distance between two turns is `apart` (m).
+
+    The angle follows from the radius r = apart * angle / (2 pi) and the approximate arc length r * angle / 2. The
+    approximation is accurate after many turns.
+    """
+    if apart == 0.0:
+        return 0j
+    angle = sqrt(4.0 * pi * length / apart)
+    return rect(apart * angle / (2.0 * pi), angle)
+
+
+def _sighting(evader: int, seen: float, place: complex, velocity: complex) -> Sighting:
+    return Sighting(evader, seen, place.real, place.imag, velocity.real, velocity.imag)

@@ -1,0 +1,383 @@
+"""Tracking of an evader from noisy sightings: filters for a nearly constant velocity, and the fusion of their tracks.
+
+The state is (x, y, vx, vy), in m and m/s. Each component of the velocity diffuses, because the acceleration is white
+noise in continuous time (Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2). With the diffusion c, in m/s per sqrt(s),
+position and velocity change by random numbers with the covariance c^2 [t^3/3 t^2/2; t^2/2 t] in a time t. So a
+prediction over a time is the same whether sightings divide this time or not.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping
+from math import sqrt
+from operator import attrgetter
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from desim.config.choice import OneOf
+from desim.config.model import Value
+from desim.kernel.core.units import SECOND
+from desim.pursuit.sensing.noise import LEAST, Covariance
+
+Diffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
+START_SPEED = 10.0
+"""Standard deviation, m/s, of each component of the velocity after the first sighting."""
+ROUNDING = 1e-14
+"""A difference of variances that is at most this share of them is 0 with rounding errors."""
+Matrix = list[list[float]]
+"""The rows of a matrix."""
+NO_SPREAD: Matrix = [[0.0, 0.0], [0.0, 0.0]]
+"""The covariance of a position that is taken for exact."""
+Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
+
+
+class Measurement(NamedTuple):
+    """A noisy sighting of an evader."""
+
+    stamp: int
+    """Time of the sighting by the clock of its observer, ns."""
+    observer: int
+    x: float
+    """m"""
+    y: float
+    """m"""
+    covariance: Covariance
+    """At the measured position."""
+    origin_x: float = 0.0
+    """Position of the observer, m."""
+    origin_y: float = 0.0
+    """m"""
+
+
+CovarianceAt = Callable[[complex], Covariance]
+"""Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""
+
+
+def weighed(seen: Measurement, predicted: "Track | None", covariance_at: CovarianceAt) -> Measurement:
+    """Return a sighting with the covariance that a filter assumes for its error.
+
+    The covariance depends on the true position. It is averaged over where the evader may be: around the predicted
+    position or, where that is less certain, around the measured one. At the measured position alone it would depend on
+    the error: of range and bearing, sightings lie on an arc, their thin ellipses are tangents, and these meet beyond it
+    (Bordonaro, Willett & Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman Filter"). With the
+    average over the predicted position a correction is the best linear one (Zhao, Li & Jilkov 2004, "Best Linear
+    Unbiased Filtering with Nonlinear Measurements for Target Tracking").
+    """
+    origin = complex(seen.origin_x, seen.origin_y)
+    place, spread = complex(seen.x, seen.y), seen.covariance
+    if predicted is not None:
+        (xx, xy, *_), (_, yy, *_) = (predicted.covariance or NO_SPREAD)[:2]
+        if xx + yy < spread.xx + spread.yy:
+            place, spread = predicted.position, Covariance(xx, xy, yy)
+    first, second, third, fourth = (covariance_at(point - origin) for point in _points(place, spread))
+    mean = ((a + b + c + d) / 4.0 for a, b, c, d in zip(first, second, third, fourth, strict=True))
+    return seen._replace(covariance=Covariance(*mean))
+
+
+def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, complex, complex]:
+    """Return four points with a mean and a covariance: their mean of a quadratic function is exact.
+
+    They are the mean plus and minus sqrt(2) times the columns of the Cholesky factor of the covariance (Julier &
+    Uhlmann 1997, "A New Extension of the Kalman Filter to Nonlinear Systems").
+    """
+    xx, xy, yy = covariance
+    width = sqrt(max(xx, 0.0))
+    slope = xy / width if width else 0.0
+    first = sqrt(2.0) * complex(width, slope)
+    second = sqrt(2.0) * complex(0.0, sqrt(max(yy - slope * slope, 0.0)))
+    return mean + first, mean - first, mean + second, mean - second
+
+
+def merged(one: Measurement, other: Measurement) -> Measurement:
+    """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
+    first, second = _matrix(one.covariance), _matrix(other.covariance)
+    (x, y), ((xx, xy), (_, yy)) = corrected([one.x, one.y], first, [other.x, other.y], second)
+    return Measurement(one.stamp, one.observer, x, y, Covariance(xx, xy, yy))
+
+
+def _matrix(covariance: Covariance) -> Matrix:
+    xx, xy, yy = covariance
+    return [[xx, xy], [xy, yy]]
+
+
+def corrected(state: list[float], covariance: Matrix, seen: list[float], errors: Matrix) -> tuple[list[float], Matrix]:
+    """Return a state and its covariance after a measurement of its first k entries.
+
+    The errors of the measurement are decorrelated, the greatest variance first, and its entries are processed one by
+    one (Bar-Shalom, Li & Kirubarajan 2001, section 7.6.1). No matrix is inverted, so a variance may be 0.
+
+    Args:
+        state: (n,) the state.
+        covariance: (n, n) its covariance.
+        seen: (k,) the measured entries.
+        errors: (k, k) the covariance of their errors.
+    """
+    rows = [[float(i == j) for j in range(len(state))] for i in range(len(seen))]
+    seen, errors, rest = list(seen), [list(row) for row in errors], list(range(len(seen)))
+    variances = [errors[k][k] for k in rest]
+    deviations = [sqrt(max(line[i], 0.0)) for i, line in enumerate(covariance)]
+    while rest:
+        k = max(rest, key=lambda i: errors[i][i])
+        rest.remove(k)
+        variance = errors[k][k] if errors[k][k] > ROUNDING * variances[k] else 0.0
+        for i in rest if variance else ():
+            share = errors[i][k] / variance
+            rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
+            seen[i] -= share * seen[k]
+            for j in rest:
+                errors[i][j] -= share * errors[k][j]
+        most = _dot([abs(h) for h in rows[k]], deviations)
+        state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance, ROUNDING * most * most)
+    return state, covariance
+
+
+def _with_entry(
+    state: list[float], covariance: Matrix, row: list[float], seen: float, variance: float, least: float
+) -> tuple[list[float], Matrix]:
+    """Return a state and its covariance P after one number, the product of a row h and the state with an error.
+
+    The covariance is (1 - K h) P (1 - K h)' + r K K' with the gain K and the variance r of the error (Joseph's form).
+    It is a sum of positive matrices, whereas the shorter P - K h P loses its small eigenvalues in rounding errors.
+    """
+    spread = [_dot(line, row) for line in covariance]
+    total = _dot(spread, row) + variance
+    if total <= least:  # the state is as exact as the number, up to rounding
+        return state, covariance
+    gain = [each / total for each in spread]
+    off, n = seen - _dot(row, state), range(len(state))
+    left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
+    kept = [_dot(line, row) for line in left]
+    upper = {(i, j): left[i][j] - kept[i] * gain[j] + variance * gain[i] * gain[j] for i in n for j in n[i:]}
+    moved = [x + k * off for x, k in zip(state, gain, strict=True)]
+    return moved, [[upper[min(i, j), max(i, j)] for j in n] for i in n]
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    """Return the product of two vectors, summed from the first entry on."""
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        total += x * y
+    return total
+
+
+class Track(NamedTuple):
+    """The estimated state of an evader at one time."""
+
+    stamp: int
+    """ns"""
+    state: list[float]
+    """(x, y, vx, vy), m and m/s."""
+    covariance: Matrix | None = None
+    """(4, 4); None: the filter has none."""
+
+    @property
+    def position(self) -> complex:
+        """The position, m."""
+        return complex(*self.state[:2])
+
+    @property
+    def velocity(self) -> complex:
+        """The velocity, m/s."""
+        return complex(*self.state[2:])
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square of the standard deviations of both coordinates, m; 0 without a covariance."""
+        return 0.0 if self.covariance is None else sqrt((self.covariance[0][0] + self.covariance[1][1]) / 2.0)
+
+
+class Unfiltered(Value):
+    """The newest sighting is the estimate; see `sensing.estimate`."""
+
+    kind: Literal["none"] = "none"
+
+
+class _Diffusing(Value):
+    """A filter for an evader whose velocity diffuses."""
+
+    velocity_diffusion: Diffusion = 0.3
+    """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
+    velocity_diffusion sqrt(t) (standard deviation), however many sightings there were."""
+
+    @classmethod
+    def _check_names(cls, values: Mapping[str, Any]) -> None:
+        if "acceleration" not in values:  # the validator says more of it
+            super()._check_names(values)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_acceleration(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "acceleration" in given:
+            raise ValueError(
+                "acceleration: the filters have a velocity_diffusion instead, in m/s per sqrt(s), which does not depend"
+                " on the interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
+            )
+        return given
+
+
+class AlphaBeta(_Diffusing):
+    """A filter with the stationary gains of a Kalman filter for sightings at equal intervals (Kalata 1984).
+
+    Without noise the state is the newest position, and the difference quotient of the newest two.
+    """
+
+    kind: Literal["alpha_beta"] = "alpha_beta"
+
+    def start(self, seen: Measurement) -> Track:
+        """Return the track after the first sighting: at rest at the measured position."""
+        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0])
+
+    def predict(self, track: Track, stamp: int) -> Track:
+        """Return the track at another time, ns."""
+        return Track(stamp, _moved(track.state, (stamp - track.stamp) / SECOND))
+
+    def update(self, track: Track, seen: Measurement) -> Track:
+        """Return the track after a later sighting."""
+        period = (seen.stamp - track.stamp) / SECOND
+        x, y, vx, vy = _moved(track.state, period)
+        deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
+        is_exact = deviation < 2.0 * LEAST
+        alpha, beta = (1.0, 1.0) if is_exact else gains(period**1.5 * self.velocity_diffusion / deviation)
+        dx, dy, rate = seen.x - x, seen.y - y, beta / period
+        return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
+
+
+class Kalman(_Diffusing):
+    """The Kalman filter (Kalman 1960)."""
+
+    kind: Literal["kalman"] = "kalman"
+
+    def start(self, seen: Measurement) -> Track:
+        """Return the track after the first sighting: of unknown velocity at the measured position."""
+        xx, xy, yy = seen.covariance
+        speed = START_SPEED**2
+        covariance = [[xx, xy, 0.0, 0.0], [xy, yy, 0.0, 0.0], [0.0, 0.0, speed, 0.0], [0.0, 0.0, 0.0, speed]]
+        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0], covariance)
+
+    def predict(self, track: Track, stamp: int) -> Track:
+        """Return the track at another time, ns."""
+        assert track.covariance is not None
+        (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance  # (u, v): the velocity
+        t = (stamp - track.stamp) / SECOND
+        span = abs(t)  # a track is predicted to an earlier time where clocks differ; it is no surer there
+        a, b, c = (self.velocity_diffusion**2 * each for each in (span**3 / 3.0, t * span / 2.0, span))
+        xx, yy = xx + t * (2.0 * xu + t * uu) + a, yy + t * (2.0 * yv + t * vv) + a
+        xy = xy + t * (xv + yu + t * uv)
+        xu, xv, yu, yv = xu + t * uu + b, xv + t * uv, yu + t * uv, yv + t * vv + b
+        uu, vv = uu + c, vv + c
+        covariance = [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
+        return Track(stamp, _moved(track.state, t), covariance)
+
+    def update(self, track: Track, seen: Measurement) -> Track:
+        """Return the track after a later sighting."""
+        _, state, covariance = self.predict(track, seen.stamp)
+        assert covariance is not None
+        return Track(seen.stamp, *corrected(state, covariance, [seen.x, seen.y], _matrix(seen.covariance)))
+
+
+Estimator = AlphaBeta | Kalman
+ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman, is_closed=True)
+
+
+def gains(index: float) -> tuple[float, float]:
+    """Return the gains (alpha, beta) for a tracking index L = c T^(3/2) / s_v > 0.
+
+    T is the time between two sightings, s_v the standard deviation of a sighting and c the diffusion of the velocity.
+    With w^2 = L^2 (1/3 + sqrt(1/12 + 4/L^2)) and s = (sqrt(w^2 + 4) - w) / 2 they are alpha = 1 - s^2 and beta = L s,
+    the stationary gains for a white acceleration (Bar-Shalom, Li & Kirubarajan 2001, section 6.5.3).
+    """
+    w = sqrt(index * (index / 3.0 + sqrt(index * index / 12.0 + 4.0)))
+    rest = 2.0 / (w + sqrt(w * w + 4.0))  # s; nothing cancels
+    return rest * w, index * rest
+
+
+def _moved(state: list[float], t: float) -> list[float]:
+    x, y, vx, vy = state
+    return [x + vx * t, y + vy * t, vx, vy]
+
+
+class Filter:
+    """The track of one evader from sightings that may arrive late and twice.
+
+    A late sighting is inserted at its time stamp, and the later ones are processed again, so the track is that of the
+    sightings in order. Sightings of several observers at the same time are merged into one. A sighting of the same
+    observer and time counts once.
+
+    Args:
+        model: the filter.
+        window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
+        covariance_at: the covariance of the error of a sighting; None: that which each sighting has.
+    """
+
+    def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None):
+        self._model, self._window, self._covariance_at = model, window, covariance_at
+        self._seen: list[Measurement] = []
+        self._merged: list[Measurement] = []
+        """Each sighting, merged with those before it of the same time."""
+        self._tracks: list[Track] = []
+
+    @property
+    def track(self) -> Track | None:
+        """The track at the newest sighting; None without sightings."""
+        return self._tracks[-1] if self._tracks else None
+
+    def at(self, stamp: int) -> Track | None:
+        """Return the track at a time, ns; None without sightings."""
+        return self._model.predict(self._tracks[-1], stamp) if self._tracks else None
+
+    def add(self, seen: Measurement) -> None:
+        """Process a sighting."""
+        place = bisect_right(self._seen, seen[:2], key=lambda each: each[:2])
+        if (place and self._seen[place - 1][:2] == seen[:2]) or self._is_too_old(seen):
+            return
+        self._seen.insert(place, seen)
+        del self._merged[place:], self._tracks[place:]
+        for each in self._seen[place:]:
+            self._append(each)
+        self._forget_old()
+
+    def _append(self, seen: Measurement) -> None:
+        """Process a sighting that is at least as new as all before."""
+        is_same_time = bool(self._merged) and self._merged[-1].stamp == seen.stamp
+        stamps = attrgetter("stamp")
+        before = bisect_left(self._merged, seen.stamp, key=stamps) if is_same_time else len(self._tracks)
+        last = self._tracks[before - 1] if before else None
+        if self._covariance_at is not None:
+            # Before the first track, the sightings of the same time are all that is known of the position.
+            known = self._model.predict(last, seen.stamp) if last else self._tracks[-1] if self._tracks else None
+            seen = weighed(seen, known, self._covariance_at)
+        if is_same_time:
+            seen = merged(self._merged[-1], seen)
+        self._merged.append(seen)
+        self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen))
+
+    def _is_too_old(self, seen: Measurement) -> bool:
+        """Return whether a sighting is older than all that are kept, and these are not all there were."""
+        return bool(self._seen) and seen.stamp < self._seen[-1].stamp - self._window
+
+    def _forget_old(self) -> None:
+        """Keep the sightings of the window, and one before it."""
+        old = bisect_left(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
+        if old > 1:
+            del self._seen[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]
+
+
+def fused(one: Track, other: Track, how: Fusion) -> Track:
+    """Return the fusion of two tracks of the same time, weighted by their inverse covariances.
+
+    naive: the inverse covariances are added, as if the errors were independent; information that both tracks contain
+    counts twice. covariance_intersection: they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2)) (Niehsen
+    2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
+    """
+    assert one.covariance is not None
+    assert other.covariance is not None
+    first, second = one.covariance, other.covariance
+    if how == "covariance_intersection":
+        one_trace, other_trace = (each[0][0] + each[1][1] + each[2][2] + each[3][3] for each in (first, second))
+        both = one_trace + other_trace
+        first, second = _scaled(first, both / other_trace), _scaled(second, both / one_trace)
+    return Track(one.stamp, *corrected(one.state, first, other.state, second))
+
+
+def _scaled(matrix: Matrix, factor: float) -> Matrix:
+    return [[factor * x for x in row] for row in matrix]

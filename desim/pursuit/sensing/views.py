@@ -1,0 +1,221 @@
+"""Views: what a pursuer knows of the evaders without a sensing limit; `sensing` has the limited view."""
+
+from cmath import isnan
+from collections.abc import Callable, Collection, Sequence
+from math import inf
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.arrays import Floats, Points
+from desim.kernel.core.units import seconds
+from desim.pursuit.core.state import lengths
+from desim.pursuit.motion.dead_reckoning import MotionState, moved_towards
+from desim.pursuit.sensing.noise import expected_distance
+from desim.pursuit.sensing.world_state import WorldState
+
+Prune = Literal["none", "inf", "infeasible"]
+"""Which pursuers may not chase an evader; see `Scenario.prune`."""
+NOWHERE = complex(np.nan, np.nan)
+"""Position of an evader of which nothing is known, m."""
+
+
+class EvaderEstimate(NamedTuple):
+    """The estimated position of an evader."""
+
+    position: complex
+    """m"""
+    velocity: complex = 0j
+    """m/s"""
+    uncertainty: float = 0.0
+    """Upper bound, m, of the distance of the evader from `position`; 0 if this kind of estimate gives no bound."""
+    deviation: float = 0.0
+    """Standard deviation of each coordinate of `position`, m; 0 if it is not known."""
+
+    def distance(self, position: complex) -> float:
+        """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
+        return expected_distance(abs(self.position - position), self.deviation) + self.uncertainty
+
+    def distances(self, positions: Points) -> Floats:
+        """Return the (N,) distances, m, from positions to the evader; see `distance`."""
+        found = lengths(self.position - positions)
+        if self.deviation:
+            found = np.array([expected_distance(each, self.deviation) for each in found.tolist()])
+        return found + self.uncertainty
+
+
+class View:
+    """The knowledge of a pursuer about the evaders; this view sees all of them at any distance.
+
+    A view with limited sensing redefines `sees`, `estimate` and `unlimited`, on which the other methods are based. The
+    positions, speeds and actions of pursuers are in `state`.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+    """
+
+    unlimited: ClassVar[bool] = True
+    """Whether it always sees all evaders."""
+
+    def __init__(self, state: WorldState, prune: Prune):
+        self.state, self._prune = state, prune
+        keeps = state.environment.keeps_distances
+        self._knows_slow = prune == "inf" and keeps  # whether the speeds alone decide who may chase
+        self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
+        self._options: dict[int, tuple[int, ...]] = {}
+        self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
+
+    def sees(self, evader: int) -> bool:
+        """Return whether the pursuer sees an evader now."""
+        return True
+
+    def estimate(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate of an evader; None if it is unknown."""
+        return EvaderEstimate(self.state.body(evader).position, self.state.velocity(evader))
+
+    def evader(self, evader: int) -> complex:
+        """Return the estimated position of an evader, m; nan if unknown."""
+        estimate = self.estimate(evader)
+        return NOWHERE if estimate is None else estimate.position
+
+    def capture_times(self, evader: int) -> tuple[float, ...]:
+        """Return the capture time, s, of each pursuer for an evader at its estimated position.
+
+        All are inf if the evader has been captured or is unknown.
+        """
+        state, body = self.state, self.state.body(evader)
+        if self.unlimited or body.captured is not None or self.sees(evader):
+            return body.capture_times(state.now)
+        estimate = self.estimate(evader)
+        if estimate is None:
+            return (inf,) * state.size
+        places = state.positions()
+        return body.capture_times_at(estimate.position, places, estimate.distances(places))
+
+    def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
+        """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
+        state = self.state
+        if self.unlimited or self.sees(evader):
+            now = state.now
+            if now == state.step_end:  # cache all positions, which the motion step that begins now needs anyway
+                state.players.positions()
+            return state.body(evader).capture_times_of(pursuers, now)
+        times = self.capture_times(evader)
+        return [times[pursuer] for pursuer in pursuers]
+
+    def capture_time_from(self, pursuer: int, motion: MotionState, evader: int) -> float:
+        """Return the capture time, s, of a pursuer for an evader, given a hypothetical motion of the pursuer.
+
+        It is inf if the evader has been captured or is unknown.
+        """
+        estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
+        if estimate is None:
+            return inf
+        distance = estimate.distance(motion.position)
+        return self.state.body(evader).capture_time_from(pursuer, motion, estimate.position, distance)
+
+    def may_chase(self, pursuer: int, evader: int) -> bool:
+        """Return whether a pursuer may choose to chase an evader.
+
+        The evader must be at large, its position must be known or estimated, and `prune` must not exclude the pursuer.
+        A relay may chase no evader.
+        """
+        body = self.state.body(evader)
+        if (
+            pursuer in self.state.relays
+            or body.captured is not None
+            or not (self.unlimited or self.estimate(evader) is not None)
+        ):
+            return False
+        if self._knows_slow or self._prune == "none":
+            return self._prune == "none" or not body.slow[pursuer]
+        (time,) = self.capture_times_of([pursuer], evader)
+        return time < (inf if self._prune == "inf" else self.state.time_left(self.state.now))
+
+    def options(self, pursuer: int) -> Sequence[int]:
+        """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
+        at_large = self.state.at_large
+        if not self._options_last or self._options_at is not at_large:
+            self._options, self._options_at = {}, at_large
+        known = self._options.get(pursuer)
+        if known is None:
+            known = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
+            self._options[pursuer] = known
+        return known
+
+    def reckoned(
+        self, start: MotionState, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
+    ) -> MotionState:
+        """Return the present motion of a pursuer whose chase of an evader began with `start`, `age` ago.
+
+        If nothing moves, or the position of the evader is unknown, this is `start`.
+
+        Args:
+            start: its motion at the start of the chase.
+            speed: its speed, m/s.
+            age: time since the start of the chase, ns.
+            evader: the evader that it chased.
+            exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
+                assumed to head straight for the evader's present position, as estimated, and to have simple motion.
+            ended: time since the chase ended, at most `age`, ns; 0 if the chase continues. The pursuer is assumed to
+                have been inactive since then. A later call with the same start must not give an earlier end of the
+                chase.
+        """
+        state, body = self.state, self.state.body(evader)
+        if state.static or age == ended:
+            return start
+        now, captured = state.now, body.captured
+        end = now - ended if captured is None else min(now - ended, max(captured, now - age))
+        if exact and self.unlimited:
+            reached = body.path.retrace(start, speed, now - age, end)
+        else:
+            there = body.position if captured is not None else self.evader(evader)
+            begin = self.idle(MotionState(start.position), age, now - end).position
+            length = speed * seconds(end - now + age)
+            reached = start if isnan(there) else MotionState(moved_towards(begin, there, length))
+        return self.idle(reached, now - end, ended)
+
+    def idle(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
+        """Return the motion of a pursuer that was inactive from `age` to `until` (both in ns) ago.
+
+        It stands still, or brakes, and the flow carries it.
+        """
+        state, now, course = self.state, self.state.now, motion.course
+        if age == until or state.static:
+            return motion
+        place = motion.position
+        if course is not None:
+            piece, duration = state.dynamics(place, course, 0j), seconds(age - until)
+            place, course = piece.at(duration), piece.course_at(duration)
+        if not state.environment.is_still:
+            place = state.environment.carried(place, now - age, now - until)
+        return MotionState(place, course)
+
+
+class GlobalState(View):
+    """The true state of the world and the actions of all pursuers, for omniscient benchmarks.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        set_action: a function that sets the action of a pursuer from this instant on. Its arguments are the pursuer and
+            the action, the number of an evader or 0.
+    """
+
+    def __init__(self, state: WorldState, prune: Prune, set_action: Callable[[int, int], None]):
+        super().__init__(state, prune)
+        self.set_action = set_action
+
+    def action(self, pursuer: int) -> int:
+        """Return the evader that a pursuer chases, or 0."""
+        return self.state.profile[pursuer]
+
+    def profile(self) -> list[int]:
+        """Return the action of each pursuer."""
+        return self.state.profile.copy()
+
+    def broken(self) -> NDArray[np.bool_]:
+        """Return the (N,) mask of the pursuers that are down."""
+        return self.state.broken.copy()

@@ -1,0 +1,237 @@
+"""The agent: the interface through which a protocol controls one pursuer.
+
+An agent senses its own position, the evaders within `sensing.radius` and, if `announce.payload` is "action", the
+positions of its teammates. It learns the actions of teammates only from delivered messages; with `announce.start` =
+"known" it knows the initial actions without any.
+"""
+
+from collections.abc import Callable, Generator, Iterable
+from functools import cached_property
+from itertools import count
+from typing import Any
+
+import numpy as np
+import simpy
+
+from desim.kernel.core.clock import Clock, NodeClock, Phase
+from desim.kernel.core.message_body import as_sent, differs
+from desim.kernel.core.records import Record
+from desim.kernel.core.seeds import stream
+from desim.kernel.models.transport import Transport
+from desim.kernel.network import Network
+from desim.kernel.state.inbox import Message
+from desim.pursuit.sensing.views import GlobalState, View
+from desim.pursuit.team.announcements import PAYLOADS, Announcements, Located, LocatedAssignment, MovingAssignment
+from desim.pursuit.team.beliefs import Beliefs
+from desim.pursuit.team.knowledge import Knowledge
+from desim.pursuit.team.timing import Timing
+from desim.pursuit.team.trust import Judge
+from desim.pursuit.team.voice import Voice
+
+Process = Generator[simpy.Event, Any, None]
+"""A running protocol: a generator that yields the SimPy events it waits for."""
+
+
+class Agent(Knowledge, Timing):
+    """The interface of a protocol to one pursuer.
+
+    Its methods return what the pursuer knows (`Knowledge`) and the events that the protocol waits for (`Timing`), set
+    the action of the pursuer, and send and receive messages. A protocol waits by yielding an event that `at`, `sleep`,
+    `arrival` or `after_decisions` returns. No method waits when it is called.
+
+    Attributes:
+        restarts: number of restarts without memory after a crash.
+        global_state: the true state of the world and the actions of all pursuers, bypassing sensing and network; for
+            omniscient benchmarks only.
+
+    Args:
+        pursuer: the id of the pursuer.
+        env: the clock of the simulation.
+        view: its view of the world.
+        global_state: see the attribute; `assign` also sets the action of this pursuer through it.
+        network: the network that carries its messages.
+        seed: seed of its random streams.
+        announcements: the content and the times of its announcements.
+        clock: its local clock.
+        voice: sends its messages; None: the network, as it is asked to.
+        judge: decides which announcements it believes; None: it believes all.
+    """
+
+    def __init__(
+        self,
+        pursuer: int,
+        env: Clock,
+        view: View,
+        global_state: GlobalState,
+        network: Network,
+        seed: int,
+        announcements: Announcements,
+        clock: NodeClock,
+        voice: Voice | None = None,
+        judge: Judge | None = None,
+    ):
+        beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement, judge)
+        Knowledge.__init__(self, pursuer, view, network, clock, beliefs)
+        Timing.__init__(self, pursuer, env, clock, network)
+        self.global_state, self._voice, self._judge = global_state, voice or network, judge
+        self._seed, self._announcements = seed, announcements
+        # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
+        self._payload: Any = None
+        # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
+        # this result has changed, or is None. Other triggers do not use it.
+        self._announced: Any = None if announcements.start == "silent" else (self.action,)
+        self._streams: dict[str, np.random.Generator] = {}
+
+    def recovered(self, *, restarted: bool) -> None:
+        """Register the end of a crash. An announcement is then due, because the crash may have suppressed the last one.
+
+        Args:
+            restarted: whether the pursuer restarts without memory.
+        """
+        self._announced = None
+        if restarted:
+            self._payload = None
+            self.restarts += 1
+            if self._judge is not None:
+                self._judge.forget()
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Return the random stream of this pursuer with this name.
+
+        Later calls with the same name return the same stream, which continues, also after a restart.
+        """
+        if name not in self._streams:
+            self._streams[name] = stream(self._seed, name, self.id)
+        return self._streams[name]
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """The random stream of the decisions of this pursuer."""
+        return self.stream("decisions")
+
+    def shared_stream(self, name: str) -> np.random.Generator:
+        """Create a random stream that yields the same draws for every pursuer that uses this name."""
+        return stream(self._seed, f"shared {name}")
+
+    # Actions and announcements.
+
+    def assign(self, action: int) -> None:
+        """Chase an evader (its number) or be inactive (0) from now on.
+
+        Call it after each decision, then call `announce`. A pursuer that is down or may not chase this evader
+        (`may_chase`) becomes inactive.
+
+        Raises:
+            ValueError: if there is no such evader.
+        """
+        self.global_state.set_action(self.id, action)
+
+    def announce(self) -> None:
+        """Announce the action of the pursuer after a decision, if an announcement is due (`announce.trigger`).
+
+        Call it after every `assign`. Use `broadcast` to announce in any case.
+        """
+        trigger = self._announcements.trigger
+        if trigger == "revision" or (trigger in {"change", "both"} and differs(self._news(), self._announced)):
+            self.broadcast()
+
+    def broadcast(self) -> None:
+        """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
+        self._announced = as_sent(self._news()) if self._announcements.trigger in {"change", "both"} else None
+        self._announcements.dissemination.broadcast(self, self.announcement())
+
+    def _news(self) -> Any:
+        """Return the value whose change makes an announcement due."""
+        return (self.action,) if self._payload is None else self._payload.news
+
+    def set_payload(self, body: Any) -> None:
+        """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.
+
+        Each announcement has the content that the body has when it is sent, see `send`. The attribute `active` of the
+        body should be the action. With the trigger "change" or "both", the body should also have an attribute `news`:
+        `announce` sends the body if `news` differs from that of the last announcement.
+        """
+        self._payload = body
+
+    def announcement(self) -> Any:
+        """Return the body that it would announce now."""
+        if self._payload is not None:
+            return self._payload
+        return PAYLOADS[self._announcements.payload].announced_by(self.id, self._view)
+
+    def located(self) -> Located:
+        """Return the body that it would announce now if the payload were "state" or, with inertia, "course"."""
+        payload = LocatedAssignment if self._view.state.dynamics.is_simple else MovingAssignment
+        return payload.announced_by(self.id, self._view)
+
+    def record(self, body: Any) -> Record:
+        """Create its next record, with this body, for a dissemination model that does not use `publish`."""
+        return self._voice.next_record(self.id, body, self._clock.stamp)
+
+    def publish(self, body: Any, *, size: int | None = None) -> None:
+        """Publish a record to all neighbours; a receiver reads the newest one at its next decision.
+
+        Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
+        `body` and `size` are as in `send`.
+
+        Raises:
+            ValueError: as `send`, because of the size or the body.
+        """
+        self._voice.publish(self.id, body, size, self._clock.stamp)
+
+    def merge_records(self, records: Iterable[Record]) -> None:
+        """Merge records received inside a message into this pursuer's table, which keeps the newest of each source."""
+        for record in records:
+            self._network.insert(self.id, record)
+
+    def send(
+        self,
+        dst: int | None,
+        body: Any,
+        port: str = "",
+        *,
+        transport: Transport | None = None,
+        size: int | None = None,
+    ) -> None:
+        """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
+
+        Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
+        (`mail`). A body may be any object that can be copied. It is copied at sending, and for each receiver, unless it
+        is known to be immutable (`desim.kernel.core.message_body`): what the sender or a receiver changes later changes
+        no other message, and not the trace.
+
+        Args:
+            dst: the receiver; None: all neighbours.
+            body: what is sent.
+            port: the port of the inbox.
+            transport: how the message is carried, for example retransmitted until it is acknowledged; None: as
+                `network.transport` says. All messages at a port should have the same transport.
+            size: the size of the message, bytes; None: computed from the body, see `desim.kernel.core.message_size`.
+
+        Raises:
+            ValueError: if the receiver is the sender, there is no such teammate, the size is not an integer of at least
+                0, the body has no size or cannot be copied, or messages at the port have another transport.
+        """
+        self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
+
+    def mail(self, port: str = "") -> list[Message]:
+        """Remove and return the unread messages of a port, without waiting."""
+        return self._network.inbox(self.id, port).drain()
+
+
+def repeat(me: Agent, act: Callable[[], object], period: float, name: str, jitter: float = 0.0) -> Process:
+    """Return a process that calls a function once per period (s, local clock), after all decisions of the instant.
+
+    The first call happens after a random fraction of the period, drawn from the stream `name` of the agent. Each later
+    wait is longer or shorter than the period by a random share of up to `jitter`.
+    """
+    rng = me.stream(name)
+    first = due = me.now + rng.uniform(0.0, period)
+    for k in count(1):
+        yield me.at(due, Phase.HEARTBEAT)
+        act()
+        due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
+
+
+Behaviour = Callable[[Agent], Process]
+"""A protocol: a function that returns the process of a pursuer, given its agent."""

@@ -1,0 +1,355 @@
+"""Trust: which announcements of its teammates a pursuer believes.
+
+A `Trust` model creates a judge for each pursuer of a run (`judge`). The judge decides on each record, and may ignore
+extreme claims. Beliefs that are not trusted do not reach a protocol (`desim.pursuit.team.beliefs`), so any rule runs
+with any trust. What refutes a record is in `desim.pursuit.byzantine.evidence`.
+"""
+
+from collections.abc import Collection, Mapping
+from math import exp, inf
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
+
+from pydantic import Field
+
+from desim.config.choice import OneOf
+from desim.config.model import Duration, Limit, Period, Probability, Value
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND
+from desim.kernel.state.inbox import Message
+
+PORT = ReservedPort("accusations", __name__)
+"""The port at which accusations arrive."""
+
+
+INITIAL_REPUTATION = 0.5
+"""The reputation of a teammate without evidence."""
+
+
+class Accusation(NamedTuple):
+    """The teammates that a pursuer has evidence against."""
+
+    accused: tuple[int, ...]
+
+
+class Observer(Protocol):
+    """The interface of a judge to its pursuer; see `desim.pursuit.byzantine.evidence.Witness`."""
+
+    @property
+    def now(self) -> int:
+        """The local time, ns."""
+        ...
+
+    def refutes(self, record: Record, radius: float) -> bool:
+        """Return whether a record contradicts what the pursuer observes up to a distance, m."""
+        ...
+
+    def note(self, suspect: int, *, distrusted: bool) -> None:
+        """Record that the pursuer begins or stops to distrust a teammate."""
+        ...
+
+    def mail(self, port: str) -> list[Message]:
+        """Remove and return the unread messages of a port."""
+        ...
+
+    def send(self, body: Any, port: str) -> None:
+        """Send a message to all neighbours."""
+        ...
+
+
+class Judge:
+    """The judgement of one pursuer in one run; this one believes everything."""
+
+    def believes(self, record: Record) -> bool:
+        """Return whether the pursuer believes a record, the newest of its source; called at each read."""
+        return True
+
+    def ignored(self, own: float, claims: Mapping[int, float]) -> Collection[int]:
+        """Return the teammates whose claims the pursuer ignores.
+
+        Args:
+            own: its own capture time, s.
+            claims: by teammate, the capture time, s; nan if unknown.
+        """
+        return ()
+
+    def report(self) -> None:
+        """Tell the team what it should know; called once per `Trust.period`."""
+
+    def forget(self) -> None:
+        """Forget all evidence, after a crash without memory."""
+
+
+JUDGES = ("believes", "ignored", "report", "forget")
+"""The methods of a judge."""
+
+
+class Trust(Protocol):
+    """A model of trust."""
+
+    @property
+    def period(self) -> float | None:
+        """Time between two reports of a judge, s; None: judges do not report."""
+        ...
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Create the judge of a pursuer, given what it observes; None: it believes everything."""
+        ...
+
+
+def judge_of(trust: Trust, witness: Observer) -> Judge | None:
+    """Return the judge of a pursuer, given what it observes; None: it believes everything.
+
+    Raises:
+        ValueError: if the trust of a user creates something else.
+    """
+    judge: Any = trust.judge(witness)
+    missing = [name for name in JUDGES if not callable(getattr(judge, name, None))]
+    if judge is not None and missing:
+        raise ValueError(
+            f"judge(witness) of a trust should return None, or an object with the methods {', '.join(JUDGES)} such as a"
+            f" Judge, got {judge!r} from {trust!r}"
+        )
+    return judge  # type: ignore[no-any-return]
+
+
+def ignored_by(judge: Judge, own: float, claims: Mapping[int, float]) -> Collection[int]:
+    """Return the teammates whose claims a judge ignores; see `Judge.ignored`.
+
+    Raises:
+        ValueError: if the judge of a user returns something else.
+    """
+    ignored: Any = judge.ignored(own, claims)
+    if not isinstance(ignored, Collection) or isinstance(ignored, str):
+        raise ValueError(f"ignored(own, claims) of a judge should return a collection of pursuers, got {ignored!r}")
+    return ignored
+
+
+class Credulous(Value):
+    """A pursuer believes all announcements."""
+
+    kind: Literal["none"] = "none"
+
+    @property
+    def period(self) -> float | None:
+        """No reports."""
+        return None
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Return None."""
+        return None
+
+
+class Trimmed(Value):
+    """A pursuer ignores the F most extreme claims on each side of its own capture time.
+
+    This is the rule of W-MSR (LeBlanc, Zhang, Koutsoukos & Sundaram 2013, "Resilient Asymptotic Consensus in Robust
+    Networks"): the F least capture times below the own one, and the F greatest above it. So F liars with a small
+    capture time keep no pursuer from the chase, at the price of up to F + 1 chasers. In a complete graph F may be up to
+    `tolerated_liars`. The rule needs no observation, and does not find out who lies.
+    """
+
+    kind: Literal["trimmed"] = "trimmed"
+    liars: Annotated[int, Field(ge=0, strict=True)] = 1
+    """F: number of liars to tolerate."""
+
+    @property
+    def period(self) -> float | None:
+        """No reports."""
+        return None
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Create a judge."""
+        return _Trimming(self.liars)
+
+
+class _Observing(Value):
+    """Base of the kinds of trust that compare claims with what the pursuer observes."""
+
+    radius: Limit = inf
+    """Distance up to which a pursuer observes the position and the motion of a teammate, m."""
+
+    @property
+    def period(self) -> float | None:
+        """No reports."""
+        return None
+
+
+class Plausible(_Observing):
+    """A pursuer rejects the announcements that physics refutes.
+
+    - The capture time is less than any pursuer could have at this distance from the evader.
+    - The action contradicts the motion: for a motion step before the announcement the sender stood still, or chased.
+    - The position is farther away than the sender can have moved since.
+
+    A true announcement is never rejected, however late, if clocks are equal: only what the sender can have done since
+    then is held against it. A rejected teammate counts as silent until its next announcement that is not refuted.
+    """
+
+    kind: Literal["plausible"] = "plausible"
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Create a judge."""
+        return Checking(witness, self.radius)
+
+
+class Accusations(_Observing):
+    """A pursuer blocks for good a teammate against which it has evidence, or that several teammates accuse.
+
+    Evidence is as in `plausible`. Accusations are messages of their own, repeated once per period, and reach the
+    neighbours only. They let pursuers that do not observe a liar block it. Up to `quorum` - 1 liars cannot get an
+    honest pursuer blocked by false accusations; accusations of blocked pursuers do not count. The idea is that of
+    Wardega, von Hippel, Tron, Nita-Rotaru & Li 2023, "Byzantine Resilience at Swarm Scale"; their blocklist follows
+    from a matching of accusers and accused instead of a quorum.
+    """
+
+    kind: Literal["accusations"] = "accusations"
+    quorum: Annotated[int, Field(ge=1, strict=True)] = 2
+    """Number of accusers that is enough to block a teammate: one more than the liars to tolerate."""
+    interval: Period = 0.2
+    """Time between two accusations of a pursuer, s."""
+
+    @property
+    def period(self) -> float | None:
+        """The interval, s."""
+        return self.interval
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Create a judge."""
+        return _Accusing(witness, self.radius, self.quorum)
+
+
+class Reputation(_Observing):
+    """A pursuer believes a teammate whose reputation is high enough; evidence loses its weight with time.
+
+    Each announcement of a teammate is evidence, good or, if it is refuted as in `plausible`, bad. With the weights g
+    and b of both, the reputation is (1 + g) / (2 + g + b), the mean of a beta distribution (Jøsang & Ismail 2002, "The
+    Beta Reputation System"). The weight of an announcement decays exponentially.
+    """
+
+    kind: Literal["reputation"] = "reputation"
+    threshold: Probability = INITIAL_REPUTATION
+    """Least reputation that is believed, in [0, 1]; without evidence it is 1/2."""
+    decay_time: Duration = 10.0
+    """Time in which the weight of an announcement decays to 1/e, s."""
+
+    def judge(self, witness: Observer) -> Judge | None:
+        """Create a judge."""
+        return _Rating(witness, self.radius, self.threshold, self.decay_time)
+
+
+TRUSTS = OneOf(Credulous, Trimmed, Plausible, Accusations, Reputation, needs=("judge", "period"))
+
+
+def tolerated_liars(size: int) -> int:
+    """Return the greatest number F of liars that W-MSR tolerates in a complete graph of `size` nodes.
+
+    A complete graph of n nodes is ceil(n/2)-robust, and (2F + 1)-robustness suffices (LeBlanc et al. 2013, section 4).
+    """
+    return (-(-size // 2) - 1) // 2
+
+
+class _Trimming(Judge):
+    def __init__(self, liars: int):
+        self._liars = liars
+
+    def ignored(self, own: float, claims: Mapping[int, float]) -> Collection[int]:
+        """Return the teammates with the F least claims below the own capture time, and the F greatest above it."""
+        ranked = sorted((phi, j) for j, phi in claims.items() if phi == phi)
+        below = [j for phi, j in ranked if phi < own]
+        above = [j for phi, j in ranked if phi > own]
+        return {*below[: self._liars], *above[max(len(above) - self._liars, 0) :]}
+
+
+class Checking(Judge):
+    """Rejects each record that the observations of a pursuer refute, and each later one until one is not refuted.
+
+    Args:
+        witness: what the pursuer observes.
+        radius: distance up to which it observes teammates, m.
+    """
+
+    def __init__(self, witness: Observer, radius: float):
+        self._witness, self._radius = witness, radius
+        self._checked: dict[int, int] = {}
+        """By teammate, the sequence number of the last record that was checked."""
+        self._distrusted: set[int] = set()
+
+    def believes(self, record: Record) -> bool:
+        """Return whether the pursuer believes a record; each record is checked once."""
+        if self._checked.get(record.src) != record.seq:
+            self._checked[record.src] = record.seq
+            self._note(record.src, refuted=self._witness.refutes(record, self._radius))
+        return record.src not in self._distrusted
+
+    def forget(self) -> None:
+        """Forget all evidence."""
+        self._checked.clear()
+        self._distrusted.clear()
+
+    def _note(self, suspect: int, *, refuted: bool) -> None:
+        """Note whether a new record of a teammate is refuted."""
+        self._set(suspect, distrusted=refuted)
+
+    def _set(self, suspect: int, *, distrusted: bool) -> None:
+        """Begin or stop to distrust a teammate."""
+        if distrusted != (suspect in self._distrusted):
+            (self._distrusted.add if distrusted else self._distrusted.discard)(suspect)
+            self._witness.note(suspect, distrusted=distrusted)
+
+
+class _Accusing(Checking):
+    def __init__(self, witness: Observer, radius: float, quorum: int):
+        super().__init__(witness, radius)
+        self._quorum = quorum
+        self._evidence: set[int] = set()
+        self._accusers: dict[int, set[int]] = {}
+        """By teammate, those that accuse it."""
+
+    def believes(self, record: Record) -> bool:
+        """Return whether the source of a record is not blocked."""
+        for message in self._witness.mail(PORT):
+            for accused in message.body.accused:
+                self._accusers.setdefault(accused, set()).add(message.src)
+        believed = super().believes(record)
+        if believed and len(self._accusers.get(record.src, set()) - self._distrusted) >= self._quorum:
+            self._set(record.src, distrusted=True)
+            return False
+        return believed
+
+    def report(self) -> None:
+        """Accuse the teammates against which the pursuer has evidence."""
+        if self._evidence:
+            self._witness.send(Accusation(tuple(sorted(self._evidence))), PORT)
+
+    def forget(self) -> None:
+        """Forget all evidence and all accusations."""
+        super().forget()
+        self._evidence.clear()
+        self._accusers.clear()
+
+    def _note(self, suspect: int, *, refuted: bool) -> None:
+        if refuted:
+            self._evidence.add(suspect)
+            self._set(suspect, distrusted=True)
+
+
+class _Rating(Checking):
+    def __init__(self, witness: Observer, radius: float, threshold: float, decay_time: float):
+        super().__init__(witness, radius)
+        self._threshold, self._decay_time = threshold, decay_time
+        self._weights: dict[int, tuple[int, float, float]] = {}
+        """By teammate: the time of its last record, ns, and the weights of good and bad records then."""
+
+    def forget(self) -> None:
+        """Forget all evidence."""
+        super().forget()
+        self._weights.clear()
+
+    def _note(self, suspect: int, *, refuted: bool) -> None:
+        now = self._witness.now
+        then, good, bad = self._weights.get(suspect, (now, 0.0, 0.0))
+        kept = exp((then - now) / SECOND / self._decay_time)
+        good, bad = good * kept + (not refuted), bad * kept + refuted
+        self._weights[suspect] = now, good, bad
+        self._set(suspect, distrusted=refuted or (1.0 + good) / (2.0 + good + bad) < self._threshold)

@@ -1,0 +1,174 @@
+"""Steering: the velocities of all players, set at each motion step and when an action changes within a step."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.arrays import Points
+from desim.kernel.core.units import seconds
+from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE, EvaderBody
+from desim.pursuit.motion.guidance import Guidance, guided_velocities, guided_velocity
+from desim.pursuit.sensing.noisy_sensing import Sensor
+from desim.pursuit.sensing.world_state import Actions, WorldState
+
+
+class Steering:
+    """Sets the velocities: of pursuers by a guidance law, of relays by records, of evaders by their strategies.
+
+    Args:
+        state: the true state of the world.
+        law: the guidance law.
+        sensor: the sensors of the team; None if sensing is unlimited.
+        carried: (N + M,) whether the flow carries each player: the pursuers, then the evaders.
+        evader_first: whether pursuers aim at the evader's position at the end of the motion step; if not, at its
+            position at the start.
+    """
+
+    def __init__(
+        self,
+        state: WorldState,
+        law: Guidance,
+        sensor: Sensor | None,
+        carried: NDArray[np.bool_],
+        *,
+        evader_first: bool,
+    ):
+        self._players, self._targets, self._law = state.players, state.bodies, law
+        self._speeds, self._speed = state.speeds, state.speeds.tolist()
+        self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
+        self._dynamics, self._radius, self._has_inertia = state.dynamics, state.radius, not state.dynamics.is_simple
+        self._environment, self._carried, self._has_flow = state.environment, carried, not state.environment.is_still
+        self._is_plain = not (self._has_inertia or self._has_flow)
+        self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
+
+    def set_actions(self, actions: Actions) -> None:
+        """Set the actions of all pursuers from now on."""
+        self._actions, self._paces = actions, self._speeds * (actions > 0)
+        moving = actions.nonzero()[0]
+        self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
+        if len(moving) <= MAX_SCALAR_SIZE or not self._is_plain:
+            self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
+
+    def step(self, now: int, until: int, *, handover: bool) -> None:
+        """Set the velocity of each player for a motion step.
+
+        Args:
+            now: start of the step, ns.
+            until: end of the step, ns.
+            handover: whether an announcement of a change of action is in flight.
+        """
+        duration, players, law = seconds(until - now), self._players, self._law
+        velocities = self._stillness.copy()
+        for target in self._targets:
+            state = target.state(now)
+            evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
+            drift = self._drift(target.player, evader_velocity, now, duration)
+            if self._evader_first:
+                aim, seen = players.advance(target.player, evader_velocity, duration, drift)
+            else:
+                aim, seen = place + drift * duration, players.course(target.player).velocity + drift
+            target.path.see(now, place, aim, seen, until)
+            velocities[target.player] = evader_velocity
+        if self._chases is None:
+            velocities[: len(self._actions)] = self._all_velocities()
+        else:
+            where, speed = players.positions().item, self._speed
+            for pursuer, target in self._chases:
+                here, (_, place, aim, evader_velocity, _) = where(pursuer), target.path.last
+                if self._is_plain:  # the same result as below, faster
+                    velocities[pursuer] = guided_velocity(
+                        law, place - here, aim - here, evader_velocity, speed[pursuer]
+                    )
+                else:
+                    given = place - here, aim - here, evader_velocity, speed[pursuer]
+                    velocities[pursuer] = self._command(pursuer, *given, now, duration)
+        for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
+            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
+        for relay, motion in self._relays.items():
+            velocities[relay] = motion.velocity(now, players.position(relay))
+        drifts = None
+        if self._has_flow:
+            drifts = self._environment.drifts(players.positions(), velocities, now, duration) * self._carried
+        players.command(velocities, drifts)
+
+    def redirect(self, pursuer: int, now: int, until: int) -> None:
+        """Set the velocity of a pursuer whose action changes within a step.
+
+        Args:
+            pursuer: its id.
+            now: the present, ns.
+            until: end of the step, ns.
+        """
+        velocities, evader, duration = self._players.commands.copy(), self._actions.item(pursuer), seconds(until - now)
+        if not evader:
+            velocities[pursuer] = 0j
+        elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
+            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
+        else:
+            here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
+            given = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
+            velocities[pursuer] = self._command(pursuer, *given, now, duration)
+        drifts = self._players.drifts
+        if drifts is not None:
+            drifts = drifts.copy()
+            drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
+        self._players.command(velocities, drifts)
+
+    def _command(
+        self,
+        pursuer: int,
+        gap: complex,
+        aim: complex,
+        evader_velocity: complex,
+        speed: float,
+        now: int,
+        duration: float,
+    ) -> complex:
+        """Return the velocity relative to the flow, m/s, that a pursuer commands.
+
+        Args:
+            pursuer: its id.
+            gap: the vector from the pursuer to its evader, m.
+            aim: the vector from the pursuer to the point at which it aims, m.
+            evader_velocity: velocity of the evader, m/s.
+            speed: its speed, m/s.
+            now: the present, ns.
+            duration: the time for which it keeps the command, s.
+        """
+        wind = self._drift(pursuer, 0j, now, duration)
+        aim = aim - wind * duration
+        command = guided_velocity(self._law, gap, aim, evader_velocity - wind, speed)
+        if not self._has_inertia:
+            return command
+        return self._dynamics.steered(command, self._players.course(pursuer), aim, self._radius)
+
+    def _drift(self, player: int, command: complex, now: int, duration: float) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of a player from now (ns) for a duration (s)."""
+        if not (self._has_flow and self._carried[player]):
+            return 0j
+        return self._environment.drift(self._players.position(player), command, now, duration)
+
+    def _all_velocities(self) -> Points:
+        """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""
+        actions, segments = self._actions, [target.path.last for target in self._targets]
+        pursuers, paces = self._players.positions()[: len(actions)], self._paces
+        if len(segments) == 1:
+            _, place, aim, evader_velocity, _ = segments[0]
+            return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, paces)
+        chased = np.maximum(actions, 1) - 1
+        places, aims, evader_velocities = (np.array([segment[k] for segment in segments])[chased] for k in (1, 2, 3))
+        return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
+
+    def _blind_velocity(self, pursuer: int, now: int, duration: float) -> complex:
+        """Return the velocity, m/s, of a pursuer whose evader is out of sensing range; 0 without an estimate.
+
+        The speed is limited so that in `duration` s from now (ns) the pursuer does not overshoot the estimated position
+        of the evader.
+        """
+        assert self._sensor is not None
+        estimate = self._sensor.views[pursuer].estimate(self._actions.item(pursuer))
+        if estimate is None:
+            return 0j
+        gap = estimate.position - self._players.position(pursuer)
+        aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
+        speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, duration) * duration) / duration)
+        return self._command(pursuer, gap, aim, estimate.velocity, speed, now, duration)

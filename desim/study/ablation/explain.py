@@ -1,0 +1,176 @@
+"""The cost of each imperfection of a scenario, such as latency or loss.
+
+The scenario is run as it is, without each imperfection in turn, and without all of them, on the same seeds. The cost of
+an imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not
+add up to the difference that all imperfections make together, the imperfections interact. For example, if either of two
+imperfections is enough to delay a capture, removing one alone saves nothing.
+
+An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
+(`INTERACTION_RISK` in `desim.study.results.explanation`).
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Self
+
+from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
+from desim.analysis.statistics import mean
+from desim.config.python_numbers import whole
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.seeds import seed_of
+from desim.scenario.scenario import Scenario
+from desim.study.ablation.imperfections import IMPERFECTIONS
+from desim.study.plan.configurations import Configuration, without_metrics
+from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
+from desim.study.workers.workers import Workers, workers_for
+
+RUNS = 100
+"""The default number of runs of each variant. If the variants differ for a few seeds only, more runs are needed; see
+`desim.analysis.statistics.paired`."""
+
+
+def explain(
+    scenario: Scenario,
+    runs: int = RUNS,
+    executor: Executor | int | str = 1,
+    *,
+    seed: int | None = None,
+    store: str | Path | None = None,
+    metrics: Metrics | None = None,
+    shown: Sequence[str] = tuple(EXPLAINED),
+    timeout: float | None = None,
+    mix_versions: bool = False,
+) -> Explanation:
+    """Measure the cost of each imperfection of a scenario, in each of the metrics `shown`.
+
+    Use it to learn which imperfection (latency, loss, range, faults, ...) degrades a protocol before you vary this
+    imperfection in a sweep. `runs` is the number of runs of each variant, and `shown` names the metrics to compare; the
+    other arguments are as in `sweep`.
+
+    Raises:
+        ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
+            `timeout` is out of its range, or a metric has a wrong name, does not exist or is not numeric.
+        ScenarioError: if an object of the scenario has no stable hash.
+        StoreError: if the store cannot be written, belongs to other runs, or has runs of other versions.
+        ConnectionError: if a scheduler does not answer.
+        RunError: if no seed completes in all variants.
+    """
+    variants = Variants.of(scenario, runs, seed, metrics)
+    variants.check_shown(shown)
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
+        variants.plan.register(kept, mix_versions=mix_versions)
+        return variants.carry_out(kept, workers, shown, timeout=timeout)
+
+
+@dataclass(frozen=True)
+class Variants:
+    """The variants of a scenario (as it is, without each imperfection, without all) and the plan of their runs."""
+
+    plan: SweepPlan
+    configurations: Mapping[str, Configuration]
+    """The configuration of each variant by name; for an imperfection that the scenario lacks, the scenario as it is."""
+
+    @classmethod
+    def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None, metrics: Metrics | None = None) -> Self:
+        """Return the variants of a scenario.
+
+        Raises:
+            ValueError: if there are fewer than 2 runs, the seed is negative, or a metric has a wrong name.
+            ScenarioError: if an object of the scenario has no stable hash.
+        """
+        if (runs := whole(runs, "runs")) < 2:
+            raise ValueError(f"an interval needs at least 2 runs, got {runs}")
+        own, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
+        ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
+        removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
+        named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
+        configurations = {name: Configuration({"without": name}, each) for name, each in named.items()}
+        distinct: dict[str, Configuration] = {}
+        for configuration in configurations.values():
+            distinct.setdefault(configuration.key, configuration)
+        return cls(
+            SweepPlan(
+                scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else seed_of(seed), metrics=own
+            ),
+            configurations,
+        )
+
+    def check_shown(self, shown: Sequence[str]) -> None:
+        """Raise ValueError if there is no metric to be shown, or one does not exist or is not numeric."""
+        if not shown:
+            raise ValueError("at least one metric should be shown, got none")
+        for metric in shown:
+            check_numeric(metric, dict(self.plan.metrics))
+
+    def carry_out(
+        self,
+        store: Store,
+        workers: Workers,
+        shown: Sequence[str] = tuple(EXPLAINED),
+        *,
+        timeout: float | None = None,
+    ) -> Explanation:
+        """Perform the runs that a store lacks, and compare the variants in each of the metrics `shown`.
+
+        A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed.
+
+        Raises:
+            RunError: if no seed completes in all variants.
+            ValueError: if no metric is shown, a metric does not exist or is not numeric, or `timeout` is out of its
+                range.
+        """
+        self.check_shown(shown)
+        plan = self.plan
+        groups = carry_out(plan, store, workers, metrics=shown, timeout=timeout).groups
+        by_key = {
+            configuration.key: {row.replication: row for row in group.rows}
+            for configuration, group in zip(plan.configurations, groups, strict=True)
+        }
+        rows = {name: by_key[configuration.key] for name, configuration in self.configurations.items()}
+        complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
+        if not complete:
+            failed = next(row for found in rows.values() for row in found.values() if not row.ok)
+            raise RunError(f"no seed completed in all variants; first failure: {failed.error}")
+        absent = tuple(
+            name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
+        )
+        confidence = 1.0 - INTERACTION_RISK / len(shown)
+        costs = {metric: _cost(metric, plan.metrics, rows, complete, absent, confidence) for metric in shown}
+        return Explanation(plan.base.name, len(complete), plan.reps - len(complete), absent, costs)
+
+
+def _cost(
+    metric: str,
+    own: UsersMetrics,
+    rows: Mapping[str, Mapping[int, Row]],
+    complete: list[int],
+    absent: tuple[str, ...],
+    confidence: float,
+) -> Cost:
+    """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
+
+    `confidence` is the level of the interval that decides whether the imperfections interact.
+    """
+    shared_seeds = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
+    values = {name: [float(found[k].value(metric)) for k in shared_seeds] for name, found in rows.items()}
+    as_it_is = values.pop(AS_IT_IS)
+    saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
+    parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
+    interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
+    return Cost(
+        EXPLAINED.get(metric) or words(metric),
+        unit_of(metric, {name: each.unit for name, each in own}),
+        mean(as_it_is),
+        mean(values[IDEAL]),
+        {name: Saving.of(each) for name, each in parts.items()},
+        Saving.of(saved[IDEAL]),
+        Saving.of(interaction),
+        more_is(metric, dict(own)),
+        confidence,
+    )

@@ -1,0 +1,233 @@
+"""The imperfections of a scenario, and functions that remove them one by one.
+
+Two properties do not count as imperfections: the graph, which defines the links between pursuers, and the decision rate
+of pursuers that take no turns.
+"""
+
+from collections.abc import Callable, Mapping
+from math import inf
+from types import MappingProxyType
+from typing import Any, TypeGuard
+
+from pydantic import BaseModel, ValidationError
+
+from desim.kernel.models.access import Ideal
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.interference import Collision
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links, Processing
+from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited
+from desim.kernel.models.reception import Disk
+from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.pursuit.byzantine.lies import is_lie
+from desim.pursuit.motion.dynamics import Simple
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.sensing.noise import Noiseless
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import Unfiltered
+from desim.pursuit.team.announcements import one_hop
+from desim.scenario.scenario import Scenario
+
+
+def without_latency(scenario: Scenario) -> Scenario:
+    """Return the scenario with zero propagation delay, processing delay and transmission time of messages.
+
+    Nodes no longer wait for a channel. No message is dropped from a queue, or missed because its receiver transmits.
+    Delays that a dissemination model adds on purpose before forwarding remain. If nodes contend for the channel, the
+    channel remains, too, and so do random processing delays of senders: without them all frames of one instant would
+    collide. See `without_contention`.
+    """
+    medium, sender = scenario.network.medium, scenario.network.processing.sender
+    separates = _contends(medium) and type(sender) is not Constant
+    return _with_network(
+        scenario,
+        latency=Constant(),
+        processing=Processing(sender=sender) if separates else Processing(),
+        medium=medium if _contends(medium) else Unlimited(),
+        graph=_graph_without(scenario, "latency"),
+        link=_links_without(scenario.network, "latency"),
+    )
+
+
+def without_contention(scenario: Scenario) -> Scenario:
+    """Return the scenario in which the channel is an ideal queue: no back-off, collision or duty cycle.
+
+    Messages still have an airtime, and wait for the channel. The random processing delays of senders that
+    `without_latency` keeps are removed, too, where they are the only latency.
+    """
+    medium = scenario.network.medium
+    if not _contends(medium):
+        return scenario
+    own = {"spreading_factors": None, "frequencies": None, "gateways": None} if isinstance(medium, LoRa) else {}
+    ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
+    network = scenario.network
+    is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own(scenario, "latency")
+    processing = Processing() if is_only else network.processing
+    return _with_network(scenario, medium=medium.model_copy(update=ideal | own), processing=processing)
+
+
+def without_loss(scenario: Scenario) -> Scenario:
+    """Return the scenario without loss models; random reception is kept, because `without_range` removes it."""
+    return _with_network(
+        scenario,
+        loss=Bernoulli(),
+        graph=_graph_without(scenario, "loss"),
+        link=_links_without(scenario.network, "loss"),
+    )
+
+
+def without_duplicates(scenario: Scenario) -> Scenario:
+    """Return the scenario in which no message is transmitted twice."""
+    return _with_network(scenario, duplicate=Bernoulli())
+
+
+def without_transport(scenario: Scenario) -> Scenario:
+    """Return the scenario in which messages are sent once, and none is acknowledged, retransmitted or coded."""
+    free = _with_network(scenario, transport=BestEffort())
+    if not isinstance(scenario.announce.dissemination, Reliable | Coded):
+        return free
+    return free.model_copy(update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})})
+
+
+def without_range(scenario: Scenario) -> Scenario:
+    """Return the scenario in which linked nodes receive each other's messages at any distance."""
+    return _with_network(scenario, range=inf, reception=Disk())
+
+
+def without_faults(scenario: Scenario) -> Scenario:
+    """Return the scenario without faults of the network, robots and clocks: no crash, partition, jamming or skew."""
+    return scenario.model_copy(update={"fault": tuple(each for each in scenario.fault if is_lie(each))})
+
+
+def without_lies(scenario: Scenario) -> Scenario:
+    """Return the scenario without Byzantine faults; `announce.trust` is kept."""
+    return scenario.model_copy(update={"fault": scenario.network_faults})
+
+
+def without_serial_decisions(scenario: Scenario) -> Scenario:
+    """Return the scenario in which pursuers take no turns: no decision waits for a decision of a teammate.
+
+    If messages of the schedule, such as a token, carried the actions, pursuers now announce each change of action
+    immediately, and repeat it with every heartbeat. A scenario without turns or with one pursuer is returned unchanged,
+    and so is one whose protocol accepts no other schedule.
+    """
+    protocol: object = scenario.protocol
+    schedule = scenario.schedule_traits
+    if not isinstance(protocol, BaseModel) or schedule.without_serial_decisions is None or scenario.team.count == 1:
+        return scenario
+    try:
+        free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_serial_decisions()})
+    except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
+        return scenario
+    announcements = scenario.announce.model_copy(update={"trigger": "both"} if schedule.spreads_to else {})
+    return scenario.model_copy(update={"protocol": free, "announce": announcements})
+
+
+def without_staleness(scenario: Scenario) -> Scenario:
+    """Return the scenario in which pursuers announce actions at once, and sense positions.
+
+    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses announcements only for
+    positions then senses the positions instead and needs no messages.
+    """
+    ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto"}
+    return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
+
+
+def without_unknown_start(scenario: Scenario) -> Scenario:
+    """Return the scenario in which all pursuers know the initial actions, without a message."""
+    return scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"start": "known"})})
+
+
+def without_sensing_limit(scenario: Scenario) -> Scenario:
+    """Return the scenario in which pursuers sense the evaders at any distance; noise and its filter are kept."""
+    if not scenario.sensing.limited:
+        return scenario
+    kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
+    sensing = scenario.sensing
+    perfect = Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
+    return scenario.model_copy(update={"sensing": perfect})
+
+
+def without_noise(scenario: Scenario) -> Scenario:
+    """Return the scenario in which sightings have no errors, and need no filter."""
+    if not scenario.sensing.is_noisy:
+        return scenario
+    plain = {"noise": Noiseless(), "estimator": Unfiltered(), "fusion": "by_stamp", "interval": Sensing().interval}
+    sensing = scenario.sensing.model_copy(update=plain)
+    return scenario.model_copy(update={"sensing": sensing if sensing.limited else Sensing()})
+
+
+def without_inertia(scenario: Scenario) -> Scenario:
+    """Return the scenario in which all players take each commanded velocity at once."""
+    team, evader, simple = scenario.team, scenario.evader, {"dynamics": Simple()}
+    if not (team.has_inertia or any(each.has_inertia for each in scenario.evaders)):
+        return scenario
+    kinds: tuple[Any, ...] = evader if isinstance(evader, tuple) else (evader,)
+    free = tuple(each.model_copy(update=simple) for each in kinds)
+    evaders = free if isinstance(evader, tuple) else free[0]
+    return scenario.model_copy(update={"team": team.model_copy(update=simple), "evader": evaders})
+
+
+def without_flow(scenario: Scenario) -> Scenario:
+    """Return the scenario in which the medium is at rest."""
+    return scenario.model_copy(update={"environment": Environment()})
+
+
+IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
+    {
+        "latency": without_latency,
+        "contention": without_contention,
+        "loss": without_loss,
+        "duplicates": without_duplicates,
+        "transport": without_transport,
+        "range limit": without_range,
+        "faults": without_faults,
+        "lies": without_lies,
+        "serial decisions": without_serial_decisions,
+        "unknown start": without_unknown_start,
+        "stale knowledge": without_staleness,
+        "limited sight": without_sensing_limit,
+        "noise": without_noise,
+        "inertia": without_inertia,
+        "flow": without_flow,
+    }
+)
+"""The name of each imperfection, and the function that removes it."""
+
+
+def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
+    """Return a scenario with other values of its network; the same object if nothing changes."""
+    network = scenario.network
+    if dict(network) | ideal == dict(network):
+        return scenario
+    return scenario.model_copy(update={"network": type(network)(**dict(network) | {"preset": None} | ideal)})
+
+
+def _contends(medium: Medium) -> TypeGuard[Radio]:
+    """Return whether nodes contend for the channel of a medium."""
+    return isinstance(medium, Radio) and medium.contends
+
+
+def _links_without(network: Links, key: str) -> tuple[Any, ...]:
+    """Return the links without their model `key`; links that have no model of their own left are dropped."""
+    others = {"latency", "loss", "order"} - {key}
+    kept = [link for link in network.link if any(getattr(link, name) is not None for name in others)]
+    return tuple(link.model_copy(update={key: None}) for link in kept)
+
+
+def _has_own(scenario: Scenario, key: str) -> bool:
+    """Return whether a link or an edge of the graph has a model `key` of its own."""
+    return any(getattr(link, key) is not None for link in scenario.network.link) or (
+        _graph_without(scenario, key) is not scenario.network.graph
+    )
+
+
+def _graph_without(scenario: Scenario, key: str) -> Any:
+    """Return the graph of a scenario, without one property (`key`) of its edges."""
+    # A graph model may return the same object at each call.
+    made = scenario.network.make_graph(scenario.team.count).copy()
+    own = [data for _, _, data in made.edges(data=True) if key in data]
+    for data in own:
+        del data[key]
+    return Edges.of(made) if own else scenario.network.graph

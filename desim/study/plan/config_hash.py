@@ -1,0 +1,263 @@
+"""The identity of the runs of a configuration: a hash of its parameters, user code and data files.
+
+User code is any function or class from outside of the packages `desim` and `protocols`. The hash of a user object (such
+a function, or an instance of such a class) covers
+
+- the values that it holds;
+- the source of its module and of the user modules that this module imports, directly or indirectly;
+- the versions of the installed packages that these modules import, except those in `KNOWN`;
+- the content of the data files that it declares or that these modules have opened (`desim.config.data_files`).
+
+If its module belongs to an installed package, all modules of the package are hashed. If the object is defined in a
+script or a notebook, its compiled code and the globals that this code reads are hashed instead of the source, because
+the rest of the script may change.
+
+The globals of a module and the attributes of its functions and classes count only through its source
+(`desim.study.plan.user_code`): values that a program assigns to them later do not distinguish runs.
+"""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dis import get_instructions
+from functools import cache, cached_property
+from io import BytesIO
+from operator import attrgetter
+from pathlib import Path
+from types import CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
+from typing import Any, NamedTuple
+from weakref import WeakSet
+
+import cloudpickle
+import numpy as np
+from pydantic import BaseModel
+
+from desim.config.choice import definition_of
+from desim.config.data_files import DataFileError, content_hash, declared, opened_by
+from desim.config.own_modules import plain_name
+from desim.config.traits import OURS
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Scenario
+from desim.study.plan.user_code import KNOWN, UserCode, package_of
+
+UNSWEPT = MappingProxyType(
+    {
+        "seed": "the number of seeds is sweep.reps",
+        "name": "a name changes nothing in a run",
+        "sweep": "it is the same for all configurations",
+    }
+)
+"""The keys that are no part of a configuration, and why they cannot be swept."""
+CODE = ("code", "names", "varnames", "freevars", "consts", "exceptiontable", "flags")
+COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
+"""The attributes of compiled code that do not depend on the place of its source, without their prefix `co_`."""
+PICKLED = {NoneType, bool, int, float, list, dict}
+"""The types whose pickle is the same in every process."""
+WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
+"""The types that wrap a function and cannot be pickled, each with the attribute that holds the function."""
+GENERATED = {
+    *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__orig_bases__"),
+    *("__annotations_cache__", "__conditional_annotations__"),
+    *("__firstlineno__", "__static_attributes__", "__parameters__", "__type_params__", "__abstractmethods__"),
+    *("_abc_impl", "__protocol_attrs__", "__dataclass_fields__", "__dataclass_params__"),
+    *("__class_vars__", "__private_attributes__", "__signature__"),
+}
+"""The attributes that Python, dataclasses and pydantic add to a class, besides methods and `__pydantic_*`."""
+ANNOTATORS = {"__annotate__", "__annotate_func__"}
+"""The methods with which Python 3.14 evaluates the annotations of a class."""
+ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
+
+
+class Identity(NamedTuple):
+    """The identity of the runs of a configuration, apart from their seeds."""
+
+    key: str
+    """A hash of the parameters, the user code and the data files, 16 hexadecimal digits."""
+    sources: Mapping[str, str]
+    """The hash of each user module, of each function or class of a script, and of each data file, and the version of
+    each installed package that user code imports. The key of each describes it, for example "the code of my_rules"."""
+
+
+def identify(scenario: Scenario) -> Identity:
+    """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
+
+    The hashes of data files are sorted by the names of the files without their folders, which may differ between
+    machines. If two files with different names swap their contents, the key changes. If their names are equal, it does
+    not.
+
+    Raises:
+        ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
+            object.
+    """
+    pickler = StablePickler(UserCode())
+    for key, each in _user_objects(scenario):
+        try:
+            pickler.dump((key, each))
+        except DataFileError as error:
+            raise ScenarioError(f"{key}: {error}") from error
+        except Exception as error:  # code of the object may raise anything
+            raise ScenarioError(f"{key}: has no stable hash: {error}; {ADVICE}") from error
+    files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.user.files.items())]
+    whole = [tables(scenario), pickler.digest(), pickler.user.code, files]
+    sources = {f"the code of {name}": each for name, each in pickler.user.code.items()}
+    sources |= {f"the content of {path}": each for path, each in pickler.user.files.items()}
+    return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
+
+
+def object_hash(value: Any) -> str:
+    """Return a hash of an object, its user code and its data files; the same in every process, as in `identify`.
+
+    Raises:
+        Exception: if the object has no stable hash.
+    """
+    pickler = StablePickler(UserCode())
+    whole = [pickler.digest(value), pickler.user.code, sorted(pickler.user.files.values())]
+    return content_hash(json.dumps(whole, sort_keys=True).encode())
+
+
+def tables(scenario: Scenario) -> dict[str, Any]:
+    """Return the part of a configuration that a scenario file can express, as JSON-compatible tables."""
+    found: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
+    return found
+
+
+def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield each user-defined callable or model in a model or a list, with its dotted key."""
+    inner: Any = ()
+    if (callable(value) or isinstance(value, BaseModel)) and package_of(definition_of(value).__module__) not in OURS:
+        yield key, value
+    elif isinstance(value, BaseModel):
+        inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
+    elif isinstance(value, tuple | list):
+        inner = enumerate(value)
+    for name, each in inner:
+        yield from _user_objects(each, f"{key}.{name}" if key else str(name))
+
+
+class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
+    """Pickles objects and code of equal content to equal bytes in every process; the bytes are only hashed.
+
+    The bytes depend on aliases: two references to one list, dict or object give other bytes than references to two
+    equal ones.
+
+    The bytes of cloudpickle itself differ between processes. They depend on the order of sets and on the identity of
+    equal strings, and contain the folder of a script and a random number for each class.
+
+    Args:
+        user: receives the modules and the data files of the objects, and the code of functions and classes of scripts.
+    """
+
+    def __init__(self, user: UserCode):
+        self._content = BytesIO()
+        super().__init__(self._content)
+        self.user = user
+
+    def digest(self, *values: Any) -> str:
+        """Pickle more objects, and return the hash of all objects pickled so far."""
+        for value in values:
+            self.dump(value)
+        return content_hash(self._content.getvalue())
+
+    def persistent_id(self, value: Any) -> Any:
+        """Return a substitute for an object whose pickle depends on the process; None for any other object.
+
+        The data files that the object declares are added to `user`, and so is its module if it is a module,
+        or a function or class that can be imported.
+
+        Raises:
+            TypeError: if the object is a set, but no plain `set` or `frozenset`, because its order is not stable.
+            DataFileError: if a declared data file cannot be hashed.
+        """
+        kind = type(value)
+        if kind in PICKLED:
+            return None
+        if kind in {str, bytes}:
+            return repr(value)
+        if kind is tuple:
+            return list(value)
+        if kind in {set, frozenset}:
+            return kind.__name__, sorted(StablePickler(self.user).digest(each) for each in value)
+        if isinstance(value, set | frozenset | WeakSet):
+            raise TypeError(f"{kind.__qualname__!r} objects have no stable order")
+        if kind is np.ndarray and not value.dtype.hasobject:
+            return "array", str(value.dtype), value.shape, content_hash(value.tobytes())
+        if kind is FunctionType or (package_of(kind.__module__) not in KNOWN and not isinstance(value, type)):
+            self.user.files |= declared(value)
+        if isinstance(value, ModuleType | FunctionType | type) and (name := self._import_name(value)):
+            return name
+        return None
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return the reduced value of an object, as its `__reduce__` would; NotImplemented for the default."""
+        kind = type(value)
+        if kind is CodeType:
+            parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
+            parts[CODE.index("names")] = tuple(map(plain_name, value.co_names))
+        elif kind is FunctionType:
+            has_source = self._add_code(value, value.__code__)
+            names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())
+            reads = {name: value.__globals__[name] for name in names}
+            given = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
+            parts = [value.__qualname__, value.__code__, reads, *given]
+        elif isinstance(value, type):
+            own = {name: each for name, each in vars(value).items() if not _is_generated(name, each)}
+            self._add_code(value, [each.__code__ for each in own.values() if isinstance(each, FunctionType)])
+            parts = [value.__qualname__, value.__bases__, own]
+        elif kind in WRAPPED:
+            parts = [getattr(value, WRAPPED[kind])]
+        elif isinstance(value, BaseModel):
+            fields = [vars(value)[name] for name in kind.model_fields]
+            parts = [fields, value.__pydantic_extra__, value.__pydantic_private__]
+        elif cached := [name for name in getattr(value, "__dict__", ()) if _is_cached(kind, name)]:
+            make, args, state, *rest = value.__reduce_ex__(4)
+            return make, args, {name: each for name, each in state.items() if name not in cached}, *rest
+        else:
+            return super().reducer_override(value)
+        return object, (), [kind, *parts]  # the state, unlike the arguments, may contain the object itself
+
+    def _import_name(self, value: Any) -> str:
+        """Return the name "module:name" by which a module, function or class can be imported, and add its module.
+
+        Return "" if it cannot be imported, or if its module has no source and does not belong to a package in `KNOWN`.
+        """
+        module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
+        if module == "builtins":  # some of its types, such as NoneType, cannot be looked up
+            return f"{module}:{name}"
+        try:
+            found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
+        except (AttributeError, KeyError):  # it was made by a function
+            return ""
+        return f"{plain_name(module)}:{name}" if found is value and self.user.add(module) else ""
+
+    def _add_code(self, home: Any, code: Any) -> bool:
+        """Add the source of the module of a function or class, and return True.
+
+        If the module has no source, add the code of the function or class instead, and return False.
+        """
+        module = str(home.__module__)
+        if self.user.add(module):
+            return True
+        self.user.files |= opened_by(module)
+        if "<" not in home.__qualname__:  # the names of lambdas and of local functions are not unique
+            self.user.code[f"{plain_name(module)}:{home.__qualname__}"] = StablePickler(UserCode()).digest(code)
+        return False
+
+
+def globals_read(code: CodeType) -> set[str]:
+    """Return the names of the globals that a function and the functions inside it read."""
+    own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
+    return own.union(*(globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
+
+
+def _is_generated(name: str, attribute: Any) -> bool:
+    """Return whether Python, dataclasses or pydantic added an attribute to a class.
+
+    A method counts as added only if its name is in `ANNOTATORS`.
+    """
+    is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
+    is_generated = name in GENERATED or name.startswith("__pydantic_")
+    return name in ANNOTATORS or (is_generated and not is_method)
+
+
+def _is_cached(kind: type, name: str) -> bool:
+    return isinstance(getattr(kind, name, None), cached_property)

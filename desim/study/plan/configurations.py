@@ -1,0 +1,224 @@
+"""The configurations of a sweep: all combinations of the values of a grid, all valid and distinct."""
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import product
+from math import prod
+from typing import Any
+
+from pydantic import BaseModel
+
+from desim.config.data_files import in_short
+from desim.config.traits import kind_of
+from desim.scenario.overrides import ScenarioError, Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.study.plan.config_hash import UNSWEPT, Identity, identify
+
+SweepGrid = Mapping[str, Sequence[Any]]
+"""Dotted keys of a scenario, and the values that each takes."""
+Settings = Mapping[str, Any]
+"""The value of each key of a grid."""
+METRICS_UNSWEPT = "every run has the same metrics"
+"""Why `record.metrics` cannot be swept."""
+MAX_ERRORS = 20
+"""The largest number of validation errors of a grid that an error message lists."""
+MAX_CONFIGURATIONS = 100_000
+"""The largest number of configurations of a grid; validating one takes about 1 ms."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A configuration: one combination of the values of a grid."""
+
+    settings: Settings
+    scenario: Scenario
+
+    @cached_property
+    def identity(self) -> Identity:
+        """The identity of the runs of the configuration, apart from their seeds."""
+        return identify(self.scenario)
+
+    @property
+    def key(self) -> str:
+        """The hash that identifies the configuration."""
+        return self.identity.key
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The settings as table cells: numbers, booleans and texts unchanged, other values as text."""
+        plain = (int, float, str)
+        return {key: each if isinstance(each, plain) else label(each) for key, each in self.settings.items()}
+
+    def __str__(self) -> str:
+        return in_words(self.settings)
+
+
+def configurations(source: Source, grid: SweepGrid | None = None) -> list[Configuration]:
+    """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
+
+    Raises:
+        ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
+            two are the same or have the same name, or an object in one has no stable hash.
+    """
+    if grid is not None:
+        source = _with_grid(source, grid)
+    grid = validate(source).sweep.grid
+    if not grid:
+        raise ScenarioError(
+            f"{source.where(('sweep', 'grid'))}: sweep.grid: should have at least one key of the scenario, and a list"
+            ' of values for it, "network.latency.value" = [0.0, 0.1] for instance'
+        )
+    if (size := prod(map(len, grid.values()))) > MAX_CONFIGURATIONS:
+        where = source.where(("sweep", "grid"))
+        most = f"{MAX_CONFIGURATIONS:,} configurations"
+        raise ScenarioError(f"{where}: sweep.grid: should have at most {most}, has {size:,}")
+    found: list[Configuration] = []
+    errors: dict[str, list[Settings]] = {}
+    for values in product(*grid.values()):
+        settings = dict(zip(grid, values, strict=True))
+        try:
+            found.append(Configuration(settings, _scenario_with(source, settings)))
+        except ScenarioError as error:
+            for line in str(error).splitlines():
+                errors.setdefault(line, []).append(settings)
+    if errors:
+        lines = sorted((_with_cause(line, among, grid) for line, among in errors.items()), key=_line_number)
+        more = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
+        raise ScenarioError("\n".join([*lines[:MAX_ERRORS], *more]))
+    _check_distinct(found, source, grid)
+    return found
+
+
+def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
+    """Raise ScenarioError if two configurations are the same or have the same name, or if one has no stable hash."""
+    keys: dict[str, Configuration] = {}
+    names: dict[str, Configuration] = {}
+    for configuration in found:
+        try:
+            same = keys.setdefault(configuration.key, configuration)
+        except ScenarioError as error:
+            raise with_place(error, source, configuration.settings) from error
+        namesake = names.setdefault(json.dumps(configuration.columns), configuration)
+        other = namesake if same is configuration else same
+        if other is configuration:
+            continue
+        differing = [key for key, each in configuration.settings.items() if each != other.settings[key]]
+        repeated = [key for key, values in grid.items() if any(values.count(each) > 1 for each in values)]
+        why = (
+            f"'{configuration}' is the same configuration as '{other}'"
+            if same is not configuration
+            else f"several configurations have the name '{configuration}': functions in a grid should have distinct"
+            " names (__name__)"
+        )
+        raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
+
+
+def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
+    """Return a copy of an error whose text begins with the place where its key is set or swept, see `Source.where`.
+
+    The text of the given error begins with its dotted key and a colon. `settings` holds the keys of the grid.
+    """
+    key = str(error).partition(":")[0]
+    above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
+    swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
+    place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+    return ScenarioError(f"{(swept or [source.where(place)])[0]}: {error}")
+
+
+def _with_grid(source: Source, grid: SweepGrid) -> Source:
+    """Return a copy of a source whose table `sweep` contains a grid only."""
+    changed = source.copy()
+    changed.tables["sweep"] = {"grid": grid}
+    changed.origins["sweep", "grid"] = "the grid"
+    return changed
+
+
+def _where(source: Source, key: str) -> str:
+    return f"{source.where(('sweep', 'grid', key))}: sweep.grid: {key}"
+
+
+def _scenario_with(source: Source, settings: Settings) -> Scenario:
+    """Return the scenario of a source with some keys set to other values, without its sweep and its metrics.
+
+    Raises:
+        ScenarioError: with all errors, if a key cannot be swept or the scenario is not valid.
+    """
+    changed = source.copy()
+    changed.tables.pop("sweep", None)
+    errors: list[str] = []
+    for key, value in settings.items():
+        where = _where(source, key)
+        if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
+            errors.append(f"{where}: cannot be swept; {why}")
+            continue
+        try:
+            changed.set(key, value, where.removesuffix(f": {key}"))
+        except ScenarioError as error:
+            errors.append(f"{where}: {str(error).removeprefix(f'{key}: ')}")
+    try:
+        scenario = validate(changed)
+    except ScenarioError as error:
+        errors += str(error).splitlines()
+    if errors:
+        raise ScenarioError("\n".join(errors))
+    return without_metrics(scenario)
+
+
+def without_metrics(scenario: Scenario) -> Scenario:
+    """Return a scenario without `record.metrics`, which select measurements and are not part of a run's identity."""
+    if not scenario.record.metrics:
+        return scenario
+    return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
+
+
+def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
+    """Return the line of a validation error followed by the settings that cause it.
+
+    `among` holds the settings of all configurations with this error. A setting is a cause if another value of its key
+    does not give this error. If there is no cause, the line is followed by all settings of the first configuration. A
+    line about `sweep.grid`, which names its key, is returned alone if there is at most one cause.
+    """
+    taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
+    if re.search(": sweep.grid: ", line) and len(taken) < 2:
+        return line
+    return f"{line} (with {in_words(taken or among[0])})"
+
+
+def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
+    return any(each not in values for each in all_values)
+
+
+def _line_number(error: str) -> int:
+    found = re.match(r".*?:(\d+): ", error)
+    return int(found[1]) if found else 0
+
+
+def in_words(settings: Settings) -> str:
+    """Return settings as one line of text."""
+    return ", ".join(f"{key} = {label(value)}" for key, value in settings.items())
+
+
+def label(value: Any) -> str:
+    """Return a value of a grid as a short text; a model as its kind and the fields that were set."""
+    if isinstance(value, BaseModel):
+        value = {"kind": kind_of(value)} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
+    if isinstance(value, dict):
+        inner = ", ".join(f"{key}={label(each)}" for key, each in value.items() if key != "kind")
+        kind = str(value.get("kind", ""))
+        return f"{kind}({inner})" if inner or not kind else kind
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(label, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value is None:
+        return "none"
+    if isinstance(value, int | float | str):
+        return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(in_short(value))
+    if isinstance(value, partial):
+        given = [*map(label, value.args), *(f"{key}={label(each)}" for key, each in value.keywords.items())]
+        return f"{label(value.func)}({', '.join(given)})"
+    return str(getattr(value, "__name__", type(value).__name__))

@@ -1,0 +1,267 @@
+"""The cost of each imperfection of a scenario (such as latency or loss), as a table and as JSON.
+
+Imperfections interact if their costs do not add up to the cost of all of them together; see
+`desim.study.ablation.explain`.
+"""
+
+import html
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal, Self
+
+from desim.analysis.metrics import with_unit, words
+from desim.analysis.statistics import Estimate, mean, wilson
+from desim.analysis.tables import aligned, as_json, from_json, number, with_half_width
+from desim.config.html import html_table
+from desim.kernel.core.portable_math import portable_sum
+
+EXPLAINED: Mapping[str, str] = MappingProxyType(
+    {"active_time": "sum of active times", "end_time": "capture time, or horizon"}
+)
+"""The metrics in which costs are measured by default, and their titles in tables."""
+NOTHING = 1e-9
+"""The largest difference that is attributed to rounding."""
+INTERACTION_RISK = 0.01
+"""The largest probability that an interaction is declared in one metric or more although there is none.
+
+By Bonferroni's inequality, this bound holds if each of m metrics is judged by an interval with confidence 1 - 0.01 / m
+and the differences are normal. For skewed differences the probability is greater. For example, for exponential
+differences in two metrics it is 1.9 % (s.e. 0.1 %) with 100 runs, and 3.7 % with 30. The 95 % intervals of tables are
+too narrow: by them, an interaction would be declared in one of 20 metrics that have none.
+"""
+AS_IT_IS, IDEAL = "as it is", "ideal"
+
+
+@dataclass(frozen=True)
+class Saving:
+    """The decrease of a metric when imperfections are removed: the mean difference of runs paired by seed."""
+
+    mean: Estimate
+    differing: int
+    """The number of pairs that differ."""
+
+    @classmethod
+    def of(cls, differences: list[float]) -> Self:
+        """Return the saving, given the difference of each pair of runs."""
+        return cls(mean(differences), sum(abs(each) > NOTHING for each in differences))
+
+    def excludes_0(self, confidence: float = 0.95) -> bool:
+        """Return whether the t interval with a given confidence excludes 0, that is, whether the saving is significant.
+
+        A true saving as large as the half width of the interval is detected in half of all studies with as many runs, a
+        much smaller one rarely.
+        """
+        return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
+
+    def text(self, runs: int) -> str:
+        """Return the saving as the text of a table cell."""
+        is_0 = self.mean.count and not self.differing
+        return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+")
+
+    def document(self) -> dict[str, Any]:
+        """Return the saving as JSON-compatible values."""
+        return as_json(self.mean) | {"differing": self.differing, "excludes_0": self.excludes_0()}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The cost of the imperfections of a scenario in one metric."""
+
+    label: str
+    """The label of the metric in tables and figures."""
+    unit: str
+    as_it_is: Estimate
+    ideal: Estimate
+    """The metric in the scenario without any imperfection."""
+    parts: Mapping[str, Saving]
+    """For each imperfection of the scenario: the metric with all imperfections minus the metric without this one."""
+    together: Saving
+    """The metric with all imperfections minus the metric without any."""
+    interaction: Saving
+    """`together` minus the sum of the parts."""
+    more_is: Literal["better", "worse"] | None = None
+    """Whether more of the metric is better or worse, and so whether a positive cost is good or bad; None if unknown."""
+    confidence: float = 1.0 - INTERACTION_RISK
+    """The confidence of the interval by which an interaction is judged; see `INTERACTION_RISK`."""
+
+    @classmethod
+    def of(cls, made: Mapping[str, Any]) -> Self:
+        """Return the cost that a part of a document describes; see `Explanation.document`."""
+
+        def saving(part: Mapping[str, Any]) -> Saving:
+            return Saving(from_json(part), int(part["differing"]))
+
+        return cls(
+            str(made["label"]),
+            str(made["unit"]),
+            from_json(made["as_it_is"]),
+            from_json(made["ideal"]),
+            {str(name): saving(part) for name, part in made["parts"].items()},
+            saving(made["together"]),
+            saving(made["interaction"]),
+            made["more_is"],
+            float(made["confidence"]),
+        )
+
+    @property
+    def interacts(self) -> bool:
+        """Whether the parts do not add up to `together`: the Bonferroni interval of the interaction excludes 0."""
+        return self.interaction.excludes_0(self.confidence)
+
+    @property
+    def undetected(self) -> dict[str, float]:
+        """The parts that differ from 0 in some run but are not significant, each with the half width of its t interval.
+
+        This half width is the size of an effect that half of all studies with as many runs would find.
+        """
+        return {
+            name: part.mean.half_width for name, part in self.parts.items() if part.differing and not part.excludes_0()
+        }
+
+    @property
+    def unchanging(self) -> tuple[str, ...]:
+        """The parts that are 0 in every run."""
+        return tuple(name for name, part in self.parts.items() if part.mean.count and not part.differing)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The cost of each imperfection of a scenario; see `desim.study.ablation.explain`.
+
+    A *variant* is the scenario as it is, without one imperfection, or without all of them.
+    """
+
+    name: str
+    runs: int
+    """The number of seeds for which no variant failed."""
+    failed: int
+    """The number of seeds for which some variant failed; these are left out."""
+    absent: tuple[str, ...]
+    """The imperfections that the scenario does not have."""
+    costs: Mapping[str, Cost]
+    """The costs by metric."""
+
+    @classmethod
+    def of(cls, made: Mapping[str, Any]) -> Self:
+        """Return the explanation that a document of JSON values describes; see `document`.
+
+        Raises:
+            ValueError: if the document is not an explanation.
+        """
+        try:
+            costs = {str(metric): Cost.of(cost) for metric, cost in made["costs"].items()}
+            found = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
+        if not costs:
+            raise ValueError("is not an explanation: has no costs")
+        return found
+
+    def table(self) -> str:
+        """Return the costs as text."""
+        return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
+
+    def _repr_html_(self) -> str:
+        """Return the table as HTML, for notebooks."""
+        remarks = "".join(f"<p>{html.escape(each)}</p>" for each in self.remarks())
+        return html_table(self._head(), self.rows()) + remarks
+
+    def _head(self) -> str:
+        return (
+            f"{self.name}: the cost of each imperfection, {self.runs} runs of equal seeds; +- is half a 95 % t interval"
+        )
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return the costs as rows of text; the first row is the header."""
+        rows: list[tuple[str, ...]] = [("", *(with_unit(cost.label, cost.unit) for cost in self.costs.values()))]
+        costs = list(self.costs.values())
+
+        def add(name: str, found: list[Estimate | Saving]) -> None:
+            texts = (
+                each.text(self.runs) if isinstance(each, Saving) else with_half_width(each, self.runs) for each in found
+            )
+            rows.append((name, *texts))
+
+        add(AS_IT_IS, [cost.as_it_is for cost in costs])
+        for name in costs[0].parts:
+            add(f"  {name}", [cost.parts[name] for cost in costs])
+        if len(costs[0].parts) > 1:
+            add("  interaction", [cost.interaction for cost in costs])
+        add("  all together", [cost.together for cost in costs])
+        add(IDEAL, [cost.ideal for cost in costs])
+        return rows
+
+    def remarks(self) -> list[str]:
+        """Return notes on signs, absent imperfections, effects not detected or 0, interactions and failed seeds."""
+        remarks = [self._signs()]
+        remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
+        unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
+        if unseen:
+            unseen.append(
+                f"with {self.runs} runs, an effect as large as its +- is found in half of all studies, a smaller effect"
+                " less often"
+            )
+        unchanging = [note for metric, cost in self.costs.items() for note in _unchanging(words(metric), cost)]
+        interactions = [note for metric, cost in self.costs.items() for note in self._interaction(words(metric), cost)]
+        remarks += unseen + unchanging + interactions
+        return remarks + ([f"{self.failed} seeds are left out because a run failed"] if self.failed else [])
+
+    def _signs(self) -> str:
+        """Return a note that says for each metric whether a positive cost is good or bad."""
+        kinds = {"worse": "+ is worse", "better": "+ is better", None: "+ may be better or worse"}
+        named = {
+            text: ", ".join(words(metric) for metric, cost in self.costs.items() if cost.more_is == kind)
+            for kind, text in kinds.items()
+        }
+        return "; ".join(f"{text}: {names}" for text, names in named.items() if names)
+
+    def _interaction(self, metric: str, cost: Cost) -> Iterator[str]:
+        """Yield the note on whether the parts of a cost interact, if the interaction is not 0 in every run."""
+        unit, number_of = f" {cost.unit}".rstrip(), len(self.costs)
+        interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
+        rest = cost.interaction.mean
+        if cost.interacts:
+            total = portable_sum(part.mean.mean for part in cost.parts.values())
+            yield (
+                f"the effects interact, beyond {interval}: in {metric} the parts add up to {total:+.3f}{unit}, and all"
+                f" together cost {cost.together.mean.mean:+.3f}{unit}"
+            )
+        elif cost.interaction.differing and rest.count > 1:
+            width = f"+-{number(rest.half_width_at(cost.confidence))}{unit}"
+            yield f"no interaction is declared in {metric}: {rest.mean:+.3f}{unit} is within {width}, {interval}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the explanation as JSON-compatible values."""
+        costs = {
+            metric: {
+                "label": cost.label,
+                "unit": cost.unit,
+                "as_it_is": as_json(cost.as_it_is),
+                "ideal": as_json(cost.ideal),
+                "parts": {name: part.document() for name, part in cost.parts.items()},
+                "together": cost.together.document(),
+                "interaction": cost.interaction.document(),
+                "interacts": cost.interacts,
+                "confidence": cost.confidence,
+                "more_is": cost.more_is,
+            }
+            for metric, cost in self.costs.items()
+        }
+        return {"name": self.name, "runs": self.runs, "failed": self.failed, "absent": self.absent, "costs": costs}
+
+
+def _unseen(metric: str, cost: Cost) -> Iterator[str]:
+    """Yield the note on the parts that differ from 0 in some run but are not significant, with their half widths."""
+    unit = f" {cost.unit}".rstrip()
+    found = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
+    if found and cost.together.mean.count > 1:
+        yield f"not distinguishable from 0 in {metric}: {found}"
+
+
+def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
+    """Yield the note on the parts of a cost that are 0 in every run, and on the share of seeds that may differ."""
+    if cost.unchanging:
+        most = 100 * wilson(0, cost.together.mean.count)[1]
+        names = ", ".join(cost.unchanging)
+        yield f"0 in every run in {metric}: {names}; up to {most:.1f} % of all seeds may differ (95 % Wilson interval)"

@@ -1,0 +1,465 @@
+"""Figures of sweeps and explanations."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from math import inf, isfinite, log10, nan
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, as_it_is, size_of, styled
+from desim.analysis.metrics import unit_of as unit_of_metric
+from desim.analysis.metrics import words
+from desim.analysis.statistics import Estimate
+from desim.config.trust import escaped
+from desim.scenario.key_index import unit_of
+from desim.study.plan.configurations import in_words
+from desim.study.results.explanation import AS_IT_IS, IDEAL, Cost, Explanation
+from desim.study.results.runs import SHOWN, Group, SweepRuns, kind_of, text
+
+MARKERS = "osD^v"
+APART = 0.012
+"""The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
+error bars apart."""
+MAX_TICKS = 8
+"""The largest number of values with a tick if the values of a key are numbers; otherwise each value has a tick."""
+MAX_ABREAST = 3
+"""The largest number of panels side by side."""
+PAGE = 9.4
+"""The maximum width, inches, of a figure with several heat maps side by side."""
+LETTER = 0.075
+"""The approximate width of a letter of 8 points, inches."""
+CELL = 0.68, 0.45
+"""The minimum width and the height of a cell of a heat map, inches."""
+FLAT = 0.7
+"""The ratio of height to width of a figure with one panel, if only its width is given."""
+INK = "#111111"
+"""The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
+WIDE = 20.0
+"""The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
+
+Such an axis also requires that no value is negative, and that there are at least three finite positive values. Half of
+these, rounded down, must be below a quarter of the largest.
+"""
+
+
+def means(
+    result: SweepRuns,
+    metric: str,
+    *,
+    x: str | None = None,
+    by: str | Sequence[str] = (),
+    against: Mapping[str, Any] | None = None,
+    labels: Mapping[str, str] = MappingProxyType({}),
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    size: str | None = None,
+) -> Figure:
+    """Draw the mean of a metric by configuration, or its paired difference from a reference, with 95 % intervals.
+
+    Args:
+        result: the result of a sweep.
+        metric: the name of the metric.
+        x: the key on the abscissa; None = the first key not in `by` that takes several numbers. If there is none, each
+            configuration has a row; but with `by`, the first other key with several values is on the abscissa.
+        by: the key or keys whose values name the lines; each combination of values of the other keys has a panel. By
+            default all keys but `x` name the lines, in one panel.
+        against: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the configuration
+            that has these values and is otherwise equal. The differences from the references are drawn instead of the
+            means; see `SweepResult.differences`. None = draw the means.
+        labels: texts to show in place of values, such as {"sap": "SAP (ours)"}. A label belongs to a value, or to the
+            kind of a value, such as "sap" of "sap(tau=...)", if only one value has this kind. If one key names the
+            lines, a label of this key is the title of the legend. Text between dollar signs is mathematics, here and
+            in `xlabel` and `ylabel`.
+        xlabel: the label of the abscissa; None = the name and the unit of the key or metric on it.
+        ylabel: the label of the ordinate; None = the name and the unit of the metric or keys on it.
+        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title: put
+            the title in the caption. A figure can also be resized later with `set_size_inches`. None = a size that
+            suits the panels.
+
+    Raises:
+        ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
+    """
+    keys = (by,) if isinstance(by, str) else tuple(by)
+    values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
+    kinds = Counter(map(kind_of, values))
+    if unknown := [each for each in labels if each not in values and each not in result.keys and kinds[each] != 1]:
+        what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
+        raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+    of_kinds = {each: labels[kind] for each in values if (kind := kind_of(each)) in labels and kind not in values}
+    labels = {**of_kinds, **labels}
+    abscissa = _abscissa(result, x, keys)
+    rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
+    panels: dict[str, list[Point]] = {}
+    for group, found in _points(result, metric, against):
+        own = in_words({key: group.settings[key] for key in rest})
+        panels.setdefault(own, []).append((group, found))
+    columns = min(MAX_ABREAST, len(panels))
+    rows = -(-len(panels) // columns)
+    each_high = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
+    usual = (6.4, each_high) if len(panels) == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
+    width, height = (usual[0], None) if size is None else size_of(size)
+    height = height or (usual[1] if size is None or abscissa is None else width * FLAT * rows / columns**0.5)
+    named = keys or [key for key in result.keys if key != abscissa]
+    with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
+        for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
+            title = _with_unit(metric, result, against)
+            if abscissa is None:
+                axes.set_xlabel(title)
+                _draw_rows(axes, result.keys, points, labels)
+            else:
+                axes.set_ylabel(title)
+                _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
+            if against is not None:
+                (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
+            axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
+        for k, axes in enumerate(shared.flat):
+            _label(axes, xlabel, ylabel)
+            if k % columns:
+                axes.set_ylabel("")
+            if k + columns < len(panels):
+                axes.set_xlabel("")
+            axes.tick_params(labelbottom=k + columns >= len(panels))
+            axes.set_axis_on() if k < len(panels) else axes.set_axis_off()
+        if size is None:
+            what = "95 % intervals" if against is None else "paired differences, 95 % intervals"
+            over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
+            over(escaped(f"{result.name}, {what}"), fontsize=9, **as_it_is(result.name))
+        if abscissa is not None:
+            _add_legend(figure, named, labels)
+    return figure
+
+
+def file_name(kind: str, metric: str | None = None, against: Mapping[str, Any] | None = None) -> str:
+    """Return the name of the file of a figure, without a suffix; figures of different metrics have different names."""
+    return f"{kind if against is None else 'differences'}-{metric or SHOWN[0]}"
+
+
+Point = tuple[Group, Estimate | None]
+"""A configuration and the estimate of a metric; None instead of the estimate if the configuration is a reference."""
+
+
+def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
+    """Return each configuration with the mean of a metric, or with its difference from a reference."""
+    if against is None:
+        return list(zip(result.groups, result.estimates(metric), strict=True))
+    others, found = result.references(against), result.differences(metric, against)
+    return [
+        (group, None if other == k else each)
+        for k, (group, other, each) in enumerate(zip(result.groups, others, found, strict=True))
+    ]
+
+
+def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None:
+    """Return the key on the abscissa; None if each configuration has a row.
+
+    Raises:
+        ValueError: if the grid has no key `x`, or it is also in `by`.
+    """
+    if x is not None:
+        result.values(x)
+        if x in by:
+            raise ValueError(f"{x} cannot be both the abscissa and the name of the lines")
+        return x
+    varied = [key for key in result.keys if key not in by and len(result.values(key)) > 1]
+    return next((key for key in swept_numbers(result) if key in varied), varied[0] if by and varied else None)
+
+
+def _label(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
+    """Set the labels that are given, and let all labels wrap where the figure is too small for them."""
+    if xlabel is not None:
+        axes.set_xlabel(escaped(xlabel))
+    if ylabel is not None:
+        axes.set_ylabel(escaped(ylabel))
+    axes.xaxis.label.set_wrap(True)
+    axes.yaxis.label.set_wrap(True)
+
+
+def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
+    """Draw several metrics by configuration, each as `means` does, in small panels with one legend.
+
+    Raises:
+        ValueError: if there are no metrics.
+    """
+    if not metrics:
+        raise ValueError("there should be at least one metric to draw")
+    abscissa = next(iter(swept_numbers(result)), None)
+    columns = min(MAX_ABREAST, len(metrics))
+    rows = -(-len(metrics) // columns)
+    height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
+    others = [key for key in result.keys if key != abscissa]
+    lines = {each: _lines(_points(result, each, None), abscissa, others) for each in metrics} if abscissa else {}
+    names = list(lines[metrics[0]]) if abscissa else []
+    width = 0.4 + 3.0 * columns
+    abreast = max(1, int(width / (0.6 + LETTER * max(map(len, names), default=0))))
+    size = (width, 0.3 + height * rows + 0.17 * -(-len(names) // abreast))
+    with styled(figsize=size, font=8.0) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
+        for axes, metric in zip(panels.flat, metrics, strict=False):
+            axes.set_title(_with_unit(metric, result), loc="left")
+            if abscissa is None:
+                _draw_rows(axes, result.keys, _points(result, metric, None))
+            else:
+                _draw_lines(axes, result, abscissa, lines[metric])
+        for k, axes in enumerate(panels.flat):
+            if k >= len(metrics):
+                axes.set_axis_off()
+            if abscissa is None and k % columns:
+                axes.tick_params(labelleft=False)
+                axes.set_ylabel("")
+            if k + columns < len(metrics):
+                axes.set_xlabel("")
+        if len(names) > 1:
+            found = panels.flat[0].get_legend_handles_labels()
+            title = _legend_title(others)
+            figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
+    return figure
+
+
+def phase(result: SweepRuns, metric: str) -> Figure:
+    """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
+
+    The values of a key are equally spaced. Each combination of values of the other keys has a panel; all panels share
+    one colour scale.
+
+    Raises:
+        ValueError: if fewer than two keys take several numbers, or the sweep has no such metric.
+    """
+    keys = swept_numbers(result)
+    if len(keys) < 2:
+        raise ValueError(f"a heat map needs two keys that take several numbers, there are {len(keys)}")
+    x, y = keys[:2]
+    over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
+    panels: dict[str, NDArray[np.float64]] = {}
+    for group, found in zip(result.groups, result.estimates(metric), strict=True):
+        panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(over[y]), len(over[x])), nan))
+        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
+    known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
+    low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
+    colours = ScalarMappable(Normalize(low, high), "cividis")
+    longest = max(map(len, [*map(_cell_text, known.tolist()), *map(text, over[x])]), default=0)
+    across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
+    columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
+    rows = -(-len(panels) // columns)
+    size = (0.8 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    with styled(figsize=size, font=8.0) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
+            _draw_map(axes, panel, colours)
+            axes.set_title(escaped(others), fontsize=8, parse_math=False)
+            axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
+            axes.set_xticks(range(len(over[x])), map(text, over[x]))
+            axes.set_yticks(range(len(over[y])), map(text, over[y]))
+        for axes in shared.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes in shared.flat:
+            axes.label_outer()
+        figure.suptitle(_with_unit(metric, result), fontsize=8)
+    return figure
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) -> None:
+    """Draw values (rows, columns), first row at the bottom, as coloured cells with their text; "-" if not finite."""
+    # Rectangles, because an image has pixels even in an SVG.
+    faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
+    for (row, column), value in np.ndenumerate(values):
+        there = isfinite(value)
+        red, green, blue, _ = faces[row, column].tolist()
+        face = (red, green, blue) if there else "none"
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
+        dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        axes.text(column, row, _cell_text(value), ha="center", va="center", color="white" if dark else INK)
+    axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+
+
+def _cell_text(value: float) -> str:
+    """Return a mean as the text of a cell: three significant digits, or all integer digits if there are more."""
+    if not isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 999.5 else f"{value:.3g}"
+
+
+def swept_numbers(result: SweepRuns) -> list[str]:
+    """Return the keys of the grid that take several numbers, at least one of them finite."""
+    return [key for key in result.keys if _is_swept_number(result, key)]
+
+
+def _with_unit(metric: str, result: SweepRuns, against: Mapping[str, Any] | None = None) -> str:
+    unit, what = unit_of_metric(metric, result.units), words(metric)
+    if against is not None:
+        what = f"difference in {what} from {in_words(against)}"
+    return _literal(f"{what} ({unit})" if unit else what)
+
+
+def _key_with_unit(key: str) -> str:
+    unit = unit_of(key)
+    return _literal(f"{key} ({unit})" if unit else key)
+
+
+def _is_swept_number(result: SweepRuns, key: str) -> bool:
+    values = {group.settings[key] for group in result.groups}
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return numbers and len(values) > 1 and any(map(isfinite, values))
+
+
+def _draw_lines(
+    axes: Axes, result: SweepRuns, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
+) -> None:
+    """Draw estimates over a key: joined by lines if the values of the key are numbers, otherwise equally spaced."""
+    given = result.values(abscissa)
+    is_number = _is_swept_number(result, abscissa)
+    values = sorted(given) if is_number else given
+    places, is_plain = (
+        _axis_positions(values) if is_number else ({each: float(k) for k, each in enumerate(given)}, False)
+    )
+    low, high = min(places.values()), max(places.values())
+    for k, (name, points) in enumerate(lines.items()):
+        if not points:
+            continue
+        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 * 6 different pairs
+        shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
+        known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
+        x, y, error = zip(*known, strict=True)
+        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3.5, "ls": "-" if is_number else "none"}
+        axes.errorbar(x, y, error, lw=1.2, elinewidth=0.8, capsize=2, label=name, **look)
+    if len(values) <= MAX_TICKS or not is_plain:
+        count = min(len(values), MAX_TICKS) if is_number else len(values)
+        ticks = [values[round(k * (len(values) - 1) / max(count - 1, 1))] for k in range(count)]
+        axes.set_xticks([places[value] for value in ticks], [_literal(text(value)) for value in ticks])
+    axes.set_xlabel(_key_with_unit(abscissa))
+
+
+def _lines(
+    points: Sequence[Point], abscissa: str, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, list[tuple[Any, Estimate]]]:
+    """Return the lines by name, one for each combination of values of the keys `by`.
+
+    A line is a list of pairs (value on the abscissa, estimate), without the configurations that are references.
+    """
+    lines: dict[str, list[tuple[Any, Estimate]]] = {}
+    for group, found in points:
+        line = lines.setdefault(", ".join(_named(key, group, labels, len(by) > 1) for key in by), [])
+        if found is not None:
+            line.append((group.settings[abscissa], found))
+    return lines
+
+
+def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
+    """Return the label of a setting; if it has none, its value, preceded by the key if several keys name a line."""
+    value = text(group.settings[key])
+    if value in labels:
+        return escaped(labels[value])
+    return _literal(f"{key} = {value}" if is_one_of_several else value)
+
+
+def _add_legend(figure: Figure, by: Sequence[str], labels: Mapping[str, str]) -> None:
+    """Add a legend if there are several lines or panels: into the only panel, or below several panels."""
+    panels = [axes for axes in figure.axes if axes.axison]
+    found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if len(found) > 1 or (found and len(panels) > 1):
+        title = escaped(labels[by[0]]) if len(by) == 1 and by[0] in labels else _legend_title(by)
+        if len(panels) == 1:
+            panels[0].legend(fontsize=7, title=title, title_fontsize=7)
+        else:
+            place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(found), 4)}
+            figure.legend(list(found.values()), list(found), fontsize=7, title=title, title_fontsize=7, **place)
+
+
+def _legend_title(by: Sequence[str]) -> str | None:
+    """Return the key whose values name the lines; None if there is no key, or if the names include several keys."""
+    return _key_with_unit(by[0]) if len(by) == 1 else None
+
+
+def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
+    """Return the position on the axis of each of some ascending values, and whether positions equal values.
+
+    On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
+    """
+    positive = [value for value in values if 0.0 < value < inf]
+    logarithmic = (
+        values[0] >= 0.0
+        and len(positive) > 2
+        and positive[-1] > max(WIDE * positive[0], 4.0 * positive[len(positive) // 2 - 1])
+    )
+    inner = positive if logarithmic else [value for value in values if isfinite(value)]
+    places = {value: log10(value) if logarithmic else float(value) for value in inner}
+    low, high = places[inner[0]], places[inner[-1]]
+    margin = 0.2 * (high - low) or 1.0
+    beyond = {value: low - margin if value < inner[0] else high + margin for value in values if value not in places}
+    return places | beyond, not logarithmic and not beyond
+
+
+def _draw_rows(
+    axes: Axes, keys: Sequence[str], points: Sequence[Point], labels: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Draw estimates with a row for each configuration."""
+    names = [", ".join(_named(key, group, labels, False) for key in keys) for group, _ in points]
+    known = [(row, each) for row, (_, each) in enumerate(points) if each is not None]
+    x, error = [each.mean for _, each in known], [each.half_width for _, each in known]
+    look: dict[str, Any] = {"color": SERIES[0], "ms": 4, "elinewidth": 0.8, "capsize": 2}
+    axes.errorbar(x, [row for row, _ in known], xerr=error, fmt="o", **look)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_ylabel(", ".join(map(_key_with_unit, keys)))
+
+
+def _literal(name: str) -> str:
+    """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
+    return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
+
+
+def waterfall(found: Explanation) -> Figure:
+    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals."""
+    with styled(figsize=(4.4 * len(found.costs), 4.0)) as figure:
+        for axes, cost in zip(
+            figure.subplots(1, len(found.costs), squeeze=False)[0], found.costs.values(), strict=True
+        ):
+            draw_waterfall(axes, cost)
+            axes.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
+        title = f"{escaped(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
+        figure.suptitle(title, fontsize=9, parse_math=False)
+    return figure
+
+
+def draw_waterfall(axes: Axes, cost: Cost) -> None:
+    """Draw the waterfall chart of one metric on given axes.
+
+    An imperfection is red if it makes the metric worse, green if it makes it better, and orange if `cost.more_is` is
+    None. The interaction is grey.
+    """
+    steps = dict(cost.parts) | ({"interaction": cost.interaction} if len(cost.parts) > 1 else {})
+    names = [IDEAL, *steps, AS_IT_IS]
+    last = len(names) - 1
+    axes.bar([0, last], [cost.ideal.mean, cost.as_it_is.mean], color=[GREY, BLUE], width=0.6)
+    _mark(axes, 0, 0.0, cost.ideal, ".2f")
+    level = cost.ideal.mean
+    for at, (name, step) in enumerate(steps.items(), start=1):
+        rest = name == "interaction"
+        signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
+        colour = GREY if rest else signs[cost.more_is][step.mean.mean <= 0.0]
+        axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if rest else None)
+        axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
+        _mark(axes, at, level, step.mean, "+.2f")
+        level += step.mean.mean
+    _mark(axes, last, 0.0, cost.as_it_is, ".2f")
+    axes.set_xticks(
+        range(len(names)), list(map(_literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor"
+    )
+    axes.margins(y=0.08)
+
+
+def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
+    """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
+    end = base + found.mean
+    axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
+    top = max(base, end + found.half_width)
+    axes.annotate(f"{found.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)

@@ -1,0 +1,149 @@
+"""The result that a sweep returns: its runs, as tables, figures, a data frame and files."""
+
+import html
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from inspect import signature
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from desim.analysis.metrics import METRICS
+from desim.analysis.tables import aligned
+from desim.config.html import html_table
+from desim.study.results import export
+from desim.study.results import tables as sweep_tables
+from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name
+from desim.study.store.file import StoreError
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
+class SweepResult(SweepRuns):
+    """The runs of a sweep by configuration, as tables, figures, a data frame and files."""
+
+    @classmethod
+    def of(
+        cls,
+        store: Store,
+        configurations: Sequence[str] | None = None,
+        failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
+    ) -> Self:
+        """Return the result of the runs in a store, for the configurations with the given hashes; None = for all.
+
+        The rows of `failed`, by (configuration hash, replication), replace the rows of the same runs in the store.
+
+        Raises:
+            StoreError: if the store is empty or damaged.
+        """
+        if "grid" not in store.about:
+            raise StoreError(f"{store.path}: is empty")
+        kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
+        name, grid, seeds, root = (store.read_property(each, kind) for each, kind in kinds.items())
+        settings = dict(store.configurations())
+        for key, each in settings.items():
+            if each.keys() != set(grid):
+                raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
+        chosen = settings if configurations is None else configurations
+        # The first configuration belongs to the grid that was registered last; its keys are in the order of that grid.
+        keys = tuple(next(iter(settings.values()), grid))
+        groups = tuple(
+            Group(
+                {each: settings[key][each] for each in keys},
+                store.run_table(key, root, failed),
+            )
+            for key in chosen
+        )
+        units = {name: unit for name, unit in store.units.items() if name not in METRICS}
+        fixed = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
+        return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))
+
+    def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
+        """Return a figure of a metric; needs matplotlib (the extra `plot`).
+
+        The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
+
+            swept.plot("active_time", x="network.latency.value", by="protocol", labels={"sap": "SAP (ours)"})
+            swept.plot("active_time", against={"protocol": "sap"}, size="8.5cm")
+
+        Args:
+            y: the name of the metric.
+            kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
+                each configuration as a heat map, with a key on each axis.
+            options: for means, the options of `desim.study.results.figures.means`: x, by, against, labels, xlabel,
+                ylabel, size; phase has none.
+
+        Raises:
+            ValueError: if the sweep has no such metric, key or value.
+            TypeError: if an option does not exist.
+        """
+        from desim.study.results import figures
+
+        draw = {"means": figures.means, "phase": figures.phase}
+        if kind not in draw:
+            raise ValueError(f"kind should be means or phase, got {kind!r}")
+        known = [each for each in signature(draw[kind]).parameters if each not in {"result", "metric"}]
+        if unknown := [each for each in options if each not in known]:
+            raise TypeError(
+                f"a figure of {kind} has no option {unknown[0]!r}; its options: {', '.join(known) or 'none'}"
+            )
+        return draw[kind](self, y, **options)
+
+    def table(self, metrics: Sequence[str] = SHOWN) -> str:
+        """Return the table of means, the table of paired differences and the notes (failed runs, warnings) as text.
+
+        The reference of a difference is the configuration that has the first value of the first key with several values
+        and is otherwise equal. If seeds are independent, there is no table of differences.
+        """
+        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
+        return "\n\n".join([*parts, *sweep_tables.notes(self, each_name(metrics))])
+
+    def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
+        """Return each table as its title and rows of text; the first row is the header."""
+        return list(sweep_tables.tables(self, each_name(metrics)))
+
+    def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
+        """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
+        return sweep_tables.document(self, each_name(metrics))
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def __repr__(self) -> str:
+        heading = sweep_tables.heading(self, ())
+        return f"<{type(self).__name__} of {heading.partition(';')[0]}, over {', '.join(self.keys)}>"
+
+    def _repr_html_(self) -> str:
+        """Return the tables as HTML, for notebooks."""
+        parts = [html_table(title, rows) for title, rows in self.tables()]
+        return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in sweep_tables.notes(self, SHOWN))])
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """Yield each run as a flat record: settings, replication, seed, status, metrics and error."""
+        return export.records(self)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return a data frame with a row per run (needs the extra `frame`); see `records`.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
+        return export.data_frame(self)
+
+    def write(self, file: str | Path) -> None:
+        """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`).
+
+        In CSV, control characters of texts are escaped, and a text that a spreadsheet would read as a formula is
+        prefixed with an apostrophe.
+
+        Raises:
+            ValueError: if the file has another suffix.
+            ImportError: if a package for Parquet is not installed.
+            OSError: if the file cannot be written.
+        """
+        export.write(self, Path(file))

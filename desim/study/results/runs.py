@@ -1,0 +1,277 @@
+"""The runs of a sweep by configuration: their means and paired differences."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.analysis.metrics import check_numeric, words
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.config.arrays import Floats
+from desim.config.suggestion import close_to
+from desim.study.plan.configurations import in_words, label
+from desim.study.store.row import Row
+from desim.study.store.run_table import RunTable
+
+SHOWN = ("active_time", "capture_time", "messages_sent")
+"""The metrics that a table shows by default."""
+MESSAGING = ("network.", "announce.")
+"""The first parts of keys that have an effect only if pursuers need messages."""
+NEEDLESS = (
+    "; a protocol may need no messages if all know the initial actions (`announce.start`) and see all positions"
+    " (`announce.payload`), or if few pursuers could capture the evader in time"
+)
+START_RULES = {
+    "announced": "pursuers announce their first actions at time 0, over the network that is varied",
+    "known": "all pursuers know the initial actions at time 0, for free over any network",
+    "silent": "at time 0 pursuers know nothing of each other, and do not announce their first actions",
+}
+"""What each `announce.start` means for a sweep over properties of the network; costs of latency depend on it."""
+Indices = NDArray[np.intp]
+Reference = int | Mapping[str, Any] | None
+"""The configuration with which others are compared; see `SweepRuns.differences`."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """The runs of one configuration."""
+
+    settings: Mapping[str, Any]
+    """The value of each key of the grid, as shown in tables."""
+    rows: Sequence[Row]
+    """The runs, in the order of replications."""
+
+    @cached_property
+    def _table(self) -> RunTable:
+        return self.rows if isinstance(self.rows, RunTable) else RunTable(self.rows)
+
+    def values(self, metric: str) -> list[Any]:
+        """Return a metric of each run that did not fail; None for a run without a value."""
+        return self._table.column(metric).values()
+
+    def numbers(self, metric: str) -> Floats:
+        """Return a numeric metric of each run that did not fail; nan for a run without a value."""
+        return self._table.column(metric).numbers()
+
+    def present(self, metric: str) -> Floats:
+        """Return a numeric metric of each run that has a value."""
+        found = self.numbers(metric)
+        return found[~np.isnan(found)]
+
+    def in_words(self, without: Sequence[str] = ()) -> str:
+        """Return the settings as one line of text, except those of the keys in `without`."""
+        return in_words({key: each for key, each in self.settings.items() if key not in without})
+
+    @property
+    def failed(self) -> list[Row]:
+        """The runs that failed."""
+        return self._table.failed
+
+    def pairs(self, other: "Group") -> tuple[Indices, Indices]:
+        """Return the pairs of runs of two configurations with equal replication numbers, unless one of the two failed.
+
+        The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
+        (`SweepRuns.common`), the two runs of a pair have the same seed.
+        """
+        mine, others = (group._table.replications.numbers() for group in (self, other))
+        if np.array_equal(mine, others):  # the usual case, and much faster
+            return np.arange(len(mine)), np.arange(len(mine))
+        _, at, there = np.intersect1d(mine, others, assume_unique=True, return_indices=True)
+        return at, there
+
+
+@dataclass(frozen=True, repr=False)
+class SweepRuns:
+    """The runs of a sweep by configuration."""
+
+    name: str
+    keys: tuple[str, ...]
+    """The keys of the grid."""
+    groups: tuple[Group, ...]
+    """The groups in the order of the grid, whose last key changes fastest."""
+    common: bool = True
+    """Whether run k of every configuration has the same seed."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """The unit of each metric of the sweep that is not built in, by name."""
+    start: str | None = None
+    """`announce.start` of all configurations; None: unknown, or varied."""
+
+    @property
+    def start_rule(self) -> str | None:
+        """A sentence about how pursuers learn the initial actions; None if no property of the network is varied."""
+        if self.start not in START_RULES or not any(f"{key}.".startswith("network.") for key in self.keys):
+            return None
+        return f'announce.start = "{self.start}": {START_RULES[self.start]}'
+
+    @property
+    def failed(self) -> list[Row]:
+        """The runs that failed, in order."""
+        return [row for group in self.groups for row in group.failed]
+
+    def estimates(self, metric: str) -> list[Estimate]:
+        """Return the mean of a metric for each configuration, over its runs with a value.
+
+        Raises:
+            ValueError: if the sweep has no numeric metric of this name.
+        """
+        check_numeric(metric, self.units)
+        return [mean(group.present(metric)) for group in self.groups]
+
+    def differences(self, metric: str, reference: Reference = None) -> list[Estimate]:
+        """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
+
+        Args:
+            metric: the name of the metric.
+            reference: the position of the reference in `groups`; or the values of some keys, such as
+                {"protocol": "sap"} (see `setting`). Each configuration is then compared with the configuration that has
+                these values and is otherwise equal. None: as if the first key with several values and its first value
+                were given.
+
+        Raises:
+            ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
+                a configuration has no reference.
+        """
+        check_numeric(metric, self.units)
+        if not self.common:
+            raise ValueError("runs with independent seeds cannot be paired")
+        return [
+            paired(*_aligned(group, self.groups[other], metric))
+            for group, other in zip(self.groups, self.references(reference), strict=True)
+        ]
+
+    def references(self, reference: Reference = None) -> list[int]:
+        """Return the position in `groups` of the reference of each configuration; see `differences`.
+
+        Raises:
+            ValueError: if a configuration has no reference.
+        """
+        if isinstance(reference, int):
+            return [reference] * len(self.groups)
+        if reference is None:
+            return self._first_references
+        if not isinstance(reference, Mapping):
+            raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
+        wanted = {key: self.setting(key, value) for key, value in reference.items()}
+        places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
+        found = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
+        for group, other in zip(self.groups, found, strict=True):
+            if other is None:
+                raise ValueError(f"{group.in_words()}: has no reference with {in_words(wanted)}")
+        return [other for other in found if other is not None]
+
+    def values(self, key: str) -> list[Any]:
+        """Return the values of a key of the grid, in the order of the grid.
+
+        Raises:
+            ValueError: if the grid has no such key.
+        """
+        if key not in self.keys:
+            near = close_to(key, self.keys)
+            hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
+            raise ValueError(f"the grid has no key {key}{hint}")
+        return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
+
+    def setting(self, key: str, value: Any) -> Any:
+        """Return the value of a key of the grid that a given value selects.
+
+        A value of the key is selected if it equals the given value, has the same text, or is the only value whose kind
+        is the given value.
+        For example, "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
+
+        Raises:
+            ValueError: if the grid has no such key, the key does not take the value, or it takes several of this kind.
+        """
+        there = self.values(key)
+        for each in there:
+            if each == value or text(each) == label(value):
+                return each
+        alike = [each for each in there if kind_of(text(each)) == label(value)]
+        if len(alike) == 1:
+            return alike[0]
+        what = "has several values of the kind" if alike else "does not take the value"
+        raise ValueError(f"{key} {what} {label(value)}: it takes {', '.join(map(text, there))}")
+
+    @property
+    def compared_by(self) -> str | None:
+        """The first key that has several values; None if there is none."""
+        return next((key for key in self.keys if len(self.values(key)) > 1), None)
+
+    @property
+    def _first_references(self) -> list[int]:
+        """The position in `groups` of the default reference of each configuration; see `differences`."""
+        return self.first_along(self.compared_by)
+
+    def first_along(self, key: str | None) -> list[int]:
+        """Return for each configuration the position in `groups` of the first that equals it in all keys but `key`."""
+        first = dict[str, int]()
+        others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
+        return [first.setdefault(other, k) for k, other in enumerate(others)]
+
+    def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
+        """Return a warning for each key of the grid on which neither `captured` nor any of the given metrics depends.
+
+        Runs with the same seed that differ only in such a key agree in all these metrics, bit for bit. A warning may
+        also be limited to one value of another key, for example to one protocol. There is no warning if seeds are
+        independent, or if a run failed. `SweepPlan.warnings` returns the warnings that need no runs.
+        """
+        metrics = each_name(metrics)
+        if self.failed or not self.common:
+            return []
+        names = ", ".join(("captured", *map(words, metrics)))
+        return [
+            f"{where}nothing shown ({names}) depends on {key}: equal in {counted(count, 'pair')} of runs that differ"
+            f" in it only{NEEDLESS * key.startswith(MESSAGING)}"
+            for key in self.keys
+            for where, count in self._without_effect(key, metrics)
+        ]
+
+    def _without_effect(self, key: str, metrics: Sequence[str]) -> Iterator[tuple[str, int]]:
+        """Yield the condition under which a key has no effect, and the number of pairs of runs that differ in it only.
+
+        The condition is a text, for example "with protocol = sap, "; it is "" if the key has no effect at all.
+        """
+        firsts = zip(self.groups, self.first_along(key), strict=True)
+        pairs = [(group, self.groups[first]) for k, (group, first) in enumerate(firsts) if k != first]
+        if count := _equal(pairs, metrics):
+            yield "", count
+            return
+        for other in self.keys:
+            values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs) if other != key else {}
+            for value in values if len(values) > 1 else ():
+                if count := _equal([each for each in pairs if text(each[0].settings[other]) == value], metrics):
+                    yield f"with {other} = {value}, ", count
+
+
+def _equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
+    """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
+    names = ("captured", *metrics)
+    same = all(np.array_equal(*_aligned(one, other, name), equal_nan=True) for one, other in pairs for name in names)
+    return sum(len(one.pairs(other)[0]) for one, other in pairs) if same else 0
+
+
+def _aligned(one: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
+    at, there = one.pairs(other)
+    return one.numbers(metric)[at], other.numbers(metric)[there]
+
+
+def each_name(metrics: Sequence[str]) -> Sequence[str]:
+    """Return the names of metrics; one name may be given as it is."""
+    return [metrics] if isinstance(metrics, str) else metrics
+
+
+def text(value: Any) -> str:
+    """Return a setting as text."""
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def kind_of(value: str) -> str:
+    """Return the kind of a model that is given as text; for example, the kind of "sap(tau=...)" is "sap"."""
+    return value.partition("(")[0]
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things as text: 1 run, 2 runs."""
+    return f"{number:,} {what}{'' if number == 1 else 's'}"

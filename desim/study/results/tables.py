@@ -1,0 +1,115 @@
+"""The result of a sweep as tables of text, and as JSON: means by configuration, and paired differences."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from desim.analysis.metrics import title, words
+from desim.analysis.statistics import wilson
+from desim.analysis.tables import as_json, with_half_width
+from desim.config.arrays import Floats
+from desim.config.json_numbers import json_number
+from desim.study.results.runs import SweepRuns, counted, text
+
+Table = tuple[str, list[tuple[str, ...]]]
+"""The title of a table, and its rows of text; the first row is the header."""
+
+
+def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
+    """Yield the table of means and, if seeds are common and a key has several values, the table of differences.
+
+    Seeds are common if run k of every configuration has the same seed.
+    """
+    yield heading(result, metrics), _mean_rows(result, metrics)
+    key = result.compared_by
+    if result.common and key is not None:
+        first = f"{key} = {text(result.groups[0].settings[key])}" + ", all else equal" * (len(result.keys) > 1)
+        yield f"difference from {first}, run by run with the same seed", _difference_rows(result, metrics)
+
+
+def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
+    """Return the title of the table of means."""
+    runs = sum(len(group.rows) for group in result.groups)
+    found = (np.isnan(group.numbers(metric)) for group in result.groups for metric in metrics)
+    some_lack = any(0 < np.count_nonzero(lacks) < len(lacks) for lacks in found)
+    return (
+        f"{result.name}: {counted(len(result.groups), 'configuration')}, {counted(runs, 'run')}; +- is half a 95 % t"
+        f" interval, in brackets a Wilson interval{'; (n): defined in n runs only' if some_lack else ''}"
+    )
+
+
+def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
+    """Yield the notes below the tables: what is known at the start, how many runs failed, and the warnings."""
+    if result.start_rule is not None:
+        yield result.start_rule
+    for group in result.groups:
+        if group.failed:
+            first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].error}"
+            yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
+            break
+    yield from (f"warning: {each}" for each in result.warnings(metrics))
+
+
+def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
+    """Return means, half widths and paired differences as JSON-compatible values; None where undefined.
+
+    If seeds are independent, there are no differences.
+    """
+    means = {metric: result.estimates(metric) for metric in metrics}
+    differences = {metric: result.differences(metric) for metric in metrics} if result.common else {}
+    configurations = []
+    for k, group in enumerate(result.groups):
+        captured = group.present("captured")
+        configurations.append(
+            {
+                "settings": {key: json_number(value) for key, value in group.settings.items()},
+                "runs": len(group.rows),
+                "failed": len(group.failed),
+                "captured": {
+                    "share": float(np.mean(captured)) if len(captured) else None,
+                    "interval": wilson(int(captured.sum()), len(captured)) if len(captured) else None,
+                },
+                "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
+                "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
+            }
+        )
+    about = {"name": result.name, "grid": result.keys, "start": result.start, "warnings": result.warnings(metrics)}
+    return about | {"configurations": configurations}
+
+
+def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return rows of text: settings, number of runs, share of runs that ended by capture, and the mean of each metric.
+
+    If any run failed, the number of failed runs follows the number of runs.
+    """
+    titles = (title(name, result.units) for name in metrics)
+    failed = ("failed",) if result.failed else ()
+    rows: list[tuple[str, ...]] = [(*result.keys, "runs", *failed, "captured", *titles)]
+    found = [result.estimates(metric) for metric in metrics]
+    for k, group in enumerate(result.groups):
+        captured = group.present("captured")
+        share = _share(captured) if len(captured) else "-"
+        counts = (str(len(group.rows)), *([str(len(group.failed))] if result.failed else []))
+        means = (with_half_width(each[k], len(group.rows) - len(group.failed)) for each in found)
+        rows.append((*map(text, group.settings.values()), *counts, share, *means))
+    return rows
+
+
+def _difference_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
+    found = [result.differences(metric) for metric in metrics]
+    rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *map(words, metrics))]
+    for k, (group, other) in enumerate(zip(result.groups, result.references(), strict=True)):
+        if k == other:
+            continue
+        pairs = len(group.pairs(result.groups[other])[0])
+        means = (with_half_width(each[k], pairs, sign="+") for each in found)
+        rows.append((*map(text, group.settings.values()), str(pairs), *means))
+    return rows
+
+
+def _share(captured: Floats) -> str:
+    """Return the share of runs that ended by capture and its 95 % Wilson interval, as text in %."""
+    low, high = wilson(int(captured.sum()), len(captured))
+    return f"{np.mean(captured):.1%} ({low:.1%} .. {high:.1%})"

@@ -1,0 +1,305 @@
+"""The SQLite file of a store: its tables, its journal, and the checks of its content.
+
+Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store with a damaged or
+edited row is refused. Deleted runs are not noticed. The checksums detect accidents; they do not protect against
+forgery.
+"""
+
+import json
+import sqlite3
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache, wraps
+from json.encoder import encode_basestring_ascii
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ParamSpec, Self, TypeVar
+from zlib import crc32
+
+from pydantic import TypeAdapter, ValidationError
+
+from desim.config.interrupts import deferred
+from desim.study.store.connection import connected, use_rollback_journal, use_write_ahead_log
+
+FORMAT = "3"
+"""The version of the tables below, and of the hashes of configurations."""
+TABLES = """
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS configurations (
+    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL,
+    checksum INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS runs (
+    configuration TEXT NOT NULL REFERENCES configurations,
+    replication INTEGER NOT NULL,
+    root_seed TEXT NOT NULL,
+    seed TEXT NOT NULL,
+    status TEXT NOT NULL CHECK (status IN ('ok', 'error', 'crashed')),
+    summary TEXT,
+    traceback TEXT NOT NULL,
+    checksum INTEGER NOT NULL,
+    PRIMARY KEY (configuration, replication, root_seed)
+);
+CREATE TABLE IF NOT EXISTS metrics (
+    name TEXT PRIMARY KEY, unit TEXT NOT NULL, code TEXT NOT NULL, checksum INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS commands (
+    folder TEXT NOT NULL, argv TEXT NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (folder, argv)
+);
+"""
+"""The tables of a store. Seeds are texts, because they may have more than 64 bits."""
+NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
+"""The number of leading columns of each table that identify a row in an error message."""
+CACHE = 65_536
+"""The largest size of the page cache, kB. The index of 10^6 runs fits; in SQLite's 2 MB their check takes 2.4 times as
+long."""
+HINT = "remove it, or choose another folder (-o, in Python store=)"
+ROWID = "ORDER BY rowid"
+Arguments = ParamSpec("Arguments")
+Returned = TypeVar("Returned")
+
+
+class StoreError(OSError):
+    """Raised when a store cannot be read or written, or belongs to another sweep; the message names the file."""
+
+
+def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """Convert the SQLite errors of a store's method into StoreErrors that name the file."""
+
+    @wraps(method)
+    def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+        try:
+            return method(*args, **kwargs)
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # a message of SQLite may quote invalid UTF-8
+            raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
+
+    return call
+
+
+class StoreFile:
+    """An open file with the tables of a store.
+
+    Args:
+        path: the path of the file, which is created if it does not exist; None: in memory.
+        read_only: whether the store is only read; the file must then exist, but need not be writable.
+        verify: whether opening verifies the checksums of all runs; otherwise only reading a run does so.
+
+    Raises:
+        StoreError: if the file cannot be opened, is a symbolic link, is not a store, was made by another version of
+            desim, or is damaged.
+        OSError: if its folder cannot be created.
+    """
+
+    def __init__(self, path: Path | None = None, *, read_only: bool = False, verify: bool = True):
+        self.path: Any = path or "the store in memory"
+        if read_only and not (path and path.is_file()):
+            raise StoreError(f"{path}: there is no such store")
+        if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
+            raise StoreError(f"{path}: is a link, and its target would be written: give the folder of the store itself")
+        self._verify = verify
+        self._open(path, read_only)
+
+    @naming_the_file
+    def _open(self, path: Path | None, read_only: bool) -> None:
+        if path is not None and not read_only:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        self.database = connected(path, read_only)
+        try:
+            self._prepare(path, read_only)
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self, path: Path | None, read_only: bool) -> None:
+        """Check the content of the store, or create the tables in an empty file."""
+        # One transaction reads the schema and the metrics, because another process may add a metric between two reads;
+        # the view has a column per metric.
+        self.database.execute("BEGIN")
+        if there := _schema(self.database):
+            _check_schema(path, there, self.database)
+        self.database.commit()
+        if there:
+            self.database.execute(f"PRAGMA cache_size = -{CACHE}")
+            self._check_content()
+        elif read_only:
+            raise StoreError(f"{path}: is empty")
+        else:
+            self._create(path)
+            self.database.execute(f"PRAGMA cache_size = -{CACHE}")
+        self.database.execute("PRAGMA query_only = ON" if read_only else "PRAGMA synchronous = NORMAL")
+
+    def _create(self, path: Path | None) -> None:
+        """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
+        reason = use_write_ahead_log(self.database)
+        if reason:
+            self.database.close()
+            use_rollback_journal(path)
+            self.database = connected(path)
+        self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
+        if reason:
+            warnings.warn(
+                f"{path}: this file system allows no write-ahead log ({reason}), so the store has a rollback journal:"
+                " let only one sweep at a time use it",
+                stacklevel=2,
+            )
+
+    def _check_content(self) -> None:
+        """Raise StoreError if the file is corrupt, a row does not match its checksum, or a run has no configuration."""
+        if (found := self.check()) != "ok":
+            raise StoreError(f"{self.path}: is damaged: {found}")
+        # Verifying the checksums of 10^6 runs takes 9 s.
+        for table in NAMED_BY if self._verify else NAMED_BY.keys() - {"runs"}:
+            for _ in self.rows(table):
+                pass
+        if self.database.execute("PRAGMA foreign_key_check").fetchone():
+            raise StoreError(f"{self.path}: is damaged: it has runs of a configuration that is missing")
+
+    def rows(self, table: str, where: str = "", values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of a table without their checksums.
+
+        Raises:
+            StoreError: if a row does not match its checksum.
+        """
+        for *row, checksum in self.database.execute(f"SELECT * FROM {table} {where}", values):
+            if checksum != _checksum(row):
+                raise self.error(table, row, "does not match its checksum, so it was damaged or edited")
+            yield tuple(row)
+
+    def error(self, table: str, row: Sequence[Any], why: str) -> StoreError:
+        """Return an error that names a row of a table."""
+        named = zip(self._columns(table)[: NAMED_BY[table]], row, strict=False)
+        return StoreError(f"{self.path}: {table}: {', '.join(f'{name} {value}' for name, value in named)}: {why}")
+
+    def _columns(self, table: str) -> list[str]:
+        return [name for _, name, *_ in self.database.execute(f"PRAGMA table_info({table})")]
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Read the state of one moment, even while another process writes."""
+        self.database.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self.database.rollback()
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """Yield the database inside a transaction that excludes other writers."""
+        with self.database:
+            self.database.execute("BEGIN IMMEDIATE")
+            yield self.database
+
+    def read(self, adapter: TypeAdapter[Any], table: str, row: Sequence[Any], column: int | None = None) -> Any:
+        """Return a row, or one column of it, parsed and checked against a type.
+
+        Raises:
+            StoreError: if a value has another type.
+        """
+        try:
+            return adapter.validate_python(row if column is None else row[column], strict=True)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            number, *inner = first["loc"] if column is None else (column, *first["loc"])
+            place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
+            raise self.error(table, row, f"{place}: {first['msg']}") from error
+
+    @naming_the_file
+    def check(self) -> str:
+        """Return "ok", or the damage that SQLite finds in the file."""
+        return str(self.database.execute("PRAGMA integrity_check").fetchone()[0])
+
+    def close(self) -> None:
+        """Close the file; when its last connection closes, SQLite moves a write-ahead log into it."""
+        self.database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@cache
+def adapter_of(kind: Any) -> TypeAdapter[Any]:
+    """Return the pydantic adapter that checks values against a type.
+
+    Interrupts are deferred: pydantic drops one that is raised while it compiles a pattern, which then matches nothing.
+    """
+    with deferred():
+        return TypeAdapter(kind)
+
+
+def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
+    """Return the type and the SQL of each table, index, view and trigger of a database, by name."""
+    found = database.execute("SELECT name, type, sql FROM sqlite_master")
+    return {name: (kind, sql) for name, kind, sql in found}
+
+
+def view_of(metrics: Sequence[str]) -> str:
+    """Return the SQL of the view with a row per run and a column per metric."""
+    columns = [f"json_extract(summary, '$.{name}') AS \"{name}\"" for name in metrics if name != "seed"]
+    named = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
+    source = "runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication"
+    return f"CREATE VIEW IF NOT EXISTS results AS SELECT {named} FROM {source}"
+
+
+@cache
+def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str | None]]:
+    """Return the schema of a store with the given metrics; see `_schema`."""
+    database = sqlite3.connect(":memory:")
+    try:
+        database.executescript(f"{TABLES} {view_of(metrics)}")
+        return MappingProxyType(_schema(database))
+    finally:
+        database.close()
+
+
+def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]], database: sqlite3.Connection) -> None:
+    """Raise StoreError unless a database has exactly the schema of a store.
+
+    Another schema could contain a trigger, or a view in place of a table, that runs SQL of the file's author.
+    """
+    known = _known_schema()
+    if "about" not in there:
+        raise StoreError(f"{path}: is a database, but not the store of a sweep")
+    if strange := sorted(there.keys() - known.keys()):
+        raise StoreError(f"{path}: has an unexpected object ({there[strange[0]][0]} {strange[0]}); {HINT}")
+    _check_same_schema(path, {name: each for name, each in known.items() if each[0] == "table"}, there)
+    metrics = tuple(name for (name,) in database.execute(f"SELECT name FROM metrics {ROWID}"))
+    if strange := [name for name in metrics if not (isinstance(name, str) and name.isidentifier())]:
+        raise StoreError(f"{path}: metrics: name {strange[0]}: should be a Python identifier")
+    _check_same_schema(path, _known_schema(metrics), there)
+
+
+def _check_same_schema(
+    path: Path | None,
+    known: Mapping[str, tuple[str, str | None]],
+    there: Mapping[str, tuple[str, str | None]],
+) -> None:
+    """Raise StoreError if a table or view of the known schema is missing or different in a database."""
+    for name, each in known.items():
+        if each != there.get(name):
+            state = "missing" if name not in there else "different"
+            raise StoreError(f"{path}: was made by another version of desim, or edited: {name} is {state}; {HINT}")
+
+
+def _checksum(row: Sequence[Any]) -> int:
+    """Return the CRC-32 of a row as JSON."""
+    try:
+        # This equals `json.dumps`, which takes twice as long.
+        text = f"[{', '.join([_AS_JSON[type(value)](value) for value in row])}]"
+    except KeyError:
+        text = json.dumps(row, default=repr)
+    return crc32(text.encode())
+
+
+_AS_JSON: Mapping[type, Callable[[Any], str]] = MappingProxyType(
+    {str: encode_basestring_ascii, int: int.__repr__, type(None): lambda _: "null"}
+)
+"""Functions that return the values of most rows as JSON, by type."""
+
+
+def with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
+    """Return a row with its checksum."""
+    return *row, _checksum(row)

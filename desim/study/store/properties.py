@@ -1,0 +1,136 @@
+"""The properties in a store of the sweep that it belongs to, such as its scenario and the code of its functions."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Annotated, Any
+
+from pydantic import Json
+
+from desim.config.data_files import in_short
+from desim.study.store.file import HINT, StoreError, StoreFile, adapter_of, naming_the_file, with_checksum
+
+VERSIONS = "versions"
+"""The property with the versions that computed the runs: a list of tables as `environment.computing_versions`."""
+Versions = dict[str, str]
+
+
+class SweepProperties(StoreFile):
+    """A store file with the methods that write and read the properties of the sweep; see `StoreFile`."""
+
+    @property
+    @naming_the_file
+    def about(self) -> Mapping[str, str]:
+        """The properties of the sweep that the store belongs to, as JSON texts by name, without `versions`."""
+        return MappingProxyType({name: value for name, value in self.rows("about") if name != VERSIONS})
+
+    @property
+    @naming_the_file
+    def versions(self) -> list[Versions]:
+        """The versions of Python and of the packages that computed the runs; several if they were mixed."""
+        stored = [value for _, value in self.rows("about", "WHERE name = ?", (VERSIONS,))]
+        adapter = adapter_of(Annotated[list[Versions], Json])
+        return [each for value in stored for each in self.read(adapter, "about", (VERSIONS, value), 1)]
+
+    def check_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+        """Raise StoreError if the runs were computed by other versions, unless these may be mixed.
+
+        Args:
+            versions: the versions that computed, or will compute, further runs.
+            what: the further runs, as the subject of the error message: "this is", "out/b.sqlite has".
+            mix: whether runs of different versions may be in one store.
+        """
+        present = self.versions
+        for other in versions:
+            if present and other not in present and not mix:
+                names = [name for name in present[-1] | other if present[-1].get(name) != other.get(name)]
+                then, now = (
+                    ", ".join(f"{name} {each.get(name, 'unknown')}" for name in names) for each in (present[-1], other)
+                )
+                raise StoreError(
+                    f"{self.path}: has runs of {then}, and {what} {now}, so last digits may differ: mix them with"
+                    f" --mix-versions (in Python mix_versions=True), or choose another folder (-o, in Python store=)"
+                )
+
+    @naming_the_file
+    def record_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+        """Record versions that compute runs of the store.
+
+        Raises:
+            StoreError: as `check_versions`.
+        """
+        self.check_versions(versions, what, mix=mix)
+        if all(each in self.versions for each in versions):
+            return
+        with self.writing() as database:
+            self.check_versions(versions, what, mix=mix)
+            present = self.versions
+            whole = present + [each for each in versions if each not in present]
+            row = with_checksum((VERSIONS, json.dumps(whole)))
+            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?, ?)", row)
+
+    @naming_the_file
+    def read_property(self, name: str, kind: Any) -> Any:
+        """Return a property of the sweep, parsed from JSON and checked against a type.
+
+        Raises:
+            StoreError: if the property is missing, or has another type.
+        """
+        if name not in self.about:
+            raise StoreError(f"{self.path}: is damaged: {name} is missing in about")
+        return self.read(adapter_of(Annotated[kind, Json]), "about", (name, self.about[name]), 1)
+
+    @naming_the_file
+    def check_same(self, about: Mapping[str, str]) -> None:
+        """Raise StoreError if a property of the sweep is recorded with another value."""
+        mine = self.about
+        for name, value in about.items():
+            if mine.get(name, value) != value:
+                why = _differs(name, self.read_property(name, Any), json.loads(value))
+                raise StoreError(f"{self.path}: was made {why}; {HINT}")
+
+    @naming_the_file
+    def record_properties(self, about: Mapping[str, str]) -> None:
+        """Record the properties of the sweep.
+
+        Raises:
+            StoreError: if the store belongs to another sweep.
+        """
+        self.check_same(about)
+        if about.keys() <= self.about.keys():
+            return
+        with self.writing() as database:
+            self.check_same(about)
+            database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(with_checksum, about.items()))
+
+
+def _differs(name: str, one: Any, other: Any) -> str:
+    """Return the end of the error message "was made ...", which tells how two sweeps differ.
+
+    Args:
+        name: the property in which they differ.
+        one: its value in the store.
+        other: its value in the other sweep.
+    """
+    if name == "format":
+        return "by another version of desim"
+    if name == "scenario":
+        old, new = flat(one), flat(other)
+        keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
+        pairs = [(key, *(in_short(each.get(key, "not there")) for each in (old, new))) for key in keys[:5]]
+        texts = "; ".join(f"{key} was {was}, is {now}" for key, was, now in pairs)
+        return f"by another scenario: {texts}"
+    was, now = json.dumps(one), json.dumps(other)
+    is_source = name.startswith(("the code of ", "the content of "))
+    return f"by another {'version' if is_source else 'sweep'}: {name} was {was}, is {now}"
+
+
+def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
+    """Return the values in nested tables and lists by dotted key.
+
+    A table or list that is empty, or that `opens` rejects, counts as one value.
+    """
+    if not (isinstance(node, dict | list) and node and opens(node)):
+        return {above.removesuffix("."): node}
+    inner = node.items() if isinstance(node, dict) else enumerate(node)
+    return {key: each for name, value in inner for key, each in flat(value, opens, f"{above}{name}.").items()}

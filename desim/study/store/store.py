@@ -1,0 +1,198 @@
+"""The store of a sweep: a SQLite file with a row per run, written by the process that dispatches the runs.
+
+Committed rows survive if this process is killed. Configuration, replication and root seed (from which the seeds of all
+runs of a sweep are derived) identify a row. A run that is in the store is repeated only if it failed or lacks a metric.
+`SELECT * FROM results` has a column per metric.
+
+A row has the metrics that were computed for its run. The store records a hash of the code of each metric. A metric that
+is added later is missing in earlier rows, until a command that needs it repeats their runs. If the code of a metric
+changes, its values are removed when the new code is registered.
+"""
+
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pydantic import Json
+
+from desim.study.plan.configurations import Configuration
+from desim.study.store.file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of, with_checksum
+from desim.study.store.properties import SweepProperties
+from desim.study.store.row import Row
+from desim.study.store.run_rows import RunRows
+from desim.study.store.run_table import RunTable
+
+
+class Store(SweepProperties, RunRows):
+    """The runs of one sweep, of a shard of it (one of several parts that are run separately), or of merged shards.
+
+    Args:
+        path: the path of the file, which is created if it does not exist; None: in memory.
+        read_only: whether the store is only read; its file must exist and need not be writable.
+        verify: whether opening verifies the checksums of all runs; otherwise only reading a run does so.
+
+    Attributes:
+        added: number of runs added by `add` since the store was opened, repeated ones included, merged ones not.
+
+    Raises:
+        StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
+    """
+
+    def __init__(self, path: Path | None = None, *, read_only: bool = False, verify: bool = True):
+        super().__init__(path, read_only=read_only, verify=verify)
+        self.added = 0
+        self._codes: dict[str, str] = {}
+        try:
+            (self.check_same if read_only else self.record_properties)({"format": FORMAT})
+        except BaseException:
+            self.close()
+            raise
+
+    @naming_the_file
+    def register(self, cells: Sequence[Configuration]) -> None:
+        """Add or replace configurations, in the given order and before all others in the store."""
+        entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
+        with self.writing() as database:
+            there = {key: tuple(each) for key, _, *each in self.rows("configurations", "ORDER BY place")}
+            others = {key: each for key, each in there.items() if key not in entered}
+            rows = ((key, place, *each) for place, (key, each) in enumerate((entered | others).items()))
+            database.executemany(
+                "INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?, ?)", map(with_checksum, rows)
+            )
+
+    @naming_the_file
+    def register_metrics(self, metrics: Mapping[str, tuple[str, str]]) -> None:
+        """Record the unit and the hash of the code of metrics; values that other code computed are removed."""
+        with self.writing() as database:
+            there = {name: (unit, code) for name, unit, code in self.rows("metrics")}
+            changed = {name: each for name, each in metrics.items() if there.get(name) != each}
+            outdated = {name for name, (_, code) in changed.items() if name in there and there[name][1] != code}
+            for row in list(self.rows("runs")) if outdated else ():
+                if (numbers := self.numbers(row)) is not None:
+                    self.put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
+            database.executemany(
+                "INSERT INTO metrics VALUES (?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
+                " code = excluded.code, checksum = excluded.checksum",
+                [with_checksum((name, *each)) for name, each in changed.items()],
+            )
+            if not changed.keys() <= there.keys():
+                database.execute("DROP VIEW results")
+                database.execute(view_of(tuple(there | changed)))
+        self._codes |= {name: code for name, (_, code) in metrics.items()}
+
+    @property
+    @naming_the_file
+    def units(self) -> Mapping[str, str]:
+        """The unit of each metric that runs of the store may have, by name."""
+        return MappingProxyType({name: unit for name, unit, _ in self.rows("metrics", "ORDER BY rowid")})
+
+    @naming_the_file
+    def note_command(self, folder: str, argv: Sequence[str]) -> None:
+        """Record a command that adds runs to the store, and its working folder, unless the pair is recorded already."""
+        with self.writing() as database:
+            values = with_checksum((folder, json.dumps(argv)))
+            database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?, ?)", values)
+
+    @property
+    @naming_the_file
+    def commands(self) -> list[tuple[str, list[str]]]:
+        """The working folder and the words of each command that added runs, oldest first."""
+        return [(row[0], self.read(adapter_of(ARGV), "commands", row, 1)) for row in self.rows("commands", ROWID)]
+
+    def add(self, key: str, root: int, row: Row) -> None:
+        """Add a run; see `add_all`."""
+        self.add_all(root, [(key, row)])
+
+    @naming_the_file
+    def add_all(self, root: int, runs: Sequence[tuple[str, Row]]) -> None:
+        """Add runs of a root seed, each with the hash of its configuration.
+
+        A stored run that failed is replaced. A stored run that succeeded only receives the metrics that it lacks. If
+        the disk is full, the runs before the first that does not fit are stored.
+
+        Raises:
+            StoreError: if another process has registered different code for a metric since this process registered it.
+        """
+        # In one transaction for 12 runs, a run takes 0.1 ms instead of 0.26 ms.
+        try:
+            self._add_together(root, runs)
+        except sqlite3.Error:
+            if len(runs) == 1:
+                raise
+            for each in runs:
+                self.add_all(root, [each])
+        else:
+            self.added += len(runs)
+
+    def _add_together(self, root: int, runs: Sequence[tuple[str, Row]]) -> None:
+        """Add all of some runs, or none if this fails."""
+        with self.writing() as database:
+            for name, code in database.execute("SELECT name, code FROM metrics"):
+                if self._codes.get(name, code) != code:
+                    raise StoreError(f"{self.path}: another command computes the metric {name} by other code; {HINT}")
+            for key, row in runs:
+                self.add_run(key, root, row)
+
+    @naming_the_file
+    def runs(self, key: str, root: int) -> list[Row]:
+        """Return the runs of a configuration and a root seed, in the order of replications."""
+        return list(self.read_runs(key, root, self.units))
+
+    @naming_the_file
+    def run_table(self, key: str, root: int, instead: Mapping[tuple[str, int], Row] = MappingProxyType({})) -> RunTable:
+        """Return the runs of a configuration and a root seed as a table, which needs less memory than a list.
+
+        The rows of `instead`, by (configuration hash, replication), replace the rows of the same runs.
+        """
+        return RunTable(instead.get((key, row.replication), row) for row in self.read_runs(key, root, self.units))
+
+    @naming_the_file
+    def configurations(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return the key and the settings of each configuration, in order."""
+        found = self.rows("configurations", "ORDER BY place")
+        return [(row[0], self.read(adapter_of(SETTINGS), "configurations", row, 2)) for row in found]
+
+    @naming_the_file
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return int(self.database.execute("SELECT count(*) FROM runs").fetchone()[0])
+
+    @naming_the_file
+    def merge(self, other: "Store", *, mix_versions: bool = False) -> None:
+        """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
+
+        A run that succeeded in both has the metrics of both stores.
+
+        Raises:
+            StoreError: if the other store belongs to another sweep, or computed a metric by different code; or if
+                another Python or other packages computed its runs, unless `mix_versions` is set.
+        """
+        if isinstance(self.path, Path) and isinstance(other.path, Path) and self.path.samefile(other.path):
+            return  # with a rollback journal, reading would prevent writing
+        self.check_same(other.about)
+        self.check_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
+        self.record_properties(other.about)
+        self.record_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
+        codes = {name: code for name, _, code in self.rows("metrics")}
+        metrics = {name: (unit, code) for name, unit, code in other.rows("metrics", ROWID)}
+        for name, (_, code) in metrics.items():
+            if codes.get(name, code) != code:
+                raise StoreError(f"{self.path}: the metric {name} was computed by other code in {other.path}; {HINT}")
+        self.register_metrics(metrics)
+        for folder, argv in other.commands:
+            self.note_command(folder, argv)
+        # Another process may be writing to `other`. In one transaction no run is read without its configuration.
+        with other.reading(), self.writing() as database:
+            configurations = map(with_checksum, other.rows("configurations"))
+            database.executemany("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", configurations)
+            # Opening `other` verified its rows. They are copied with their checksums, which reading verifies again.
+            for row in other.database.execute("SELECT * FROM runs"):
+                self.copy_run(other, row)
+
+
+ARGV = Json[list[str]]
+SETTINGS = Json[dict[str, bool | int | float | str]]
+"""`ARGV`, `SETTINGS`: the types of the words of a command, and of a configuration's settings."""

@@ -1,0 +1,70 @@
+"""Reading the results in a folder: a run or a sweep."""
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+
+from desim.config.file_names import STORE, STORE_PARTS, TRACE
+from desim.results import provenance, run_folder
+from desim.simulation.run import Result
+from desim.study.results.result import SweepResult
+from desim.study.store.store import Store
+
+
+def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
+    """Read the run or the sweep in a folder; the scenario file is not needed.
+
+    Use it in a notebook for results that the command line made: `desim.open("out/relay").plot()`.
+
+    Args:
+        path: a folder written by `desim run -o`, `sweep -o`, `explain -o` or `merge -o`, or the file of one result:
+            trace.jsonl, or a store (.sqlite). Give the file if a folder has a run and a sweep.
+        allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
+
+    Raises:
+        ValueError: if the path has no run and no sweep, or both (the message says what it has), or if the trace or
+            run.json is damaged or of another format.
+        OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = _file_in(path)
+    elif path.exists() and path.name != TRACE and path.suffix != ".sqlite":
+        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite; desim.load reads scenarios")
+    if path.name == TRACE:
+        return run_folder.read(path.parent, allow_import=allow_import)
+    with Store(path, read_only=True, verify=False) as store:
+        return SweepResult.of(store)
+
+
+def _file_in(folder: Path) -> Path:
+    """Return the file with the result in a folder.
+
+    Raises:
+        ValueError: if the folder has no result, or both a run and a sweep.
+    """
+    found = [folder / name for name in (TRACE, STORE) if (folder / name).exists()]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ValueError(f"{folder}: has a run and a sweep: give {found[0]} or {found[1]}")
+    raise ValueError(f"{folder}: {contents(folder)}")
+
+
+def contents(folder: Path) -> str:
+    """Return a description of a folder that has no result of its own."""
+    where = shlex.quote(str(folder))
+    if parts := _names(each.name for each in folder.glob(STORE_PARTS)):
+        return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
+    if below := _names({each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")}):
+        return f"has no result itself, but its folders have ({below}): give one of them"
+    if (folder / provenance.FILE).exists():
+        what = provenance.read(folder / provenance.FILE)["what"]
+        return f"has the {provenance.FILE} of {what!r}, but neither {TRACE} nor {STORE}"
+    return f"has no result of desim: neither {TRACE} nor {STORE}"
+
+
+def _names(names: Iterable[str]) -> str:
+    """Return the first three names in alphabetical order, as text; "" if there are none."""
+    ordered = sorted(names)
+    return f"{', '.join(ordered[:3])}{' ...' if len(ordered) > 3 else ''}"

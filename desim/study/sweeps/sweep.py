@@ -1,0 +1,349 @@
+"""Sweeps: many runs of each configuration of a grid, on any workers; an interrupted sweep resumes from its store."""
+
+import hashlib
+import json
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import count, takewhile
+from pathlib import Path
+from typing import Any, Self
+
+from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
+from desim.analysis.statistics import runs_needed
+from desim.config.python_numbers import real, whole
+from desim.kernel.core.seeds import run_seed, seed_of
+from desim.results import environment
+from desim.scenario.checks import sweep_warnings
+from desim.scenario.overrides import Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.simulation.watchdog import checked_limit
+from desim.study.plan.config_hash import tables
+from desim.study.plan.configurations import Configuration, SweepGrid, configurations, without_metrics
+from desim.study.plan.metric_code import units_and_codes
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import SHOWN
+from desim.study.store.properties import flat
+from desim.study.store.row import Row
+from desim.study.store.store import Store
+from desim.study.workers.dispatch import drive_batches, simulation
+from desim.study.workers.progress import progress
+from desim.study.workers.workers import Workers, workers_for
+
+Job = tuple[Configuration, int]
+"""A configuration and the number (replication) of one of its runs, from 0 on."""
+MAX_RUNS = 10_000
+"""The maximum number of runs of a configuration if `until` is given without `reps`."""
+
+THIS = "this is"
+"""The subject of the error message about other versions, for runs of this process; see `Store.check_versions`."""
+
+
+class RunError(RuntimeError):
+    """Raised when a failed run ends a sweep or `desim explain`."""
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """The plan of a sweep: its configurations, and the seeds of their runs."""
+
+    base: Scenario
+    """The scenario that is varied."""
+    configurations: tuple[Configuration, ...]
+    reps: int
+    """The number of runs of each configuration."""
+    root: int
+    """The root seed. With common seeds, the seed of run k is 1,000,000 root + k; otherwise the seed of each run is a
+    hash of the root seed, the configuration and the number of the run."""
+    common: bool = True
+    """Whether run k of every configuration has the same seed."""
+    metrics: UsersMetrics = ()
+    """The metrics of each run in addition to the built-in ones."""
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario | Source,
+        grid: SweepGrid | None = None,
+        reps: int | None = None,
+        seed: int | None = None,
+        metrics: Metrics | None = None,
+    ) -> Self:
+        """Return the plan given by a scenario's table `sweep` and key `seed`; arguments other than None replace these.
+
+        `metrics` are measured in addition to those that the scenario names (`record.metrics`).
+
+        Raises:
+            ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
+            ValueError: if there are no runs, the seed is negative, or a metric has a wrong name or is not a function.
+        """
+        source = scenario if isinstance(scenario, Source) else Source.of(scenario)
+        base = validate(source)
+        reps = whole(base.sweep.reps if reps is None else reps, "reps")
+        root = base.seed if seed is None else seed_of(seed)
+        own, found = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
+        return cls(without_metrics(base), found, reps, root, base.sweep.seeds == "common", own)
+
+    def __post_init__(self) -> None:
+        if self.reps < 1:
+            raise ValueError(f"there should be at least one run of each configuration, got {self.reps}")
+        run_seed(self.root, self.reps - 1)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The properties that identify the sweep; a store belongs to one sweep."""
+        keys = sorted(self.configurations[0].settings)
+        swept = tuple(f"{key}." for key in keys)
+        sources = {name: each for one in self.configurations for name, each in one.identity.sources.items()}
+        return {
+            "name": self.base.name,
+            "grid": keys,
+            "seeds": "common" if self.common else "independent",
+            "root seed": self.root,
+            "scenario": {key: each for key, each in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)},
+            "the code of desim": environment.code(),
+            **sources,
+        }
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield the key and the text of each warning about the grid that needs no results of runs.
+
+        The warnings concern latencies that are probably given in ms, and keys that probably have no effect. For the
+        warnings that need results see `SweepResult.warnings`.
+        """
+        scenarios = [configuration.scenario for configuration in self.configurations]
+        yield from sweep_warnings(self.base, tuple(self.configurations[0].settings), scenarios)
+
+    @property
+    def runs(self) -> int:
+        """The number of runs, or the largest number with `until`."""
+        return len(self.configurations) * self.reps
+
+    def seed(self, configuration: Configuration, replication: int) -> int:
+        """Return the seed of a run, see `run_seed`; a hash if the configurations do not share seeds."""
+        if self.common:
+            return run_seed(self.root, replication)
+        text = f"{self.root}/{configuration.key}/{replication}"
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
+
+    def check(self, store: Store, *, mix_versions: bool = False) -> None:
+        """Raise StoreError if a store belongs to another sweep, or has runs of other versions that may not be mixed."""
+        store.check_same(self._properties_as_json())
+        store.check_versions([environment.computing_versions()], THIS, mix=mix_versions)
+
+    def register(self, store: Store, *, mix_versions: bool = False) -> None:
+        """Record the properties, the versions, the configurations and the metrics of the sweep in a store.
+
+        Raises:
+            StoreError: if the store belongs to another sweep, or cannot be written; or if another Python or other
+                packages computed its runs, unless `mix_versions` is set.
+            ValueError: if a metric holds an object without a stable hash.
+        """
+        self.check(store, mix_versions=mix_versions)
+        store.record_properties(self._properties_as_json())
+        store.record_versions([environment.computing_versions()], THIS, mix=mix_versions)
+        store.register(self.configurations)
+        store.register_metrics(units_and_codes(self.metrics))
+
+    def done(self, store: Store, metrics: Collection[str] = ()) -> set[tuple[str, int]]:
+        """Return the runs that are done, as pairs (hash of the configuration, replication).
+
+        A run is done if it is in the store, did not fail, and has the given metrics and those of the plan.
+        """
+        needed = {*metrics, *dict(self.metrics)}
+        return {
+            (configuration.key, row.replication)
+            for configuration in self.configurations
+            for row in store.runs(configuration.key, self.root)
+            if row.summary is not None and needed <= row.summary.keys()
+        }
+
+    def _properties_as_json(self) -> dict[str, str]:
+        return {name: json.dumps(each) for name, each in self.about.items()}
+
+    def shard(self, part: int, parts: int) -> list[Job]:
+        """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
+
+        If there are several shards, they do not depend on the order of the grid. Together they form the whole sweep
+        even if the commands that run them order the grid differently.
+
+        Raises:
+            ValueError: if `part` is not in 1 .. `parts`.
+        """
+        if not 1 <= part <= parts:
+            raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
+        ordered = sorted(self.configurations, key=lambda each: each.key) if parts > 1 else self.configurations
+        jobs = [(configuration, k) for configuration in ordered for k in range(self.reps)]
+        return jobs[part - 1 :: parts]
+
+
+def sweep(
+    scenario: Scenario | Source,
+    grid: SweepGrid | None = None,
+    reps: int | None = None,
+    executor: Executor | int | str = 1,
+    *,
+    seed: int | None = None,
+    store: str | Path | None = None,
+    until: tuple[str, float] | None = None,
+    fail_fast: bool = False,
+    timeout: float | None = None,
+    metrics: Metrics | None = None,
+    mix_versions: bool = False,
+) -> SweepResult:
+    """Run each configuration of a grid over a scenario many times, and return the metrics of the runs.
+
+    Use this function to compare configurations on equal seeds. Give a long sweep a `store`: if interrupted, it resumes
+    from there.
+
+        found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
+        print(found)
+        found.to_frame().groupby("network.range").active_time.mean()
+        print(sweep(Scenario(), grid, metrics={"late": lambda result: end_time(result) > 4.0}).table(["late"]))
+
+    Args:
+        scenario: the scenario that is varied.
+        grid: dotted keys of the scenario and the values that each takes: numbers, texts, arrays, tables, protocols, and
+            functions, even if defined in a notebook; None = the grid of `scenario.sweep`.
+        reps: the number of runs of each configuration; None = that of `scenario.sweep`.
+        executor: a number of worker processes (0: the number of cores; 1: all runs in this process), the address of a
+            Dask scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
+        seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
+        store: the file to which each batch of runs is added as it ends; successful runs in it are not repeated; None =
+            no file.
+        until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
+            has at most this half width. The interval is first checked when 100 runs have a value of the metric. `reps`
+            (10,000 if None) is the maximum number of runs of a configuration. None = each configuration has `reps`
+            runs.
+        fail_fast: whether the first run that fails ends the sweep.
+        timeout: the wall time, s, after which a run counts as failed; None = no limit; see
+            `desim.simulation.watchdog`.
+        metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
+            run that lacks one of them is repeated. If a metric raises an exception, its run counts as failed.
+        mix_versions: whether runs may be added to a store of which another Python or other versions of numpy, scipy,
+            SimPy or networkx computed the runs. Last digits may then differ between runs.
+
+    Raises:
+        ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
+        ValueError: if there are no runs, a number is out of its range, the metric of `until` does not exist or is not
+            numeric, or a metric of `metrics` has a wrong name, is not a function or has no stable hash.
+        StoreError: if the store cannot be written, belongs to another sweep, or has runs of other versions.
+        ConnectionError: if a scheduler does not answer or has no workers.
+        BrokenExecutor: if a worker of the user's own executor dies.
+        RunError: if a run fails and `fail_fast` is set.
+    """
+    if timeout is not None:
+        checked_limit(timeout)
+    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
+    if until is not None:
+        until = until[0], real(until[1], f"the half width of {until[0]}")
+        check_target(*until, plan.metrics)
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:
+        plan.register(kept, mix_versions=mix_versions)
+        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
+
+
+def carry_out(
+    plan: SweepPlan,
+    store: Store,
+    workers: Workers,
+    *,
+    until: tuple[str, float] | None = None,
+    shard: tuple[int, int] = (1, 1),
+    fail_fast: bool = False,
+    timeout: float | None = None,
+    metrics: Collection[str] = SHOWN,
+    on_start: Callable[[], None] = lambda: None,
+) -> SweepResult:
+    """Perform the runs of a plan that a store lacks, and return the result; runs that failed before are repeated.
+
+    A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed. A stored run is repeated if
+    it lacks one of the given metrics, the metric of `until` or a metric of the plan. If the repetition fails, the
+    stored run is kept, and the result reports the failure. `on_start` is called before the first run, unless there is
+    none to perform.
+
+    Raises:
+        ValueError: if `until` is invalid, or given together with one of several shards, or `timeout` is out of its
+            range.
+        RunError: if a run fails and `fail_fast` is set.
+    """
+    if timeout is not None:
+        checked_limit(timeout)
+    if until is not None:
+        check_target(*until, plan.metrics)
+        if shard != (1, 1):
+            raise ValueError("`until` and a shard exclude each other: `until` needs the results of all shards")
+    done = plan.done(store, {"captured", *metrics, *(() if until is None else until[:1])})
+    failed: dict[tuple[str, int], Row] = {}
+    is_started = False
+    while True:
+        jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until, failed.keys())
+        jobs = [(configuration, k) for configuration, k in jobs if (configuration.key, k) not in done]
+        if not jobs:
+            return SweepResult.of(store, [configuration.key for configuration in plan.configurations], failed)
+        if not is_started:
+            on_start()
+            is_started = True
+        failed |= _run(jobs, plan, store, workers, fail_fast, timeout)
+        done |= {(configuration.key, k) for configuration, k in jobs}
+
+
+def _run(
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
+) -> dict[tuple[str, int], Row]:
+    """Perform some runs, add each batch to the store as it ends, and return those that failed.
+
+    Raises:
+        RunError: if a run fails and `fail_fast` is set.
+    """
+    failed: dict[tuple[str, int], Row] = {}
+    seeds = [plan.seed(configuration, k) for configuration, k in jobs]
+    tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
+    measure = partial(measured, plan.metrics)
+    with (
+        progress(len(jobs), plan.base.name, "run") as bar,
+        closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches,
+    ):
+        for batch in batches:
+            rows = [(at, Row(jobs[at][1], seeds[at], each.status, each.value, each.traceback)) for at, each in batch]
+            store.add_all(plan.root, [(jobs[at][0].key, row) for at, row in rows])
+            bar.update(len(rows))
+            for at, row in rows:
+                if not row.ok:
+                    failed[jobs[at][0].key, row.replication] = row
+                if fail_fast and not row.ok:
+                    raise RunError(
+                        f"the run of {jobs[at][0]} with seed {row.seed} failed ({row.status})\n{row.traceback}"
+                    )
+    return failed
+
+
+def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None:
+    """Raise ValueError if there is no numeric metric of this name, or its target half width is not positive."""
+    check_numeric(metric, dict(own))
+    if not half_width > 0.0:
+        raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
+
+
+def _wanted(
+    plan: SweepPlan, store: Store, metric: str, half_width: float, failed: Collection[tuple[str, int]]
+) -> list[Job]:
+    """Return runs 0 .. n - 1 of each configuration; n is the number of runs that the half width needs.
+
+    If it is not yet known when the half width is reached, n is the number of runs at which the half width is checked
+    next; see `runs_needed`. A run that fails when it is repeated counts as a run without a value.
+    """
+    jobs: list[Job] = []
+    for configuration in plan.configurations:
+        found = store.runs(configuration.key, plan.root)
+        rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
+        rows |= {k: None for key, k in failed if key == configuration.key}
+        # Runs are stored as they end, so short runs are over-represented beyond the first gap in the replications. Only
+        # the runs before this gap count.
+        first = takewhile(rows.__contains__, count())
+        values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
+        jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
+    return jobs

@@ -1,0 +1,70 @@
+"""Serialization of calls for other processes, as bytes that include the user code of the call.
+
+Functions and classes that are defined in a script, a notebook or a module beside a scenario file therefore work in any
+worker. They also work with any executor, because the executor pickles only bytes and the function `called`.
+"""
+
+import io
+import marshal
+import pickle
+import sys
+from collections import ChainMap
+from functools import cache, partial
+from pathlib import Path
+from threading import RLock
+from types import CodeType
+from typing import Any, ClassVar
+
+import cloudpickle
+
+from desim.config.traits import OURS
+from desim.study.plan.user_code import is_installed
+
+Call = partial[Any]
+"""A function and its arguments."""
+_REGISTERING = RLock()
+"""Held while user modules are registered, so that no other thread finds them registered, or registers them, too."""
+
+
+class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
+    """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
+
+    The code objects of cloudpickle 3.1.3 have no file.
+    """
+
+    dispatch_table: ClassVar = ChainMap(
+        {CodeType: lambda code: (marshal.loads, (marshal.dumps(code),))}, cloudpickle.Pickler.dispatch_table
+    )
+
+
+def packed(call: Call) -> bytes:
+    """Return a call as bytes, which include the functions and classes of user modules that the call refers to."""
+    written = io.BytesIO()
+    with _REGISTERING:  # cloudpickle registers modules for the whole process
+        modules = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
+        for module in modules:
+            cloudpickle.register_pickle_by_value(module)
+        try:
+            CallPickler(written).dump(call)
+        finally:
+            for module in modules:
+                cloudpickle.unregister_pickle_by_value(module)
+    return written.getvalue()
+
+
+def called(call: bytes) -> bytes:
+    """Perform a call given as bytes, and return its result as bytes."""
+    return bytes(cloudpickle.dumps(pickle.loads(call)()))
+
+
+def _own_modules() -> set[str]:
+    """Return the names of the imported user modules; not `__main__`, which cloudpickle includes by itself."""
+    return {name for name in tuple(sys.modules) if name != "__main__" and _is_own(name)}
+
+
+@cache
+def _is_own(name: str) -> bool:
+    """Return whether a module is a Python source file that is neither installed nor part of `desim` or `protocols`."""
+    file = getattr(sys.modules[name], "__file__", None) or ""
+    is_ours = name.partition(".")[0] in OURS
+    return file.endswith(".py") and not is_ours and not is_installed(Path(file).absolute())

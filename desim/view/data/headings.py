@@ -1,0 +1,63 @@
+"""Headings of players with inertia, from the samples of their positions.
+
+A player heads in the direction of its last motion relative to the medium. Before it first moves, it has its initial
+heading.
+"""
+
+import numpy as np
+
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Sampled, Started
+from desim.pursuit.motion.flow import is_uniform
+from desim.scenario.scenario import Scenario
+
+ROUNDING = 1e-9
+"""A displacement of at most this share of the distance from the origin (m, plus 1) is a rounding error."""
+SLOW = 1e-3
+"""A player that moves at most this share of the way of the flow may be at rest in it."""
+
+
+class Headings:
+    """The headings of the players with inertia in a run, sample by sample.
+
+    Args:
+        scenario: the experiment.
+        seed: the seed of the run.
+
+    Attributes:
+        players: the indices of the players with inertia among all players, pursuers first.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int):
+        team, evaders = scenario.team, scenario.evaders
+        able = [k for k in range(team.count) if team.has_inertia and k not in team.relays]
+        known = dict(zip(able, [team.headings(seed)[k] for k in able], strict=True))
+        known |= {team.count + k: each.heading(seed, k) for k, each in enumerate(evaders) if each.has_inertia}
+        self.players = tuple(known)
+        self._headings = list(known.values())
+        self._places: list[complex] = []
+        self._t = 0
+        self._environment, self._size = scenario.environment, team.count
+
+    def at(self, sample: Started | Sampled) -> list[complex]:
+        """Return the headings, of length 1, of `players` at a sample, given the samples in order."""
+        every = [complex(x, y) for x, y in (*sample.pursuers, *sample.evaders)]
+        places = [every[k] for k in self.players]
+        for k, (before, place) in enumerate(zip(self._places, places, strict=False)):
+            if place == before:  # also a captured player, which the flow does not carry
+                continue
+            drift = self._drift(self.players[k], (before + place) / 2.0, sample.t)
+            own = place - before - drift
+            if abs(own) > ROUNDING * (abs(place) + 1.0) + SLOW * abs(drift):
+                self._headings[k] = own / abs(own)
+        self._places, self._t = places, sample.t
+        return list(self._headings)
+
+    def _drift(self, player: int, middle: complex, t: int) -> complex:
+        """Return the displacement, m, of a player by the flow since the last sample, by the midpoint rule."""
+        flow, begin, end = self._environment.flow, self._t / SECOND, t / SECOND
+        if player >= self._size and self._environment.on == "pursuers":
+            return 0j
+        if is_uniform(flow):
+            return flow.displacement(begin, end)
+        return complex(flow(np.array([middle]), (begin + end) / 2.0)[0]) * (end - begin)

@@ -1,0 +1,262 @@
+"""A run as an MCAP file for Foxglove (https://foxglove.dev): positions, messages, decisions and beliefs over time.
+
+The messages are JSON with the schemas in `desim.view.formats.foxglove_schemas`, which the panels of Foxglove know. The
+times of messages are those of the run, which begins at the Unix epoch. The topics are
+
+- /tf: the frame of each player in the frame `world`, at the start and at each sample of positions; the x axis of a
+  player with inertia is its heading;
+- /players: a sphere for each pursuer and a diamond for each evader, in their frames, with the colours of the replay;
+- /in_flight: a line from sender to receiver for the time of flight of each message, and a red one when it is lost;
+- /log: changes of actions, captures, faults, losses, and the end of the run;
+- /messages: each transmission to each receiver;
+- /beliefs: what each pursuer believes of the action of each teammate, whenever this is updated.
+"""
+
+import json
+from cmath import phase
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from heapq import merge
+from math import cos, sin
+from pathlib import Path
+from typing import Any
+
+from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
+from desim.analysis.knowledge import Pieces
+from desim.kernel.core.events import LOST as NEVER
+from desim.kernel.core.events import Broadcast, Event, Lost, Sent
+from desim.kernel.core.trace_file import body_json
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Point, Sampled, Started
+from desim.view.data.headings import Headings
+from desim.view.formats.foxglove_schemas import SCHEMAS
+
+Message = dict[str, Any]
+Entry = tuple[int, str, Message]
+"""The time (ns), the topic and the content of a message."""
+TOPICS = {
+    "/tf": "foxglove.FrameTransforms",
+    "/players": "foxglove.SceneUpdate",
+    "/in_flight": "foxglove.SceneUpdate",
+    "/log": "foxglove.Log",
+    "/messages": "Message",
+    "/beliefs": "Belief",
+}
+"""The schema of the messages of each topic."""
+WORLD = "world"
+"""The frame of reference of the positions."""
+DEBUG, INFO, WARNING = 1, 2, 3
+"""Levels of log messages."""
+SHOWN = nanoseconds(0.1)
+"""Time for which a lost message is shown, ns."""
+PART = 0.02
+"""Size of a player as a share of the extent of the initial positions."""
+UPRIGHT: Message = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+DIAMOND: Message = {"x": 0.0, "y": 0.0, "z": 0.3826834323650898, "w": 0.9238795325112867}
+"""Turned by 45 degrees about the z axis, as (0, 0, sin 22.5 degrees, cos 22.5 degrees)."""
+
+
+def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, headings: Headings | None = None) -> int:
+    """Write a run to an MCAP file, and return the number of messages; events are not held in memory.
+
+    Args:
+        events: the events of the run, in order.
+        file: the path of the file.
+        beliefs: the beliefs in the run, from `desim.analysis.knowledge.knowledge`; None: the topic is left out.
+        headings: the headings of the players with inertia, not asked before; None: all head along the x axis.
+
+    Raises:
+        ImportError: if the package mcap is not installed.
+    """
+    from mcap.writer import Writer
+
+    count = 0
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(library="desim")
+        schemas = {
+            name: writer.register_schema(name, "jsonschema", json.dumps({"title": name} | schema).encode())
+            for name, schema in SCHEMAS.items()
+        }
+        channels = {topic: writer.register_channel(topic, "json", schemas[name]) for topic, name in TOPICS.items()}
+        for t, topic, message in merge(Scene(headings).entries(events), _beliefs(beliefs), key=lambda entry: entry[0]):
+            data = json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+            writer.add_message(channels[topic], t, data, t)
+            count += 1
+        writer.finish()
+    return count
+
+
+class Scene:
+    """The players as they were last recorded, from which the messages of a run are made."""
+
+    def __init__(self, headings: Headings | None = None) -> None:
+        self._headings = headings
+        self._places: dict[str, Point] = {}
+        self._actions: list[int] = []
+        self._captured: set[int] = set()
+        self._size = 0.0
+        self._is_new = False  # whether an action has changed since the players were last drawn
+
+    def entries(self, events: Iterable[Event]) -> Iterator[Entry]:
+        """Yield the messages of the events of a run, in order of time."""
+        for event in events:
+            match event:
+                case Started():
+                    self._start(event)
+                    yield from self._moved(event)
+                case Sampled():
+                    yield from self._moved(event)
+                case Decided():
+                    yield from self._decided(event.t, event.pursuer, event.active)
+                case BrokeDown():
+                    yield from self._decided(event.t, event.pursuer, 0, "breaks down")
+                case Captured():
+                    self._captured.add(event.evader)
+                    self._actions = [0 if action == event.evader else action for action in self._actions]
+                    self._is_new = True
+                    yield _log(event.t, f"pursuer {event.capturer}", f"captures evader {event.evader}")
+                case Broadcast() | Sent():
+                    yield from self._sent(event)
+                case Lost():
+                    yield _log(event.t, f"pursuer {event.src}", f"message to {event.dst} lost: {event.cause}", DEBUG)
+                    yield event.t, "/in_flight", _scene([self._line(event, event.dst, SHOWN, LOST)])
+                case FaultStarted() | FaultEnded():
+                    verb = "starts" if isinstance(event, FaultStarted) else "ends"
+                    yield _log(event.t, "faults", f"{verb}: {event.fault!r}", WARNING)
+                case Ended():
+                    if self._is_new:
+                        yield self._drawn(event.t)
+                    yield _log(event.t, "run", f"ends: {event.reason}")
+
+    def _start(self, event: Started) -> None:
+        self._actions = list(event.active)
+        places = [*event.pursuers, *event.evaders]
+        extent = max(max(axis) - min(axis) for axis in zip(*places, strict=True))
+        self._size, self._is_new = PART * extent or 1.0, True
+
+    def _moved(self, event: Started | Sampled) -> Iterator[Entry]:
+        """Yield the positions of all players and, if an action has changed, the players as they look now."""
+        pursuers = {f"pursuer {k}": place for k, place in enumerate(event.pursuers)}
+        self._places = pursuers | {f"evader {k}": place for k, place in enumerate(event.evaders, start=1)}
+        time, rotations = _time(event.t), [UPRIGHT] * len(self._places)
+        if self._headings is not None:
+            for player, heading in zip(self._headings.players, self._headings.at(event), strict=True):
+                rotations[player] = _turned(heading)
+        transforms = [
+            {"timestamp": time, "parent_frame_id": WORLD, "child_frame_id": name, "translation": _point(place)}
+            | {"rotation": rotation}
+            for (name, place), rotation in zip(self._places.items(), rotations, strict=True)
+        ]
+        yield event.t, "/tf", {"transforms": transforms}
+        if self._is_new:
+            yield self._drawn(event.t)
+
+    def _decided(self, t: int, pursuer: int, action: int, text: str = "") -> Iterator[Entry]:
+        """Yield the log message of a decision that changes an action."""
+        if self._actions[pursuer] != action:
+            self._actions[pursuer], self._is_new = action, True
+            yield _log(t, f"pursuer {pursuer}", text or (f"chases evader {action}" if action else "stops"))
+
+    def _drawn(self, t: int) -> Entry:
+        """Return the message that draws all players: after a seek, Foxglove reads only the last message of a topic."""
+        self._is_new = False
+        chasers = Counter(self._actions)
+        players = []
+        for name in self._places:
+            kind, number = name.split()
+            is_evader = kind == "evader"
+            colour = self._evader_colour(int(number)) if is_evader else self._pursuer_colour(int(number), chasers)
+            size = dict.fromkeys("xyz", self._size)
+            body = {"pose": _pose(DIAMOND if is_evader else UPRIGHT), "size": size, "color": colour}
+            label: Message = {
+                "pose": _pose(),
+                "billboard": True,
+                "font_size": 12.0,
+                "scale_invariant": True,
+                "text": number,
+            }
+            label |= {"color": _colour("#000000")}
+            parts: dict[str, list[Message]] = {"cubes" if is_evader else "spheres": [body], "texts": [label]}
+            players.append(_entity(t, name, parts, frame=name))
+        return t, "/players", _scene(players)
+
+    def _pursuer_colour(self, pursuer: int, chasers: Mapping[int, int]) -> Message:
+        """Return the colour of a pursuer, given the number of pursuers with each action."""
+        action = self._actions[pursuer]
+        if not action:
+            return _colour(INACTIVE, 0.4)
+        return _colour(ACTIVE if chasers[action] == 1 else ACTIVE_WITH_OTHERS)
+
+    def _evader_colour(self, evader: int) -> Message:
+        return _colour(EVADER, 0.4 if evader in self._captured else 1.0)
+
+    def _sent(self, event: Broadcast | Sent) -> Iterator[Entry]:
+        """Yield the message of a transmission to each receiver, and the lines of those in flight."""
+        body, lines = body_json(event.body), []
+        for dst, arrival in event.fates():
+            content = {"timestamp": _time(event.t), "transmission": event.transmission, "src": event.src, "dst": dst}
+            content |= {"size": event.size, "body": body}
+            if arrival != NEVER:
+                lines.append(self._line(event, dst, arrival - event.t, IN_FLIGHT))
+                content["latency"] = seconds(arrival - event.t)
+            yield event.t, "/messages", content
+        if lines:
+            yield event.t, "/in_flight", _scene(lines)
+
+    def _line(self, event: Broadcast | Sent | Lost, dst: int, lifetime: int, colour: str) -> Message:
+        """Return the line of a message from its sender to its receiver, where they were last seen."""
+        ends = [_point(self._places[f"pursuer {node}"]) for node in (event.src, dst)]
+        line = {"type": 0, "pose": _pose(), "thickness": 2.0, "scale_invariant": True, "points": ends}
+        line |= {"color": _colour(colour), "colors": [], "indices": []}
+        name = f"{event.transmission} to {dst}"
+        return _entity(event.t, name, {"lines": [line]}, lifetime=max(lifetime, 1))  # 0 would mean for ever
+
+
+def _beliefs(pieces: Pieces | None) -> Iterator[Entry]:
+    """Yield the messages about beliefs, in order of time."""
+    for piece in [] if pieces is None else pieces[pieces["begin"].argsort(kind="stable")]:
+        t = int(piece["begin"])
+        content = {"pursuer": int(piece["reader"]), "teammate": int(piece["source"]), "active": int(piece["active"])}
+        age = seconds(t - int(piece["created"]))
+        yield t, "/beliefs", {"timestamp": _time(t), **content, "age": age}
+
+
+def _log(t: int, name: str, text: str, level: int = INFO) -> Entry:
+    return t, "/log", {"timestamp": _time(t), "level": level, "message": text, "name": name, "file": "", "line": 0}
+
+
+def _scene(entities: list[Message]) -> Message:
+    return {"deletions": [], "entities": entities}
+
+
+def _entity(
+    t: int, name: str, primitives: dict[str, list[Message]], *, frame: str = WORLD, lifetime: int = 0
+) -> Message:
+    """Return an entity of a scene, with its primitives by kind; with a lifetime of 0 ns it stays until replaced."""
+    about = {"timestamp": _time(t), "frame_id": frame, "id": name, "lifetime": _time(lifetime), "frame_locked": True}
+    return about | {"cubes": [], "spheres": [], "lines": [], "texts": []} | primitives
+
+
+def _pose(orientation: Message = UPRIGHT) -> Message:
+    return {"position": _point((0.0, 0.0)), "orientation": orientation}
+
+
+def _turned(heading: complex) -> Message:
+    """Return the rotation about the z axis by the angle of a heading."""
+    half = phase(heading) / 2.0
+    return {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
+
+
+def _point(place: Point) -> Message:
+    return {"x": place[0], "y": place[1], "z": 0.0}
+
+
+def _time(t: int) -> Message:
+    return dict(zip(("sec", "nsec"), divmod(t, SECOND), strict=True))
+
+
+def _colour(code: str, alpha: float = 1.0) -> Message:
+    """Return a colour, given its code #RRGGBB and its opacity in [0, 1]."""
+    return {name: int(code[k : k + 2], 16) / 255 for name, k in zip("rgb", (1, 3, 5), strict=True)} | {"a": alpha}

@@ -1,0 +1,219 @@
+"""The trace of a run as one table, for pandas, R or a spreadsheet: rows in Python, or a CSV or Parquet file.
+
+An event has one row, or one row for each of its players (Started, Sampled) or receivers (Queued, Broadcast). All rows
+have the columns `line`, `event` and `t`; a column that an event lacks is empty. Times are in s, as in trace files. A
+table is written row by row, so that a long trace need not fit in memory.
+"""
+
+import csv
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from desim.config.trust import csv_cell
+from desim.kernel.core.events import (
+    LOST,
+    Broadcast,
+    DeadlineMissed,
+    Delivered,
+    Event,
+    Expired,
+    GivenUp,
+    LivelinessLost,
+    Lost,
+    Queued,
+    Retransmitted,
+    Sent,
+)
+from desim.kernel.core.trace_file import body_json, value_json
+from desim.kernel.core.units import seconds
+from desim.pursuit.core.events import Sampled, Started
+from desim.results.run_folder import EVENTS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Row = dict[str, Any]
+"""A row: the values of its columns by name, without empty ones."""
+KINDS = tuple(kind.__name__ for kind in EVENTS)
+"""The names of all types of events."""
+
+
+class Column(NamedTuple):
+    """A column of the table."""
+
+    type: Literal["int64", "float64", "string"]
+    """The type of its values; any value may be missing, except in the first three columns."""
+    description: str
+    """Its meaning, with the unit."""
+
+
+COLUMNS: Mapping[str, Column] = MappingProxyType(
+    {
+        "line": Column("int64", "Line of the event in `trace.jsonl`, from 1; the rows of one event have the same"),
+        "event": Column("string", "Type of the event"),
+        "t": Column("float64", "Time of the event, s"),
+        "pursuer": Column("int64", "Pursuer, 0 .. N - 1"),
+        "evader": Column("int64", "Evader, 1 .. M"),
+        "x": Column("float64", "Position of this pursuer or evader, or its estimate (Estimated), m"),
+        "y": Column("float64", "Position of this pursuer or evader, or its estimate (Estimated), m"),
+        "xx": Column("float64", "Variance of the estimate of x, m^2"),
+        "xy": Column("float64", "Covariance of the estimates of x and y, m^2"),
+        "yy": Column("float64", "Variance of the estimate of y, m^2"),
+        "speed": Column("float64", "Speed of this pursuer while it chases, m/s"),
+        "active": Column("int64", "Action of this pursuer: the evader that it chases, 1 .. M, or 0"),
+        "suspect": Column("int64", "Pursuer whose announcements this pursuer begins or stops to distrust"),
+        "distrusted": Column("int64", "Whether this pursuer begins, 1, or stops, 0, to distrust the suspect"),
+        "transmission": Column("int64", "Number of the transmission, the same for all its receivers"),
+        "src": Column("int64", "Sender"),
+        "seq": Column("int64", "Sequence number of a broadcast record; greater ones are newer"),
+        "dst": Column("int64", "Receiver"),
+        "arrival": Column("float64", "Time of arrival at the receiver, s; empty if the message is lost before"),
+        "created": Column("float64", "Time at which the message was handed to the transmitter, s"),
+        "size": Column("int64", "Size of the message, bytes"),
+        "body": Column("string", "Content of the message, JSON as in `trace.jsonl`"),
+        "cause": Column("string", "Cause of the loss"),
+        "capturer": Column("int64", "Pursuer that captured the evader, or whose capture ended the run"),
+        "reason": Column("string", "Reason of the end of the run: captured, horizon or stopped"),
+        "sent": Column("int64", "Messages sent up to the end, one for each receiver of a transmission"),
+        "delivered": Column("int64", "Messages delivered"),
+        "lost": Column("int64", "Messages lost"),
+        "in_flight": Column("int64", "Messages neither delivered nor lost at the end"),
+        "lost_by": Column("string", "Messages lost by cause, JSON"),
+        "transmissions": Column("int64", "Transmissions, whatever the number of receivers"),
+        "bytes_sent": Column("int64", "Bytes of all transmissions"),
+        "utilisation": Column("float64", "Share of time for which the channel was busy, in [0, 1]"),
+        "port": Column("string", "Port of the message, of a transport"),
+        "to_all": Column("int64", "Whether the message was sent to all neighbours, 1, or to this receiver, 0"),
+        "attempt": Column("int64", "Number of the attempt, or of the piece, from 1 on"),
+        "submitted": Column("int64", "Messages given to a transport up to the end, one for each receiver"),
+        "expired": Column("int64", "Messages dropped by their receivers because of the lifespan"),
+        "given_up": Column("string", "Messages given up by their senders by cause, JSON"),
+        "attempts": Column("int64", "Transmissions of messages, or of pieces, to each of their receivers"),
+        "retransmissions": Column("int64", "Transmissions of messages that were not the first"),
+        "acknowledgements": Column("int64", "Acknowledgements"),
+        "deadlines_missed": Column("int64", "Deadlines missed"),
+        "lives_lost": Column("int64", "Times that a node lost the liveliness of another"),
+        "delay": Column("float64", "Sum of the times from sending to delivery over all delivered messages, s"),
+        "node": Column("int64", "Node that corrected its clock"),
+        "correction": Column("float64", "Sum of all corrections of its clock since the start, s"),
+        "fault": Column("string", "Fault that started or ended, JSON as in `trace.jsonl`"),
+    }
+)
+"""The columns of a table of all types of events, in order."""
+PARTS: Mapping[str, Sequence[str]] = MappingProxyType(
+    {"pursuers": ("pursuer", "x", "y"), "evaders": ("evader", "x", "y"), "speeds": ("speed",), "format": ()}
+)
+"""The columns of a field of an event, if they do not have the name of the field."""
+BATCH = 1 << 15
+"""Number of rows that are converted to Parquet at once: a row group."""
+
+
+def columns_of(kinds: Collection[str] = KINDS) -> list[str]:
+    """Return the names of the columns of a table with these types of events, in order.
+
+    Raises:
+        ValueError: if there is no such type of events.
+    """
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        raise ValueError(f"there are no events {', '.join(unknown)}; there are {', '.join(KINDS)}")
+    fields = {field for kind in EVENTS if kind.__name__ in kinds for field in kind._fields}
+    own = {"line", "event"} | {column for field in fields for column in PARTS.get(field, (field,))}
+    return [column for column in COLUMNS if column in own]
+
+
+def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Row]:
+    """Yield the rows of the events of some types; `pandas.DataFrame(rows(result.trace))` is the table."""
+    for line, event in enumerate(events, start=1):
+        if (name := type(event).__name__) in kinds:
+            head = {"line": line, "event": name, "t": seconds(event.t)}
+            yield from ({**head, **own} for own in _own_rows(event))
+
+
+def write_csv(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
+    """Write a table to a CSV file, and return the number of rows; for texts see `csv_cell`."""
+    count = 0
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        columns = columns_of(kinds)
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in rows(events, kinds):
+            writer.writerow(csv_cell(row.get(name)) for name in columns)
+            count += 1
+    return count
+
+
+def write_parquet(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
+    """Write a table to a Parquet file, and return the number of rows.
+
+    Raises:
+        ImportError: if pyarrow is not installed.
+    """
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    types = {"int64": pa.int64(), "float64": pa.float64(), "string": pa.string()}
+    schema = pa.schema([(name, types[COLUMNS[name].type]) for name in columns_of(kinds)])
+    count, remaining = 0, rows(events, kinds)
+    with file.open("wb") as stream, ParquetWriter(stream, schema) as writer:
+        while batch := list(islice(remaining, BATCH)):
+            writer.write_table(_arrow_table(batch, schema))
+            count += len(batch)
+    return count
+
+
+def _arrow_table(batch: Sequence[Row], schema: "pa.Schema") -> "pa.Table":
+    import pyarrow as pa
+
+    return pa.table({name: [_in_unicode(row.get(name)) for row in batch] for name in schema.names}, schema=schema)
+
+
+def _in_unicode(value: Any) -> Any:
+    """Return a value; half a surrogate pair in a text, such as the name of a port, is escaped as in JSON."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+def _own_rows(event: Event) -> Iterator[Row]:
+    """Yield the rows of an event without the columns that all events have."""
+    if isinstance(event, Started | Sampled):
+        yield from _players(event)
+        return
+    fields = zip(event._fields, event, strict=True)
+    row = {name: _value(name, each) for name, each in fields if name not in {"t", "dst", "arrival"}}
+    yield from ({**row, **each} for each in _receivers(event) or [{}])
+
+
+def _players(event: Started | Sampled) -> Iterator[Row]:
+    """Yield the rows of the pursuers, then those of the evaders."""
+    for pursuer, (x, y) in enumerate(event.pursuers):
+        row: Row = {"pursuer": pursuer, "x": x, "y": y}
+        if isinstance(event, Started):
+            row |= {"speed": event.speeds[pursuer], "active": event.active[pursuer]}
+        yield row
+    for evader, (x, y) in enumerate(event.evaders, start=1):
+        yield {"evader": evader, "x": x, "y": y}
+
+
+def _receivers(event: Event) -> list[Row]:
+    """Return the receivers of a message event and the times of arrival there; an empty list for any other event."""
+    match event:
+        case Broadcast() | Sent():
+            return [{"dst": dst, "arrival": None if t == LOST else seconds(t)} for dst, t in event.fates()]
+        case Queued():
+            return [{"dst": dst} for dst in event.dst]
+        case Lost() | Delivered() | Retransmitted() | GivenUp() | Expired() | DeadlineMissed() | LivelinessLost():
+            return [{"dst": event.dst}]
+    return []
+
+
+def _value(name: str, value: Any) -> Any:
+    """Return the value of a field as that of its column."""
+    if name in {"created", "delay"}:
+        return seconds(value)
+    if name in {"to_all", "distrusted"}:
+        return int(value)
+    if name == "body":
+        return body_json(value)
+    return value_json(value) if name in {"lost_by", "given_up", "fault"} else value

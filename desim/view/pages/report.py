@@ -1,0 +1,321 @@
+"""The report of a sweep: one self-contained HTML page; equal results give equal bytes.
+
+The page has no script and requests no resources. Its figures are inline SVG in the colours of the page.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+from xml.etree import ElementTree
+
+from desim.analysis.metrics import METRICS, words
+from desim.analysis.statistics import Estimate
+from desim.analysis.tables import with_half_width
+from desim.config.file_names import STORE
+from desim.config.trust import regular_or_missing
+from desim.results import provenance
+from desim.scenario.key_index import unit_of
+from desim.study.results.explanation import Explanation
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import SHOWN, text
+from desim.study.store.history import shell_lines, wanted
+from desim.study.store.properties import flat
+from desim.study.store.store import Store
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches", "messages_sent")
+"""The built-in metrics drawn as small multiples, if they were measured."""
+MAPPED = "active_time"
+"""The metric of the heat map."""
+MAX_FAILURES = 20
+"""Maximum number of different tracebacks shown."""
+SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
+"""Matches the path of a file in a traceback; the group consists of the names of its folder and of the file."""
+SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
+"""Colours that are illegible on a dark page, and the CSS colours that replace them."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """The contents of a folder of results."""
+
+    result: SweepResult
+    fixed: Mapping[str, str]
+    """The parameters common to all configurations: JSON text by dotted key."""
+    made: provenance.Document | None
+    """The provenance; None if the folder has no run.json."""
+    explanation: Explanation | None = None
+    """The cost of each imperfection, if `desim explain` computed it."""
+    commands: Sequence[tuple[str, Sequence[str]]] = ()
+    """The working folder and the words of each command that added runs."""
+    versions: Sequence[Mapping[str, str]] = ()
+    """The versions of Python and of the packages that computed the runs; several if they were mixed."""
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read a folder of `desim sweep`, of `desim explain`, or of both.
+
+        Raises:
+            OSError: if a file cannot be read, or the store is missing or damaged (StoreError).
+            ValueError: if the contents of a file are invalid (ProvenanceError, ...).
+        """
+        with Store(folder / STORE, read_only=True, verify=False) as kept:
+            result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
+            commands, versions = kept.commands, kept.versions
+        path = folder / provenance.FILE
+        made = provenance.read(path) if path.exists() else None
+        scenario = (made and made["scenario"]) or base
+        swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
+        found = flat(scenario, _has_keys).items()
+        fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}
+        return cls(result, fixed, made, _explanation(folder), commands, versions)
+
+    @property
+    def runs(self) -> int:
+        """The number of runs in the store."""
+        return sum(len(group.rows) for group in self.result.groups)
+
+    @property
+    def parameters(self) -> dict[str, list[str]]:
+        """The values of each key of the grid, in the order of the grid."""
+        return {
+            key: list(dict.fromkeys(text(group.settings[key]) for group in self.result.groups))
+            for key in self.result.keys
+        }
+
+    @property
+    def measured(self) -> list[str]:
+        """The numeric metrics with a value in at least one run, except `captured`, which every table includes."""
+        names = [name for name, metric in METRICS.items() if metric.is_number and name != "captured"]
+        groups = self.result.groups
+        return [name for name in (*names, *self.result.units) if any(len(group.present(name)) for group in groups)]
+
+
+def report(study: Study) -> str:
+    """Return a self-contained HTML page about a sweep; needs jinja2 and matplotlib (the extra `plot`)."""
+    from jinja2 import Environment
+
+    from desim.study.results.figures import multiples, phase, swept_numbers
+
+    result, measured = study.result, study.measured
+    panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
+    has_map = len(swept_numbers(result)) > 1 and MAPPED in measured
+    shown = [*SHOWN, *result.units]
+    template = files("desim.view.pages").joinpath("report.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"signs": _signs, "unit": unit_of}
+    failures = list(_failures(result))
+    made = study.made
+    return environment.from_string(template).render(
+        study=study,
+        result=result,
+        tables=result.tables(shown),
+        warnings=result.warnings(shown),
+        wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
+        failures=failures[:MAX_FAILURES],
+        more_failures=len(failures) - MAX_FAILURES,
+        findings=list(findings(study)),
+        commands=shell_lines(study.commands),
+        asked=None if made is None else wanted(made, study.commands),
+        origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
+        panels=[_inline(multiples(result, [each]), f"panel-{each}", words(each)) for each in panels],
+        phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
+        waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
+    )
+
+
+def _waterfalls(found: Explanation) -> Iterator["Markup"]:
+    """Yield a figure for each metric of an explanation: the cost of each imperfection in this metric."""
+    from desim.study.results.figures import waterfall
+
+    for name, cost in found.costs.items():
+        yield _inline(waterfall(replace(found, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")
+
+
+def findings(study: Study) -> Iterator[str]:
+    """Yield the findings as sentences: one about the costs of imperfections, and one about the paired differences.
+
+    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. Of
+    the costs or differences whose means differ significantly from 0, a sentence names the one with the greatest
+    absolute mean. If none differs, the sentence says so and names the greatest of all. The test has a level of 5 % for
+    all costs or all differences together (Bonferroni). The 95 % interval shown is for one cost or difference alone, as
+    in the tables. If nothing can be compared, there is no sentence. The runs of `desim explain` have no sentence about
+    differences.
+    """
+    if study.explanation:
+        yield from _greatest_cost(study.explanation)
+    if study.made is None or study.made["what"] != "explain":
+        yield from _greatest_difference(study)
+
+
+def _greatest_cost(explanation: Explanation) -> Iterator[str]:
+    """Yield a sentence about the greatest cost in the first metric of an explanation; see `findings`."""
+    cost = next(iter(explanation.costs.values()))
+    parts = [(name, saving.mean) for name, saving in cost.parts.items() if saving.mean.count > 1]
+    if not parts:
+        return
+    name, found = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
+    if _excludes_0(found, len(parts)):
+        yield (
+            f"Of the imperfections with an effect distinguishable from 0, {name} matters most: it changes the "
+            f"{cost.label} by {_size(found, cost.unit)}."
+        )
+    else:
+        yield (
+            f"No imperfection has an effect on the {cost.label} that is distinguishable from 0; the greatest"
+            f"{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name}, {_size(found, cost.unit)}."
+        )
+
+
+def _greatest_difference(study: Study) -> Iterator[str]:
+    """Yield a sentence about the greatest paired difference in the first measured metric; see `findings`."""
+    result = study.result
+    metric = next((each for each in (*SHOWN, *result.units) if each in study.measured), None)
+    if not result.common or metric is None:
+        return
+    differences = [
+        (key, k, other, found)
+        for key in result.keys
+        for k, (other, found) in _differences_along(result, key, metric).items()
+        if found.count > 1
+    ]
+    if not differences:
+        return
+    count = len(differences)
+    key, k, other, found = max(differences, key=lambda each: (_excludes_0(each[-1], count), abs(each[-1].mean)))
+    value, first = (text(result.groups[each].settings[key]) for each in (k, other))
+    rest = result.groups[k].in_words(without=[key])
+    change = f"{value} instead of {first}{f' (with {rest})' if rest else ''}"
+    size = _size(found, METRICS[metric].unit if metric in METRICS else result.units[metric])
+    if _excludes_0(found, count):
+        among = (
+            f" Of {count} paired differences, this is the greatest that is distinguishable from 0." if count > 1 else ""
+        )
+        yield f"{key} matters most: {change} changes the {words(metric)} by {size}.{among}"
+    else:
+        yield (
+            f"No paired difference in {words(metric)} is distinguishable from 0; the greatest of {count} is {size}, "
+            f"for {key} = {change}."
+        )
+
+
+def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, tuple[int, Estimate]]:
+    """Return the paired differences of a metric along a key of the grid.
+
+    Each configuration is compared with a reference that has the first value of the key and is otherwise equal. The
+    result maps the position of the configuration in `groups` to the position of its reference and the difference.
+    References themselves are absent.
+    """
+    others = result.first_along(key)
+    found = {other: result.differences(metric, reference=other) for other in set(others)}
+    return {k: (other, found[other][k]) for k, other in enumerate(others) if k != other}
+
+
+def _excludes_0(found: Estimate, count: int) -> bool:
+    """Return whether a mean, one of `count`, differs from 0 in a two-sided t test at a level of 5 % / `count`."""
+    from scipy.special import stdtrit
+
+    return bool(abs(found.mean) > stdtrit(found.count - 1, 1.0 - 0.025 / count) * found.standard_error)
+
+
+def _size(found: Estimate, unit: str) -> str:
+    size = with_half_width(found, found.count, "+", unit)
+    return f"{size} (95 % interval, {found.count} pairs of runs with the same seed)"
+
+
+def _explanation(folder: Path) -> Explanation | None:
+    """Return the explanation in a folder or in its subfolder `explain`; None if there is none."""
+    for path in (folder / "explain.json", folder / "explain" / "explain.json"):
+        if path.exists():
+            try:
+                return Explanation.of(json.loads(regular_or_missing(path).read_bytes()))
+            except (ValueError, RecursionError) as error:
+                raise ValueError(f"{path}: {error}") from error
+    return None
+
+
+def _has_keys(node: Any) -> bool:
+    """Return whether a node is a table with keys or a list of tables; a list of numbers or strings is one value."""
+    return any(isinstance(each, dict) for each in node) if isinstance(node, list) else bool(node)
+
+
+def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield each different traceback: the exception, the traceback, and descriptions of the runs that raised it."""
+    runs: dict[tuple[str, str], list[str]] = {}
+    for group in result.groups:
+        for row in group.failed:
+            runs.setdefault((row.error, row.traceback), []).append(
+                f"{group.in_words()}; seed {row.seed} ({row.status})"
+            )
+    yield from ((error, SOURCE_LINE.sub(r'File "\1"', trace), which) for (error, trace), which in runs.items())
+
+
+def _computed_by(versions: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Return the versions that computed the runs, as a label and a text, if there are several."""
+    texts = [", ".join(f"{name} {version}" for name, version in each.items()) for each in versions]
+    return {"runs computed by": "; and by ".join(texts)} if len(texts) > 1 else {}
+
+
+def _origin(made: provenance.Document) -> dict[str, str]:
+    """Return the provenance as labels and texts."""
+    state = "" if made["dirty"] is None else ", with uncommitted changes" if made["dirty"] else ", unchanged"
+    rows = {
+        "first seed": str(made["seed"]),
+        "commit": f"{made['commit']}{state}" if made["commit"] else "unknown",
+        "hash of the source code": made["code"],
+        **{f"version of {name}": each or "unknown" for name, each in made["versions"].items()},
+        **{str(name): each for name, each in made["platform"].items()},
+    }
+    if made["folder"] is None:
+        rows["scenario"] = "built by a script"
+    if made["unrecorded"]:
+        rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
+    return {name: str(each) for name, each in rows.items()}
+
+
+def _signs(cell: str) -> str:
+    return cell.replace("+-", "±")
+
+
+def _inline(figure: "Figure", name: str, label: str) -> "Markup":
+    """Return a figure as inline SVG for HTML; its ids are prefixed with `name`, to be unique on the page."""
+    from markupsafe import Markup
+
+    stream = BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
+    root = ElementTree.fromstring(stream.getvalue())
+    for above in list(root.iter()):
+        for inner in list(above):
+            if inner.tag in {f"{{{SVG}}}metadata", f"{{{SVG}}}style"}:
+                above.remove(inner)
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(f"{{{SVG}}}")
+        attributes = {key.removeprefix(f"{{{XLINK}}}"): each for key, each in element.attrib.items()}
+        element.attrib.clear()
+        element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
+    for key in ("height", "version"):
+        root.attrib.pop(key, None)
+    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # at this width, fonts are as large as in print
+    root.set("role", "img")
+    root.set("aria-label", label)
+    return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree
+
+
+def _attribute(key: str, value: str, name: str) -> str:
+    """Return the value of an SVG attribute with the colours of the page and ids prefixed with `name`."""
+    if key == "id":
+        return f"{name}-{value}"
+    if key == "href":
+        return value.replace("#", f"#{name}-", 1)
+    if key == "style":
+        value = re.sub("#[0-9a-f]{6}", lambda found: COLOURS.get(found[0], found[0]), value)
+    return value.replace("url(#", f"url(#{name}-")

@@ -1,0 +1,109 @@
+"""The widget of `desim.play` in a notebook: the page of `desim play`; needs anywidget (the extra `notebook`)."""
+
+import os
+from importlib.resources import files
+from threading import Thread
+from typing import Any
+
+import anywidget
+import traitlets
+
+from desim.scenario.overrides import Source
+from desim.scenario.scenario import Scenario
+from desim.study.workers.workers import Processes, Workers
+from desim.view.pages.playground import Answer, Playground, Session, is_request, style
+
+GLUE = """
+export default {
+  render({ model, el }) {
+    const asked = new Map();
+    const hear = ({ number, answer, isLast, error }) => {
+      const own = asked.get(number);
+      if (error) { asked.delete(number); own?.fail(new Error(error)); }
+      else if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
+    };
+    model.on("msg:custom", hear);
+    const ask = (what, body, signal, show) => new Promise((done, fail) => {
+      const number = `${Math.random()}`;  // another view of the widget hears the same answers
+      asked.set(number, { done, fail, show });
+      signal?.addEventListener("abort", () => {
+        if (!asked.delete(number)) return;
+        fail(new DOMException("aborted", "AbortError"));
+      });
+      model.send({ number, what, body });
+    });
+    const transport = {
+      run: (body, signal) => ask("run", body, signal),
+      seeds: (body, show, signal) => ask("seeds", body, signal, show),
+      save: body => ask("save", body),
+      cancel: body => ask("cancel", body),
+    };
+    const options = { name: model.get("name"), changes: [], values: model.get("values"), hasAddress: false };
+    const play = start(el, transport, options);
+    el.play = play;
+    return () => { model.off("msg:custom", hear); play.remove(); };
+  },
+};
+"""
+"""The script that connects the page to the notebook's kernel. A request and its answers have the same number.
+
+The frame of the replay is not sandboxed, because the page reads and sets the time of the replay. All text in the replay
+is escaped.
+"""
+
+
+class PlayWidget(anywidget.AnyWidget):
+    """A widget in which the user changes keys of a scenario, and compares each run with a pinned run.
+
+    Args:
+        scenario: the scenario before any change.
+        timeout: the wall time after which a run is ended, s.
+        workers: they perform the runs; None = one process per core.
+    """
+
+    _esm = files("desim.view.pages").joinpath("play.js").read_text(encoding="utf-8") + GLUE
+    _css = style()
+    name = traitlets.Unicode().tag(sync=True)
+    values = traitlets.Dict().tag(sync=True)
+
+    def __init__(self, scenario: Scenario, timeout: float = 30.0, workers: Workers | None = None):
+        ground = Playground(Source.of(scenario), None, timeout=timeout)
+        super().__init__(name=scenario.name, values=ground.values)
+        self._session = Session(ground, workers or Processes(os.cpu_count() or 1, kept=True))
+        self.on_msg(self._hear)
+
+    def _hear(self, _widget: Any, request: Any, _buffers: Any) -> None:
+        """Answer a request of the page in a thread of its own, so that other cells can run."""
+        if is_request(request["body"]):
+            Thread(target=self._answer, args=(request["number"], request["what"], request["body"]), daemon=True).start()
+        else:
+            self.send({"number": request["number"], "error": "the request is malformed"})
+
+    def _answer(self, number: str, what: str, body: Answer) -> None:
+        session, last = self._session, Answer()
+        if what == "run":
+            last = session.run(body["now"], body["pinned"], body["page"])
+        elif what == "save":
+            last = session.save(body["now"])
+        elif what == "cancel":
+            session.cancel(body["page"])
+        elif what == "seeds":
+            try:
+                for each in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
+                    self.send({"number": number, "answer": each, "isLast": False})
+            except Exception as error:
+                self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
+        self.send({"number": number, "answer": last, "isLast": True})
+
+
+def play(scenario: Scenario, timeout: float = 30.0) -> PlayWidget:
+    """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
+
+    Each change of a key runs the scenario again, with the same seed unless the seed is changed. A run that the user
+    pins stays in the replay, drawn faint, for comparison.
+
+    Args:
+        scenario: the scenario before any change.
+        timeout: the wall time after which a run is ended, s.
+    """
+    return PlayWidget(scenario, timeout)

@@ -1,0 +1,1 @@
+"""Figures and films of one run: paths, space-time diagram, link traces, animation."""

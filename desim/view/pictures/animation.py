@@ -1,0 +1,353 @@
+"""A run as a GIF for slides: a plan view of the players that shows active pursuers and messages in flight.
+
+Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.drawing.palette` and
+`desim.view.data.deliveries`.
+
+All frames share one background and one palette; equal runs give equal bytes.
+"""
+
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from desim.analysis.drawing.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    DELIVERED,
+    EVADER,
+    GREY,
+    HUES,
+    IN_FLIGHT,
+    INACTIVE,
+    LOST,
+    LOST_MARK,
+    PURSUER_MARK,
+)
+from desim.analysis.drawing.plots import Axes, Figure, styled
+from desim.analysis.trace_index import captures, ended, messages_recorded, started
+from desim.config.arrays import Bools, Floats, Integers
+from desim.config.trust import replacing
+from desim.kernel.core.portable_math import portable_sum
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.simulation.run import Result
+from desim.study.workers.progress import progress
+from desim.view.data.deliveries import deliveries
+from desim.view.pictures.paths import EvaderStyle, Paths, active_periods
+
+WIDTH, HEIGHT = 4.8, 5.4
+"""Size of a frame, inches."""
+PAD = 0.1
+"""Margin around the figure, inches."""
+DPI = 100
+MAX_FRAMES = 1500
+"""Maximum number of frames; each takes 0.4 MB of memory."""
+HOLD = 1500
+"""Display time of the last frame, ms."""
+COLOURS = ("black", INACTIVE, ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, DELIVERED, LOST)
+PALE = 0.4
+"""If there are several evaders, the weight of an evader's hue in the colour of the pursuers that chase it together; the
+rest is white."""
+MAX_NAMED = 6
+"""Maximum number of evaders in the legend."""
+RECEIVER_GAP = 0.02
+"""Distance, in widths of the axes, between the mark of an arrival or a loss and the receiver; at most half of the way
+from the sender."""
+SHADES = 10
+"""Number of shades of each colour, towards white."""
+
+
+def animate(
+    result: Result, path: Path, *, begin: float = 0.0, end: float | None = None, speed: float = 1.0, fps: int = 20
+) -> int:
+    """Write a run as a GIF and return the number of frames.
+
+    Args:
+        result: the result of a run with recorded positions; messages are drawn as dots if they were recorded, too.
+        path: the output file.
+        begin: the start of the time window, s.
+        end: the end of the time window, s; None or a time after the end of the run = the end of the run.
+        speed: simulated seconds per second of the animation.
+        fps: frames per second, at most 50; rounded up such that a frame lasts a whole number of hundredths of a second,
+            the time unit of GIF.
+
+    Raises:
+        ValueError: if no positions were recorded, `speed` or `fps` is out of bounds, or the window is empty or has too
+            many frames.
+        OSError: if the file cannot be written.
+    """
+    last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
+    if not 0.0 <= begin < last:
+        raise ValueError(
+            f"the window from {begin:g} s to {last:g} s is empty: the run lasted {seconds(ended(result).t):g} s"
+        )
+    if not (0.0 < speed < inf and 1 <= fps <= 50):
+        raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
+    pause = 100 // fps * 10  # ms
+    step = nanoseconds(speed * pause / 1000.0)
+    times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MAX_FRAMES + 1], nanoseconds(last)]
+    if len(times) > MAX_FRAMES:
+        raise ValueError(
+            f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MAX_FRAMES} frames: choose a higher"
+            " speed, fewer fps, or a shorter window"
+        )
+    first, *rest = frames(result, times)
+    pauses = [pause] * len(rest) + [HOLD]
+    with replacing(path) as part:
+        first.save(part, "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+    return len(times)
+
+
+def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
+    """Draw the run at each of the given times (ns), and return the pictures, which share one palette.
+
+    Raises:
+        ValueError: if no positions were recorded.
+    """
+    with styled((WIDTH, HEIGHT)) as figure:
+        figure.dpi = DPI
+        figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
+        canvas: Any = FigureCanvasAgg(figure)
+        scene = _Scene(figure, result)
+    for artist in scene.moving:  # only after the layout, which must account for the artists
+        artist.set_animated(True)
+    canvas.draw()
+    background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
+    found: list[Image.Image] = []
+    before = times[0] - 1
+    with progress(len(times), "frames", "frame") as bar:
+        for t in times:
+            canvas.restore_region(background)
+            for artist in scene.at(t, before):
+                figure.draw_artist(artist)
+            image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+            found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+            before = t
+            bar.update()
+    return found
+
+
+def _colours(result: Result) -> tuple[str, ...]:
+    several = len(started(result).evaders) > 1
+    return tuple(dict.fromkeys((*COLOURS, *HUES))) if several else COLOURS
+
+
+def _palette(of: Sequence[str]) -> Image.Image:
+    """Return an image with the common palette of all frames: white, and the shades of the given colours."""
+    colours = [_shade(each, k / SHADES) for each in of for k in range(1, SHADES + 1)]
+    levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
+    found = Image.new("P", (1, 1))
+    found.putpalette(levels.ravel().tolist())
+    return found
+
+
+def _shade(colour: str, share: float) -> Floats:
+    """Return a colour blended with white, as RGB; `share` in [0, 1] is the weight of the colour."""
+    found: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
+    return found
+
+
+class _EvaderArtists:
+    """The moving artists of one evader: the evader and the pursuers that chase it.
+
+    Args:
+        axes: the axes to draw on.
+        evader: the number of the evader, 1 .. M.
+        count: the number of evaders M.
+    """
+
+    def __init__(self, axes: Axes, evader: int, count: int):
+        look, lone = EvaderStyle.of(evader, count), count == 1
+        pale = look.together if lone else to_hex(tuple(_shade(look.together, PALE).tolist()))
+        name = "evader" if lone else f"evader {evader}"
+        mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
+        (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
+        (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
+        (self.path,) = axes.plot([], [], color=EVADER, lw=1.3, ls=(0, (3, 1)))
+        (self.together,) = axes.plot([], [], PURSUER_MARK, mfc=pale, mec=look.alone, ms=6, label="active with others")
+        (self.alone,) = axes.plot([], [], PURSUER_MARK, mfc=look.alone, mec=look.alone, ms=9, label="active alone")
+        (self.evader,) = axes.plot([], [], look.mark, color=EVADER, label=name, **mark)
+        (self.star,) = axes.plot([], [], CAPTURE_MARK, color="black", ms=14, mew=0)
+        offset: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
+        self.number = axes.annotate("" if lone else str(evader), (0, 0), color=EVADER, weight="bold", **offset)
+
+
+def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
+    """Return artists in drawing order: the first of every tuple, then the second of every tuple, and so on."""
+    return [each for layer in zip(*artists, strict=True) for each in layer]
+
+
+class _Scene:
+    """The axes of the animation and their moving artists."""
+
+    def __init__(self, figure: Figure, result: Result):
+        self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
+        self._captured = {each.evader: each for each in captures(result)}
+        axes = figure.add_subplot()
+        self._set(axes)
+        left, right = axes.get_xlim()
+        self._messages = _message_dots(result, self._paths, RECEIVER_GAP * (right - left))
+        count = self._paths.count
+        self._evaders = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
+        (self._dots,) = axes.plot([], [], "o", color=IN_FLIGHT, ms=2.5, mew=0, label="message in flight")
+        (self._arrived,) = axes.plot([], [], "o", color=DELIVERED, ms=3.5, mew=0, label="delivered")
+        (self._crosses,) = axes.plot([], [], LOST_MARK, color=LOST, ms=5, mew=1.2, label="lost")
+        (self._inactive,) = axes.plot([], [], PURSUER_MARK, mfc="white", mec=INACTIVE, ms=6, label="inactive")
+        self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
+        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._evaders[:MAX_NAMED])]
+        shown += [self._dots, self._arrived] if len(self._messages.left) else []
+        shown += [self._crosses] if self._messages.lost.any() else []
+        figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
+        self.moving = self._in_order()
+
+    def _chasers(self) -> list[Line2D]:
+        """Return the legend entries of active pursuers; grey if there are several evaders, because hues differ then."""
+        first = self._evaders[0]
+        if len(self._evaders) == 1:
+            return [first.together, first.alone]
+        greys = {first.together: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
+        return [
+            Line2D([], [], marker="o", ls="", mfc=grey, mec=GREY, ms=each.get_markersize(), label=str(each.get_label()))
+            for each, grey in greys.items()
+        ]
+
+    def _in_order(self) -> list[Artist]:
+        """Return the moving artists in drawing order."""
+        below = [(each.trails, each.relay, each.path) for each in self._evaders]
+        chasers = [(each.together, each.alone) for each in self._evaders]
+        above = [(each.evader, each.star, each.number) for each in self._evaders]
+        found = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
+        return [*found, self._dots, self._arrived, self._crosses, *_by_layer(above), self._caption]
+
+    def _set(self, axes: Axes) -> None:
+        everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
+        low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+        margin = 0.05 * float((high - low).max()) or 1.0
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+
+    def at(self, t: int, before: int) -> list[Artist]:
+        """Update the moving artists and return them in drawing order.
+
+        Args:
+            t: the time of the frame, ns.
+            before: the time of the previous frame, ns; messages that arrived or were lost since then are drawn beside
+                their receivers.
+        """
+        chases = self._chases(t)
+        size = self._paths.pursuers.shape[1]
+        places = np.array([self._paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
+        for evader, artists in enumerate(self._evaders, start=1):
+            self._set_evader(evader, artists, t, places[[i for i in range(size) if chases.get(i) == evader]])
+        self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
+        self._dots.set_data(self._messages.under_way(t).T)
+        self._arrived.set_data(self._messages.ended_between(before, t, lost=False).T)
+        self._crosses.set_data(self._messages.ended_between(before, t, lost=True).T)
+        self._caption.set_text(f"{seconds(t):.2f} s: {self._status_text(t, chases)}")
+        return self.moving
+
+    def _chases(self, t: int) -> dict[int, int]:
+        """Return the evader that each active pursuer chases at time t (ns).
+
+        At the end of the run, the pursuers that were active until then are included. With several evaders, a pursuer is
+        not included if its evader is captured at that instant.
+        """
+        lone, end = self._paths.count == 1, ended(self._result).t
+        return {
+            each.pursuer: each.evader
+            for each in self._active_periods
+            if each.begin <= t
+            and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
+        }
+
+    def _set_evader(self, evader: int, artists: _EvaderArtists, t: int, chasers: Floats) -> None:
+        begun = [each for each in self._active_periods if each.begin <= t and each.evader == evader]
+        for line, alone in ((artists.trails, False), (artists.relay, True)):
+            own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
+            line.set_data(_joined(own))
+        past = self._paths.of_evader(evader, 0, t)
+        artists.path.set_data(past.T)
+        artists.together.set_data(chasers.T if len(chasers) > 1 else ([], []))
+        artists.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
+        artists.evader.set_data(past[-1:].T)
+        artists.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))
+        artists.number.xy = tuple(past[-1].tolist())
+
+    def _is_captured(self, evader: int, t: int) -> bool:
+        return evader in self._captured and self._captured[evader].t <= t
+
+    def _status_text(self, t: int, chases: dict[int, int]) -> str:
+        """Return the caption of a frame, without the time."""
+        count, by = self._paths.count, ended(self._result).capturer
+        captured = portable_sum(self._is_captured(evader, t) for evader in self._captured)
+        if count > 1:
+            last = f", the last by {by}" if captured == count else f", {len(chases)} active"
+            return f"captured {captured} of {count}{last}"
+        if captured:
+            return f"captured by {by}"
+        return f"pursuer {min(chases)} alone" if len(chases) == 1 else f"{len(chases)} active"
+
+
+def _joined(paths: Sequence[Floats]) -> Floats:
+    """Return several (k, 2) paths as one (2, K) path, separated by NaN."""
+    gap = np.full((1, 2), np.nan)
+    joined: Floats = np.concatenate([gap, *(part for path in paths for part in (path, gap))]).T
+    return joined
+
+
+class _MessageDots:
+    """Messages as dots that move at constant speed from the sender at transmission to the receiver at arrival.
+
+    Args:
+        left: (k,) times of transmission, ns.
+        until: (k,) times of arrival or loss, ns.
+        lost: (k,) whether the message was lost.
+        source: (k, 2) positions of the senders at transmission, m.
+        target: (k, 2) positions of the receivers at arrival or loss, m.
+        short: the distance between the mark of an arrival or a loss and the receiver, m; see `RECEIVER_GAP`.
+    """
+
+    def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
+        self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
+        self._short = short
+
+    def under_way(self, t: int) -> Floats:
+        """Return the (k, 2) positions, m, of the messages in flight."""
+        flying = (self.left <= t) & (t < self._until)
+        share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
+        found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
+        return found
+
+    def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
+        """Return the (k, 2) positions, m, of the marks of messages lost after `before` and up to `t` (ns).
+
+        If `lost` is false, return the positions of the marks of messages delivered in this interval.
+        """
+        gone = (self.lost == lost) & (before < self._until) & (self._until <= t)
+        way = (self._target - self._source)[gone]
+        length = np.hypot(way[:, 0], way[:, 1])
+        share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]
+        found: Floats = self._target[gone] - share * way
+        return found
+
+
+def _message_dots(result: Result, paths: Paths, short: float) -> _MessageDots:
+    """Return the messages of a run, or none if they were not recorded; for `short` see `_MessageDots`."""
+    own = deliveries(result) if messages_recorded(result) else []
+    left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
+    source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
+    for pursuer in range(paths.pursuers.shape[1]):
+        sent = np.array([each.src == pursuer for each in own], dtype=bool)
+        read = np.array([each.dst == pursuer for each in own], dtype=bool)
+        source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
+    return _MessageDots(
+        left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target, short
+    )

@@ -1,0 +1,144 @@
+"""The figure of the measured links of a scenario: latency, probability of loss or signal strength over time."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from desim.analysis.drawing.palette import BLUE, GREY, LOST, LOST_MARK, SERIES
+from desim.analysis.drawing.plots import Axes, Figure, as_it_is, styled
+from desim.config.arrays import Bools, Floats
+from desim.config.trust import escaped
+from desim.kernel.core.units import SECOND
+from desim.kernel.measured.base import LinkTrace
+from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
+from desim.kernel.measured.playback import Playback
+from desim.scenario.scenario import Scenario
+
+SIZE = 6.3, 2.3
+"""Width of the figure and height of a panel, inches."""
+GRID = 400
+"""Number of times at which the quantiles of many links are drawn."""
+LEGEND = 0.5
+"""Height of the legend, inches."""
+SHORT = 10
+"""Length of the labels, five of which fit into a row of the legend."""
+Y_LABELS: dict[type[LinkTrace], str] = {
+    LatencyTrace: "one-way latency (ms)",
+    LossTrace: "probability of loss",
+    SignalTrace: "signal (dB or dBm)",
+}
+
+
+class _Link(NamedTuple):
+    """The rows of a link; the last is at the end of the trace."""
+
+    label: str
+    times: Floats
+    """s"""
+    values: Floats
+    is_missing: Bools
+
+
+def link_traces(scenario: Scenario) -> Figure:
+    """Draw the measurements that the links of a scenario follow, with a panel for each of them.
+
+    Up to six links have a line each. A row without a value, whose messages are lost, is a cross at the value before it.
+    Of more links, the median, the middle 90 % and the share without a value are drawn.
+
+    A model of a user's class that overrides how the table is replayed is left out.
+
+    Raises:
+        ValueError: if no link follows measurements.
+    """
+    found = dict(_traces(scenario))
+    if not found:
+        raise ValueError('no link follows measurements: a latency or loss of the kind "trace" or "signal_trace"')
+    with styled((SIZE[0], SIZE[1] * len(found) + LEGEND)) as figure:
+        panels = figure.subplots(len(found), 1, squeeze=False)[:, 0]
+        for axes, (key, trace) in zip(panels, found.items(), strict=True):
+            _draw(axes, trace)
+            axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
+            axes.set(xlabel="time of the measurements (s)", ylabel=_y_label(trace))
+        handles = {
+            label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        columns = 5 if max(map(len, handles)) <= SHORT else 3
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, fontsize=8)
+    return figure
+
+
+def _traces(scenario: Scenario) -> Iterator[tuple[str, LinkTrace]]:
+    """Yield the key and the model of each trace."""
+    owners: list[tuple[str, Any]] = [("network", scenario.network)]
+    owners += [(f"network.link.{k}", link) for k, link in enumerate(scenario.network.link)]
+    for key, owner in owners:
+        for name in ("latency", "loss"):
+            if isinstance(model := getattr(owner, name), LinkTrace) and model.is_replayed:
+                yield f"{key}.{name}", model
+
+
+def _y_label(trace: LinkTrace) -> str:
+    """Return the label of the values of a trace, or of a class that is derived from one."""
+    return next(label for kind, label in Y_LABELS.items() if isinstance(trace, kind))
+
+
+def _links(trace: LinkTrace) -> list[_Link]:
+    """Return the links of a trace; of two directions with the same rows, the one from the lower node."""
+    measured, arrow = trace.measurements, "↔" if trace.both_ways else "→"
+    factor = 1000.0 if isinstance(trace, LatencyTrace) else 1.0
+    found = []
+    for src, dst, line in zip(measured.src, measured.dst, Playback(trace).lines(), strict=True):
+        if not trace.both_ways or src < dst:
+            times, values, is_missing = line
+            label = "all links" if trace.src is None else f"{src} {arrow} {dst}"
+            found.append(_Link(label, times, values * factor, is_missing))
+    return found
+
+
+def _draw(axes: Axes, trace: LinkTrace) -> None:
+    links, is_linear = _links(trace), trace.between == "linear"
+    if len(links) > len(SERIES):
+        _draw_many(axes, links, is_linear)
+    else:
+        for link, colour in zip(links, SERIES, strict=False):
+            _draw_line(axes, link, colour, is_linear)
+    if isinstance(trace, SignalTrace):
+        axes.axhline(trace.threshold, color=GREY, lw=1.0, ls="--", label="threshold", zorder=1)
+    if trace.start != "random" and trace.start > 0.0:
+        axes.axvline(trace.start, color=GREY, lw=1.0, ls=":", label="start of the simulation", zorder=1)
+    axes.set_xlim(0.0, trace.measurements.end / SECOND)
+
+
+def _draw_line(axes: Axes, link: _Link, colour: str, is_linear: bool) -> None:
+    """Draw a link; its line is interrupted while its value is missing, from a cross on."""
+    # At a row without a value, the line goes on to the time of the row, with the value before it.
+    ends = np.where(link.is_missing, np.nan, link.values)
+    times, values = np.repeat(link.times, 2), np.column_stack((link.values, ends)).ravel()
+    axes.plot(times, values, color=colour, lw=1.0, drawstyle="default" if is_linear else "steps-post", label=link.label)
+    crossed = np.append(link.is_missing[:-1], False)  # the last row is the end of the trace
+    if crossed.any():
+        axes.plot(link.times[crossed], link.values[crossed], LOST_MARK, color=LOST, ms=4, lw=0.0, label="lost")
+
+
+def _draw_many(axes: Axes, links: list[_Link], is_linear: bool) -> None:
+    """Draw the median of the links that have a value and the middle 90 % of them, and the share of the others."""
+    grid = np.linspace(0.0, links[0].times[-1], GRID, endpoint=False)
+    rows = [link.times.searchsorted(grid, side="right") - 1 for link in links]
+    pairs = list(zip(links, rows, strict=True))
+    values = np.array(
+        [np.interp(grid, link.times, link.values) if is_linear else link.values[row] for link, row in pairs]
+    )
+    has_value = ~np.array([link.is_missing[row] for link, row in pairs])
+    low, median, high = np.full((3, GRID), np.nan)
+    for k in range(GRID):
+        if has_value[:, k].any():
+            low[k], median[k], high[k] = np.quantile(values[has_value[:, k], k], (0.05, 0.5, 0.95))
+    axes.fill_between(grid, low, high, color=BLUE, alpha=0.2, lw=0.0, label=f"middle 90 % of {len(links)} links")
+    axes.plot(grid, median, color=BLUE, lw=1.2, label="median")
+    if not has_value.all():
+        share = axes.twinx()
+        share.plot(grid, 1.0 - has_value.mean(axis=0), color=LOST, lw=0.8, ls=":")
+        axes.plot([], [], color=LOST, lw=0.8, ls=":", label="share without a value")
+        share.set(ylim=(0.0, 1.0), ylabel="share without a value")
+        share.spines["right"].set_visible(True)

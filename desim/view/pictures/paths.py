@@ -1,0 +1,213 @@
+"""A compact plan view of a pursuit: the paths of evaders and active pursuers, handovers and captures.
+
+If there are several evaders, each has a number, a marker and a hue; its pursuers are drawn in the same hue.
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.patheffects import withStroke
+
+from desim.analysis.activity import EvaderPursuit, evader_pursuits
+from desim.analysis.drawing.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    EVADER,
+    EVADER_MARKS,
+    GREY,
+    HANDOVER_MARK,
+    HUES,
+    INACTIVE,
+    PURSUER_MARK,
+)
+from desim.analysis.drawing.plots import EVADER_PATH, Axes, set_plane
+from desim.analysis.trace_index import captures, sampled
+from desim.config.arrays import Floats, Integers
+from desim.simulation.run import Result
+from desim.view.data.deliveries import Handover, handover_events
+from desim.view.pictures.labels import label_points
+
+HALO = (withStroke(linewidth=1.5, foreground="white"),)
+"""A white outline that keeps a label legible over a path."""
+
+
+class EvaderStyle(NamedTuple):
+    """The marker and colours of an evader and of its pursuers."""
+
+    mark: str
+    inner: str
+    """The fill colour of the evader's marker."""
+    alone: str
+    """The colour of a pursuer that chases the evader alone."""
+    together: str
+    """The colour of a pursuer that chases the evader together with others."""
+
+    @classmethod
+    def of(cls, evader: int, count: int) -> "EvaderStyle":
+        """Return the style of an evader, given its number (1 .. M) and the number of evaders M."""
+        if count == 1:
+            return cls(EVADER_MARKS[0], EVADER, ACTIVE, ACTIVE_WITH_OTHERS)
+        hue = HUES[(evader - 1) % len(HUES)]
+        return cls(EVADER_MARKS[(evader - 1) % len(EVADER_MARKS)], hue, hue, hue)
+
+
+class ActivePeriod(NamedTuple):
+    """An interval in which a pursuer chased an evader, either always alone or always with others."""
+
+    pursuer: int
+    begin: int
+    """ns"""
+    end: int
+    """ns"""
+    alone: bool
+    """Whether no other pursuer chased the evader."""
+    evader: int
+    """1 .. M"""
+
+
+def active_periods(result: Result) -> list[ActivePeriod]:
+    """Return the active periods of all pursuers, ordered by evader and then by end."""
+    return [
+        period
+        for evader, pursuit in enumerate(evader_pursuits(result), start=1)
+        for period in _active_periods(evader, pursuit)
+    ]
+
+
+def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
+    active = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}
+    times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
+    found, alone = [], len(active) == 1
+    for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
+        if step is not None:
+            _, pursuer, by = step
+            if by < 0:
+                found.append(ActivePeriod(pursuer, active.pop(pursuer), begin, alone, evader))
+            else:
+                active[pursuer] = begin
+        if (len(active) == 1) != alone and begin < end:
+            found += [
+                ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin
+            ]
+            active, alone = dict.fromkeys(active, begin), not alone
+    found += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
+    return [each for each in found if each.begin < each.end]
+
+
+class Paths:
+    """The positions of all players at any time, by linear interpolation between the samples.
+
+    Raises:
+        ValueError: if no positions were recorded.
+    """
+
+    def __init__(self, result: Result):
+        samples = sampled(result)
+        self.t = np.array([sample.t for sample in samples])
+        self.evaders = np.array([sample.evaders for sample in samples])
+        """(samples, M, 2) m"""
+        self.pursuers = np.array([sample.pursuers for sample in samples])
+        """(samples, N, 2) m"""
+
+    @property
+    def count(self) -> int:
+        """The number of evaders M."""
+        return len(self.evaders[0])
+
+    def of(self, pursuer: int, begin: int, end: int) -> Floats:
+        """Return the (k, 2) path (m) of a pursuer between two times (ns)."""
+        return self._between(self.pursuers[:, pursuer], begin, end)
+
+    def of_evader(self, evader: int, begin: int, end: int) -> Floats:
+        """Return the (k, 2) path (m) of an evader (1 .. M) between two times (ns)."""
+        return self._between(self.evaders[:, evader - 1], begin, end)
+
+    def at(self, pursuer: int, times: Integers) -> Floats:
+        """Return the (k, 2) positions (m) of a pursuer at (k,) times (ns)."""
+        return self._along(self.pursuers[:, pursuer], times)
+
+    def position_of(self, handover: Handover) -> tuple[float, float]:
+        """Return the position (x, y), m, of the pursuer that takes over."""
+        x, y = self.at(handover.pursuer, np.array([handover.t]))[0].tolist()
+        return x, y
+
+    def _between(self, known: Floats, begin: int, end: int) -> Floats:
+        inside = self.t[(begin < self.t) & (self.t < end)]
+        return self._along(known, np.concatenate([[begin], inside, [end]]))
+
+    def _along(self, known: Floats, times: Integers) -> Floats:
+        return np.stack([np.interp(times, self.t, known[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def draw_pursuit(axes: Axes, result: Result) -> None:
+    """Draw the paths of evaders and active pursuers, with a square at each handover and a star at each capture.
+
+    The path of a pursuer is bold while it chases alone and thin while it chases with others. Of a pursuer that was
+    never active, only the circle at its initial position is drawn. At a handover, a pursuer begins to chase an evader
+    alone. The first square of an evader therefore marks the first pursuer that chases it alone. `label_handovers` adds
+    the numbers of the pursuers.
+
+    Raises:
+        ValueError: if no positions were recorded.
+    """
+    paths = Paths(result)
+    looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
+    set_plane(axes)
+    axes.plot(
+        *paths.pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, mew=0.7, ms=3, label="pursuer at the start"
+    )
+    _draw_active_periods(axes, result, paths, looks)
+    _draw_handovers(axes, result, paths, looks)
+    for evader, look in looks.items():
+        label = "evader" if paths.count == 1 else f"evader {evader}"
+        mark: dict[str, Any] = {"ms": 3} if paths.count == 1 else {"ms": 6, "mfc": look.inner, "mew": 1.2}
+        axes.plot(*paths.evaders[:, evader - 1].T, lw=1.2, label=label, **{**EVADER_PATH, "marker": look.mark, **mark})
+    places = [paths.evaders[-1, each.evader - 1] for each in captures(result)]
+    if places:
+        axes.plot(*np.transpose(places), CAPTURE_MARK, color="black", ms=7, mew=0, zorder=7, label="capture")
+
+
+def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
+    labels: dict[bool, str | None] = {False: "active with others", True: "active alone"}
+    wide: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
+    if paths.count > 1:
+        for alone, label in labels.items():
+            axes.plot([], [], color=GREY, label=label, **wide[alone])
+        labels = {}
+    for period in active_periods(result):
+        path, look = paths.of(period.pursuer, period.begin, period.end), looks[period.evader]
+        colour = look.alone if period.alone else look.together
+        label = labels.pop(period.alone, None)
+        axes.plot(*path.T, color=colour, **wide[period.alone], label=label, solid_capstyle="butt")
+
+
+def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
+    label = "takes over"
+    for evader, look in looks.items():
+        places = [paths.position_of(each) for each in handover_events(result) if each.evader == evader]
+        if places:
+            style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
+            axes.plot(*np.transpose(places), HANDOVER_MARK, ls="", label=label, **style)
+            label = ""
+
+
+def label_handovers(axes: Axes, result: Result) -> None:
+    """Label each square of `draw_pursuit` with the number of the pursuer that takes over.
+
+    If there are several evaders, the initial position of each is labelled with its number. See `label_points` for the
+    requirements on the axes.
+    """
+    paths, chain = Paths(result), handover_events(result)
+    everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
+    ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
+    named = [(paths.position_of(each), str(each.pursuer), each.evader, "normal") for each in chain]
+    if paths.count > 1:
+        named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
+    places, names = [each[0] for each in named], [each[1] for each in named]
+    texts = label_points(axes, places, names, avoid=ends, zorder=6)
+    for text, (_, _, evader, weight) in zip(texts, named, strict=True):
+        text.set(color=EvaderStyle.of(evader, paths.count).alone, weight=weight)
+        if paths.count > 1:
+            text.set_path_effects(list(HALO))

@@ -1,0 +1,62 @@
+"""The figures of a run: the paths of its players and its space-time diagram; needs matplotlib (the extra `plot`)."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from desim.pursuit.core.events import Sampled
+from desim.simulation.run import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def plot(
+    result: Result,
+    kind: Literal["trajectory", "spacetime"] = "trajectory",
+    *,
+    begin: float | None = None,
+    end: float | None = None,
+    pursuers: Sequence[int] | None = None,
+    size: str | None = None,
+) -> "Figure":
+    """Draw a run and return the figure.
+
+    The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`. The figures
+    of a sweep are those of `SweepResult.plot`.
+
+    Args:
+        result: the run.
+        kind: trajectory: the paths of all players; spacetime: a line per pursuer and an arrow per message.
+        begin: the start of the window of a space-time diagram, s; None = the start of the run.
+        end: the end of the window, s; None = the end of the run, or earlier so that the messages stay legible.
+        pursuers: the pursuers in a space-time diagram, from top to bottom; None = all, or in a large team the six with
+            the most changes of action.
+        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
+
+    Raises:
+        TypeError: if it is not a run.
+        ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
+    """
+    from desim.analysis.drawing.plots import trajectory
+    from desim.view.pictures.spacetime import spacetime
+
+    if not isinstance(result, Result):
+        raise TypeError(f"plot draws a run, as desim.run returns it; a {type(result).__name__} has a plot of its own")
+    if kind == "spacetime":
+        return spacetime(result, begin, end, pursuers, size or "17cm")
+    if kind != "trajectory":
+        raise ValueError(f"kind should be trajectory or spacetime, got {kind!r}")
+    if (begin, end, pursuers) != (None, None, None):
+        raise ValueError("begin, end and pursuers are options of the kind spacetime")
+    return trajectory(result, size)
+
+
+def html_picture(result: Result) -> str:
+    """Return the paths as an HTML image; "" if positions were not recorded or matplotlib is missing."""
+    if not result.trace.of(Sampled):
+        return ""
+    try:
+        from desim.analysis.drawing.plots import html_image
+    except ImportError:
+        return ""
+    return html_image(plot(result), "trajectories of the players")

@@ -1,0 +1,299 @@
+"""The space-time diagram of a run: a line per pursuer, time to the right, an arrow per message.
+
+After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
+a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
+arrival time: it is drawn as if it took the mean latency of the drawn messages that are not lost, and ends just short of
+the line of its receiver. A message lost on arrival ends on the line of its receiver, with an asterisk if it collided.
+"""
+
+from collections.abc import Sequence
+from itertools import groupby
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from desim.analysis.activity import changes, changes_with_previous, chases, decisions
+from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, size_of, styled
+from desim.analysis.trace_index import ended, started
+from desim.config.trust import escaped
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.models.faults import Crash, Misbehaviour
+from desim.pursuit.core.events import Captured
+from desim.pursuit.team.announcements import action_in_game
+from desim.simulation.run import Result
+from desim.view.data.deliveries import Delivery, Interval, chasing, deliveries, outages
+from desim.view.pictures.paths import HALO, EvaderStyle
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+
+MAX_DENSITY = 24
+"""Maximum number of messages that can be told apart per centimetre of width; half as many are easy to read."""
+ARROWS: dict[str, Any] = {
+    **{"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.008},
+    **{"headwidth": 6.0, "headlength": 7.0, "headaxislength": 6.0, "minshaft": 1.0, "minlength": 0.0},
+}
+"""Style of an arrow between two points in data coordinates; shaft width in inches, size of the head in shaft widths."""
+LOSS_GAP = 0.25
+"""Distance, in line spacings, between the receiver's line and the end of a message that has no arrival time."""
+PALE = "#8c8c8c"
+"""Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
+MAX_SHOWN = 10
+"""Maximum size of a team whose pursuers are all drawn by default."""
+
+
+def spacetime(
+    result: Result,
+    begin: float | None = None,
+    end: float | None = None,
+    pursuers: Sequence[int] | None = None,
+    size: str = "17cm",
+) -> Figure:
+    """Draw the messages among pursuers in a window of time, the decisions of these pursuers, captures and faults.
+
+    The default window and pursuers give a legible number of messages.
+
+    Args:
+        result: the result of a run with recorded messages.
+        begin: the start of the window, s; None = the start of the run.
+        end: the end of the window, s; None = the end of the run, or earlier so that the messages stay legible.
+        pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
+            team of more than ten.
+        size: the width and, optionally, the height of the figure; a column of a paper is about 8.5 cm wide.
+
+    Raises:
+        ValueError: if the trace lacks messages that were sent, no pursuer is given, a pursuer does not exist or is
+            given twice, the size is invalid, the window is empty, or it has too many messages to be told apart.
+    """
+    width, height = size_of(size)
+    shown = list(pursuers) if pursuers is not None else _busiest(result)
+    _check(result, shown, begin, end)
+    window, own = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
+    with styled((width, height or 1.2 + 0.3 * len(shown)), font=7 if width < NARROW else 8) as figure:
+        axes = figure.add_subplot()
+        rows = {pursuer: row for row, pursuer in enumerate(shown)}
+        _draw_pursuers(axes, result, rows, window)
+        _draw_outages(axes, result, rows, window)
+        _draw_captures(axes, result, rows, window)
+        _draw_messages(axes, own, rows, _mean_latency(own), len(started(result).evaders))
+        _draw_decisions(axes, result, rows, window)
+        axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
+        axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        count = len(started(result).active)
+        some = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
+        handles, labels = axes.get_legend_handles_labels()
+        found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
+        figure.legend(
+            list(found.values()),
+            list(found),
+            loc="outside lower center",
+            ncols=3 if width < NARROW else 5,
+            columnspacing=1.0,
+        )
+    return figure
+
+
+def _busiest(result: Result) -> list[int]:
+    """Return the pursuers to draw by default, ascending: all, or the six with the most changes of action.
+
+    All are drawn in a team of up to `MAX_SHOWN` pursuers.
+    """
+    size, most = len(started(result).active), 6
+    if size <= MAX_SHOWN:
+        return list(range(size))
+    count = np.bincount([change.pursuer for change in changes(result)], minlength=size)
+    return sorted(np.argsort(-count, kind="stable")[:most].tolist())
+
+
+def _check(result: Result, shown: Sequence[int], begin: float | None, end: float | None) -> None:
+    size, last = len(started(result).active), seconds(ended(result).t)
+    for pursuer in shown:
+        if not 0 <= pursuer < size:
+            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {size - 1}")
+    if len(set(shown)) < len(shown) or not shown:
+        raise ValueError(f"pursuers should be given once each, and at least one, got {list(shown)}")
+    if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
+        until = "its end" if end is None else f"{end:g} s"
+        raise ValueError(f"the window from {begin or 0.0:g} s to {until} is empty: the run lasted {last:g} s")
+
+
+def _window(
+    result: Result, shown: Sequence[int], begin: float | None, end: float | None, most: int
+) -> tuple[Interval, list[Delivery]]:
+    """Return the time window (ns), and the deliveries in flight in it from and to the pursuers shown.
+
+    If no end is given, the window ends with the run or, if it would then have more than `most` / 2 messages, after
+    about this number of messages. Messages transmitted at the same time stay together.
+
+    Raises:
+        ValueError: if there are more than `most` deliveries; `most` is the number that can be told apart.
+    """
+    among = set(shown)
+    first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
+    last = min(last, ended(result).t)
+    own = [
+        each
+        for each in deliveries(result)
+        if each.src in among and each.dst in among and each.left <= last and each.until >= first
+    ]
+    if end is None and len(own) > most // 2:
+        last = next((each.left for each in own[most // 2 :] if each.left > first), last)
+        own = [each for each in own if each.left <= last]
+    if len(own) > most:
+        fits = max((each.left for each in own[:most] if each.left < own[most].left), default=first)
+        advice = f"end the window at {seconds(fits):.9f} s, or " if fits > first else ""
+        raise ValueError(
+            f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
+            f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider figure"
+        )
+    return Interval(first, last), own
+
+
+def _mean_latency(own: Sequence[Delivery]) -> float:
+    """Return the mean latency, s, of the messages that are not lost; 0 if there are none."""
+    times = [each.until - each.left for each in own if each.cause is None]
+    return float(np.mean(times)) / SECOND if times else 0.0
+
+
+def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
+    """Draw a line for each pursuer, thick while it is active; label chases by evader if there are several evaders."""
+    chases_of, several = chasing(result), len(started(result).evaders) > 1
+    for row in rows.values():
+        axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
+    inside = [
+        (row, chase)
+        for pursuer, row in rows.items()
+        for chase in chases_of[pursuer]
+        if chase.begin <= window.end and chase.end >= window.begin
+    ]
+    for row, chase in sorted(inside, key=lambda each: each[1].evader):  # the order of the legend
+        x = [max(chase.begin, window.begin) / SECOND, min(chase.end, window.end) / SECOND]
+        colour = _hue(chase.evader, several)
+        label = f"chases {chase.evader}" if several else "active"
+        axes.plot(x, [row, row], color=colour, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label=label)
+        if several:
+            offset: dict[str, Any] = {"xytext": (1, 3), "textcoords": "offset points", "path_effects": HALO}
+            axes.annotate(str(chase.evader), (x[0], row), **offset, color=colour, fontsize=6, zorder=6)
+
+
+def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
+    """Shade the faults: a crash on the line of its pursuer, other faults over the whole height."""
+    inside = [each for each in outages(result) if each[1].begin < window.end and each[1].end > window.begin]
+    level = 0
+    for fault, (begin, end) in inside:
+        x = max(begin, window.begin) / SECOND, min(end, window.end) / SECOND
+        if not isinstance(fault, Crash):
+            axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
+            lower, level = (2, -2 - 8 * level), 1 - level
+            name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else fault.kind
+            axes.annotate(name, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
+        elif fault.node in rows:
+            row = rows[fault.node]
+            kind = "robot down" if fault.scope == "robot" else "radio down"
+            look: dict[str, Any] = {"robot": {"hatch": "/////"}, "radio": {"hatch": "xxxx"}}[fault.scope]
+            axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
+
+
+def _hue(evader: int, several: bool) -> str:
+    """Return the colour in which the chases of an evader are drawn."""
+    return EvaderStyle.of(evader, 2 if several else 1).alone
+
+
+def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
+    """Draw the captures: the time, the capturing pursuer and, if there are several evaders, the captured evader."""
+    several = len(started(result).evaders) > 1
+    for t, evader, capturer in result.trace.of(Captured):
+        if window.begin <= t <= window.end:
+            axes.axvline(t / SECOND, color="black", lw=0.8, ls=(0, (4, 2)), zorder=1)
+            place = (t / SECOND, -0.8)
+            text = f"{evader} captured" if several else "captured"
+            axes.annotate(text, place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7)
+            if capturer in rows:
+                axes.plot(
+                    t / SECOND,
+                    rows[capturer],
+                    CAPTURE_MARK,
+                    color="black",
+                    ms=8,
+                    zorder=6,
+                    clip_on=False,
+                    ls="",
+                    label="captures",
+                )
+
+
+def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
+    """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
+
+    def kind(each: Delivery) -> tuple[str, str]:
+        announced = action_in_game(each.body, evaders)
+        if announced is None:
+            return "#555555", "message"
+        if not announced:
+            return PALE, "message: inactive"
+        return _hue(announced, evaders > 1), f"message: chases {announced}" if evaders > 1 else "message: active"
+
+    arrived = sorted((each for each in own if each.cause is None), key=kind)
+    for (colour, label), group in groupby(arrived, kind):
+        t, row = _ends(list(group), rows)
+        axes.quiver(*t[0:1], *row[0:1], *(t[1:] - t[:1]), *(row[1:] - row[:1]), color=colour, zorder=3.0, **ARROWS)
+        axes.plot([], [], color=colour, marker=">", ms=4, lw=1.0, label=label)
+    lost = [each for each in own if each.cause is not None]
+    if not lost:
+        return
+    t, row = _ends(lost, rows)
+    collided = np.array([each.cause == "collision" for each in lost])
+    at_once = (t[1] == t[0]) & ~collided  # an acknowledged message that is given up has collided at its receiver
+    way = np.where(at_once, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
+    t[1] += np.where(at_once, latency * way, 0.0)
+    row[1] = row[0] + way * (row[1] - row[0])
+    gaps = np.full(len(lost), np.nan)
+    axes.plot(np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=LOST, ls=":", lw=0.8, zorder=3)
+    marks: list[tuple[str, Any, float, Any]] = [
+        ("lost message", LOST_MARK, 4.0, ~collided),
+        ("collision", COLLISION_MARK, 6.5, collided),
+    ]
+    for label, mark, size, chosen in marks:
+        if chosen.any():
+            axes.plot(t[1][chosen], row[1][chosen], color=LOST, marker=mark, ls="", ms=size, mew=1.0, zorder=4)
+            axes.plot([], [], color=LOST, ls=":", marker=mark, ms=size, lw=1.0, label=label)
+
+
+def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:
+    """Return the (2, k) times, s, and the (2, k) rows at which deliveries begin and end."""
+    t = np.array([(each.left, each.until) for each in own], dtype=float).T / SECOND
+    return t, np.array([(rows[each.src], rows[each.dst]) for each in own], dtype=float).T
+
+
+def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
+    """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
+    inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
+    changed = {id(each) for each in changes(result)}
+    turns = {id(each) for each, before in changes_with_previous(result) if before and chases(each)}
+    looks: list[tuple[str, dict[str, Any], list[Any]]] = [
+        ("keeps action", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
+        (
+            "starts",
+            {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
+            [x for x in inside if id(x) in changed - turns and chases(x)],
+        ),
+        (
+            "switches evader",
+            {"marker": "D", "mfc": "black", "mec": "black", "ms": 4},
+            [x for x in inside if id(x) in turns],
+        ),
+        (
+            "stops",
+            {"marker": "v", "mfc": "white", "mec": "black", "ms": 5},
+            [x for x in inside if id(x) in changed and not chases(x)],
+        ),
+    ]
+    for label, look, marked in looks:
+        if marked:
+            x, y = [each.t / SECOND for each in marked], [rows[each.pursuer] for each in marked]
+            axes.plot(x, y, ls="", zorder=5, clip_on=False, label=label, **look)
