@@ -4,7 +4,8 @@ First, the cost of latency for three rules, in a team of which few could capture
 all could: with first actions that are announced over the network, known without a message, or not announced. Second,
 who causes it where few could: the active time of those that could not capture in time, and of the others, under the
 mean utility of the paper and under `minimum`. With --law, instead, what announcing first actions adds to the scaling
-law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L lambda.
+law of `scenarios.delay` if all could capture in time; the theory is (1 - 1 / N) L lambda. With --worth, what a message
+saves: a team that announces its actions is compared with a silent one that knows the same at the start.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from dataclasses import asdict
 from click import Option
 
 from desim.analysis.tables import aligned, with_half_width
+from scenarios.rivals_runs import SHOWN
 from scenarios.start_runs import (
     LATENCIES,
     LONG,
@@ -21,9 +23,11 @@ from scenarios.start_runs import (
     Cell,
     Extra,
     Share,
+    Worth,
     measure_costs,
     measure_law,
     measure_shares,
+    measure_worth,
 )
 from scenarios.study import Options, study
 
@@ -56,9 +60,32 @@ def law_table(extras: Sequence[Extra], runs: int) -> str:
     return f"Excess with announced first actions minus that with known ones, N^2 delta, {runs} runs\n{aligned(rows)}"
 
 
-@study("start", __doc__, 60, Option(["--law"], is_flag=True, help="Measure the scaling law instead."))
+def worth_table(worth: Sequence[Worth], runs: int) -> str:
+    """Return what messages save, as text."""
+    rows: list[tuple[str, ...]] = [("rule", "start", "speaking", "silent", "saved per message")]
+    for each in worth:
+        saved = f"{1000.0 * each.saved.mean:.2f} +- {1000.0 * each.saved.half_width:.2f} ms"
+        times = (with_half_width(time, runs) for time in (each.speaking, each.silent))
+        rows.append((each.rule, each.start, *times, saved))
+    return (
+        f"Sum of active times, s, of teams that announce their actions and of silent ones, L = {SHOWN:g} s, {runs} runs"
+        f" of equal seeds, 95 % intervals\n{aligned(rows)}"
+    )
+
+
+@study(
+    "start",
+    __doc__,
+    60,
+    Option(["--law"], is_flag=True, help="Measure the scaling law instead."),
+    Option(["--worth"], is_flag=True, help="Measure what a message is worth instead."),
+)
 def main(options: Options) -> None:
-    """Measure the costs, and who causes them; or the law."""
+    """Measure the costs, and who causes them; or the law; or the worth of messages."""
+    if options.own["worth"]:
+        worth = measure_worth(options)
+        options.show({"worth": [asdict(each) for each in worth]}, worth_table(worth, options.runs))
+        return
     if options.own["law"]:
         extras = measure_law(options)
         options.show({"law": [asdict(extra) for extra in extras]}, law_table(extras, options.runs))

@@ -9,9 +9,10 @@ import numpy as np
 
 from desim import Result, Scenario
 from desim.analysis.activity import evader_pursuits
-from desim.analysis.metrics import active_time, excess_time
+from desim.analysis.metrics import active_time, excess_time, summary
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.trace_index import started
+from desim.config.arrays import Floats
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -25,6 +26,7 @@ from protocols.best_response import BestResponse
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Schedule
+from scenarios import rivals_runs
 from scenarios.delay_runs import LAMBDA, SCHEDULES, N, static
 from scenarios.study import Options
 
@@ -78,6 +80,23 @@ class Extra:
     expected: float
 
 
+@dataclass(frozen=True)
+class Worth:
+    """The active time that the messages of a rule save at the latency `SHOWN` of `scenarios.rivals`.
+
+    A team that announces its actions is compared with one of the same initial knowledge that is silent from then on.
+    """
+
+    rule: str
+    start: Start
+    speaking: Estimate
+    """Active time of the team that announces its actions, s."""
+    silent: Estimate
+    """Active time of the silent team, s."""
+    saved: Estimate
+    """Paired difference of the two per transmission of the former, s; a quotient of means."""
+
+
 def pursuit(team: str, protocol: object, start: Start, latency: float) -> Scenario:
     """Return a pursuit in which all are active at first."""
     return Scenario(
@@ -116,6 +135,35 @@ def measure_shares(options: Options) -> list[Share]:
         prompt, late = np.array(next(found)), np.array(next(found))
         shares.append(Share(*key, *(paired(late[:, k], prompt[:, k]) for k in range(2))))
     return shares
+
+
+def measure_worth(options: Options) -> list[Worth]:
+    """Measure what a message is worth, with equal initial knowledge of the speaking and the silent team."""
+    keys = [(rule, start) for rule in ("sap", "local_min") for start in STARTS]
+    scenarios = [speaking(*key, trigger=trigger) for key in keys for trigger in ("heartbeat", "never")]
+    found = iter(options.measure(scenarios, "messages", times_and_transmissions))
+    worth = []
+    for key in keys:
+        (times, sent), (silent_times, first) = (np.array(next(found)).T for _ in range(2))
+        worth.append(Worth(*key, mean(times), mean(silent_times), quotient(silent_times - times, sent - first)))
+    return worth
+
+
+def speaking(rule: str, start: Start, *, trigger: str) -> Scenario:
+    """Return the scenario "paper" of `scenarios.rivals` with another start and another trigger of announcements."""
+    game = rivals_runs.scenario("paper", rule, rivals_runs.SHOWN)
+    return game.model_copy(update={"announce": game.announce.model_copy(update={"start": start, "trigger": trigger})})
+
+
+def times_and_transmissions(result: Result) -> tuple[float, float]:
+    """Return the active time, s, and the number of transmissions of a run."""
+    return active_time(result), float(summary(result).transmissions)
+
+
+def quotient(numerators: Floats, denominators: Floats) -> Estimate:
+    """Return the quotient of two means over the same runs, with the standard error of the delta method."""
+    ratio = numerators.mean() / denominators.mean()
+    return mean(ratio + (numerators - ratio * denominators) / denominators.mean())
 
 
 def measure_law(options: Options) -> list[Extra]:
