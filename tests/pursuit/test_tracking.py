@@ -220,12 +220,14 @@ def first_order(noise, offset):
 
 
 def tracked_from_afar(seed, observers, *, is_biased=False):
-    """Return the error of a track, (x, y), and its normalised square, after 20 sightings of each observer at 20 m.
+    """Return the error of a track along x, m, and the normalised squared error, after sightings at 20 m.
+
+    There are 20 sightings of each of several observers, or 40 of a single one, whose first second is still biased.
 
     The biased way is the conversion at the measured bearing, with the covariance to first order there.
     """
     rng, noise, model = np.random.default_rng(seed), RangeBearingNoise(range=0.3, bearing=0.1), Kalman()
-    states = course(rng, 20, [20.0, 0.0, 0.5, 0.3], model.velocity_diffusion)
+    states = course(rng, 40 if observers == 1 else 20, [20.0, 0.0, 0.5, 0.3], model.velocity_diffusion)
     made = Filter(model, 100 * SECOND, None if is_biased else noise.covariance)
     for k, state in enumerate(states):
         for observer in range(observers):

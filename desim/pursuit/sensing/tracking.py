@@ -49,6 +49,10 @@ class Measurement(NamedTuple):
     """m"""
 
 
+WIDE = 4.0
+"""Variance of a predicted position, as a multiple of that of the sighting, beyond which the sighting tells better how
+large its own error may be: with the average over so wide a prediction, a correction wastes what a near observer sees.
+"""
 CovarianceAt = Callable[[complex], Covariance]
 """Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""
 
@@ -57,17 +61,17 @@ def weighed(seen: Measurement, predicted: "Track | None", covariance_at: Covaria
     """Return a sighting with the covariance that a filter assumes for its error.
 
     The covariance depends on the true position. It is averaged over where the evader may be: around the predicted
-    position or, where that is less certain, around the measured one. At the measured position alone it would depend on
-    the error: of range and bearing, sightings lie on an arc, their thin ellipses are tangents, and these meet beyond it
-    (Bordonaro, Willett & Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman Filter"). With the
-    average over the predicted position a correction is the best linear one (Zhao, Li & Jilkov 2004, "Best Linear
-    Unbiased Filtering with Nonlinear Measurements for Target Tracking").
+    position or, where that is much less certain (`WIDE`), around the measured one. At the measured position alone it
+    would depend on the error: of range and bearing, sightings lie on an arc, their thin ellipses are tangents, and
+    these meet beyond it (Bordonaro, Willett & Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman
+    Filter"). With the average over the predicted position a correction is the best linear one (Zhao, Li & Jilkov 2004,
+    "Best Linear Unbiased Filtering with Nonlinear Measurements for Target Tracking").
     """
     origin = complex(seen.origin_x, seen.origin_y)
     place, spread = complex(seen.x, seen.y), seen.covariance
     if predicted is not None:
         (xx, xy, *_), (_, yy, *_) = (predicted.covariance or NO_SPREAD)[:2]
-        if xx + yy < spread.xx + spread.yy:
+        if xx + yy < WIDE * (spread.xx + spread.yy):
             place, spread = predicted.position, Covariance(xx, xy, yy)
     first, second, third, fourth = (covariance_at(point - origin) for point in _points(place, spread))
     mean = ((a + b + c + d) / 4.0 for a, b, c, d in zip(first, second, third, fourth, strict=True))
