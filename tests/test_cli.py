@@ -864,7 +864,8 @@ def seeds_of(table: Path) -> list[tuple[str, ...]]:
 @pytest.mark.slow
 def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
     folder, result = coins
-    means, differences = result.stdout.split("\n\n")
+    means, differences, start = result.stdout.split("\n\n")
+    assert start.startswith('announce.start = "announced": ')
     assert means.startswith("coins: 4 configurations, 12 runs; ")
     assert [line.split()[:3] for line in means.splitlines()[2:]] == [
         ["1", "sap", "3"],

@@ -755,16 +755,16 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert (folder / "explain.txt").read_text() == table
     names = [line.strip().split("  ")[0] for line in table.partition("\n+ is worse")[0].splitlines()[2:]]
     assert names == [
-        "as it is", "latency", "faults", "serial decisions", "interaction", "all together", "ideal"
+        "as it is", "latency", "faults", "serial decisions", "unknown start", "interaction", "all together", "ideal"
     ]  # fmt: skip
     document = json.loads((folder / "explain.json").read_text())
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
     assert document == json.loads(output_of(file, "-n", 3, "--json"))
     costs = document["costs"]["active_time"]
-    assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
+    present = {"latency", "faults", "serial decisions", "unknown start"}
+    assert set(costs["parts"]) == present
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing", "excludes_0"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    present = {"latency", "faults", "serial decisions"}
     assert document["absent"] == [name for name in IMPERFECTIONS if name not in present]
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
