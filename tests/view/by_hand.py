@@ -3,7 +3,7 @@
 from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.team.announcements import Assignment
+from desim.pursuit.team.announcements import Announcements, Assignment
 from desim.scenario.players import Evader
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
@@ -12,6 +12,8 @@ MS = 1_000_000
 CRASH = Crash(node=0, start=0.4, end=0.6)
 JAMMING = Jamming(centre=(1.0, 2.0), radius=3.0, start=0.7)
 ACTIVE, INACTIVE = Assignment(1), Assignment(0)
+KNOWN = Announcements(start="known")
+"""The start of runs without first announcements."""
 
 
 def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Result:
@@ -55,7 +57,7 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
     ]
     trace = Trace()
     trace.events += sorted([*own, *sampled, *(word if messages else ()), *more], key=lambda event: event.t) + end
-    return Result(Scenario(name=name), 3, trace)
+    return Result(Scenario(name=name, announce=KNOWN), 3, trace)
 
 
 def pair(samples=range(0, 1001, 100)) -> Result:
@@ -92,7 +94,7 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     ]
     trace = Trace()
     trace.events += sorted(events, key=lambda event: event.t) + end
-    return Result(Scenario(name="pair", evader=Evader(count=2)), 3, trace)
+    return Result(Scenario(name="pair", announce=KNOWN, evader=Evader(count=2)), 3, trace)
 
 
 def chase(pursuers: int, end: int) -> Result:
@@ -110,4 +112,4 @@ def chase(pursuers: int, end: int) -> Result:
     ]
     trace = Trace()
     trace.events += events
-    return Result(Scenario(name="chase"), 3, trace)
+    return Result(Scenario(name="chase", announce=KNOWN), 3, trace)

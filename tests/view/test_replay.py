@@ -67,7 +67,7 @@ FORTY = Scenario(
     team=Team(count=40, speeds=0.95),
     evader=Evader(position=(30.0, 22.0)),
     protocol=SpatialAdaptivePlay(schedule=Poisson(rate=1.0)),
-    announce=Announcements(heartbeat=5.5),
+    announce=Announcements(start="known", heartbeat=5.5),
     network=Links(latency=Constant(value=0.5), loss=Bernoulli(p=0.05)),
     record=ALL,
 )

@@ -563,6 +563,7 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
     `announce.start` = "known", the initial actions are known. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1
+    known = known[~known["superseded"] | (known["until"] > known["begin"])]  # as at time 0, without latency
     is_certain = (result.scenario.announce.start == "known") & (known["begin"] == 0)
     value = np.where(known["presumed"] & ~is_certain, unheard, known["active"].astype(int))
     columns = (known["reader"], known["source"], value)
