@@ -77,6 +77,11 @@ class Flooding(Value):
     jitter: Time = 0.005
     """Longest random delay J before a rebroadcast, s; the delay keeps neighbours from transmitting simultaneously."""
 
+    @property
+    def forwarding_jitter(self) -> float:
+        """The longest random delay before a rebroadcast, s."""
+        return self.jitter
+
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement to the neighbours."""
         me.send(None, Forwarded((me.record(announcement),), self.hops), PORT)

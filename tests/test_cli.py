@@ -956,7 +956,7 @@ def test_a_sweep_as_json_is_one_document_on_stdout(file, tmp_path):
 def test_a_sweep_does_as_many_runs_as_a_precision_takes(file, tmp_path):
     one = ("--set", 'sweep.grid={ "network.range" = [1.0] }')
     made = swept(file(COINS), "-o", tmp_path / "out", "--until", "active_time:0.5", *one)
-    assert [each["runs"] for each in made["configurations"]] == [30]
+    assert [each["runs"] for each in made["configurations"]] == [100]
     few = swept(file(COINS), "-o", tmp_path / "few", "--until", "active_time:1e-9", "-n", 5)
     assert [each["runs"] for each in few["configurations"]] == [5] * 4
 

@@ -39,13 +39,14 @@ def code() -> str:
     `desim/results`, `desim/study` and `desim/view`.
     """
     here = Path(__file__).parents[1]
-    files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
+    files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).rglob("*.py"))]
     protocols = find_spec("protocols")
-    folders = protocols.submodule_search_locations if protocols is not None else None
-    files += [file for folder in folders or () for file in Path(folder).glob("*.py")]
+    folders = [Path(folder) for folder in protocols.submodule_search_locations or ()] if protocols is not None else []
+    names = {file.relative_to(here.parent).as_posix(): file for file in files if file != here / METRICS_MODULE}
+    names |= {file.relative_to(folder.parent).as_posix(): file for folder in folders for file in folder.rglob("*.py")}
     digest = hashlib.sha256()
-    for file in sorted(set(files) - {here / METRICS_MODULE}, key=lambda file: (file.parent.name, file.name)):
-        digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
+    for name, file in sorted(names.items()):
+        digest.update(f"{name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -20,6 +20,7 @@ from desim.kernel.models.graphs import Complete
 from desim.kernel.models.medium import Medium, Radio
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.models.transport import Reliable
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.scenario.scenario import Scenario
 
 DRAWS = 4000
@@ -104,8 +105,9 @@ def _instants(scenario: Scenario) -> Iterator[tuple[str, str, int, _Spread]]:
         model = scenario.network.transport if sender is None else sender
         if isinstance(model, Reliable) and carries:
             yield key, "the receivers of a broadcast acknowledge it", count - 1, _Spread(latency=True)
-        elif getattr(model, "kind", "") == "flooding" and carries:
-            jitter = dict(model)["jitter"]
+        elif (
+            sender is not None and carries and (jitter := DisseminationTraits.of(sender).forwarding_jitter) is not None
+        ):
             yield f"{key}.jitter", "the receivers of a broadcast forward it", count - 1, _Spread(jitter, latency=True)
     ends: dict[float, set[int]] = {}
     for fault in scenario.fault:

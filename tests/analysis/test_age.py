@@ -635,7 +635,7 @@ def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
         return isinstance(each, Record) or (isinstance(each, tuple) and any(map(carries, each)))
 
     record_fields = {"Forwarded": {"records"}}
-    for module in pkgutil.iter_modules(protocols.__path__, "protocols."):
+    for module in pkgutil.walk_packages(protocols.__path__, "protocols."):
         for each in vars(importlib.import_module(module.name)).values():
             if isinstance(each, type) and issubclass(each, tuple) and each.__module__ == module.name:
                 record_fields[each.__name__] = {

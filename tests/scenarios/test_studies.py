@@ -16,6 +16,7 @@ from desim.pursuit.core.state import complex_points
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Recording
 from desim.simulation.run import Result
+from desim.study.workers.batch import seeds_from
 from protocols.local_min import LocalMin
 from scenarios import (
     benchmarks,
@@ -389,7 +390,8 @@ def test_the_study_of_bodies_compares_motions_and_rules_in_the_same_runs(monkeyp
     document, table, picture = study(bodies.main, "--runs", "1", "--seed", "1")
     cells = {(each["rule"], each["motion"], each["latency"]): each for each in document["cells"]}
     assert len(cells) == 2 * 2 * 2
-    times = {key: np.array([active_time(run(bodies_runs.pursuit(*key), 1))]) for key in cells}
+    (seed,) = seeds_from(1, 1)
+    times = {key: np.array([active_time(run(bodies_runs.pursuit(*key), seed))]) for key in cells}
     for (rule, motion, latency), cell in cells.items():
         late = {each: times[rule, each, latency] - times[rule, each, 0.0] for each in few}
         assert cell["active_time"]["mean"] == pytest.approx(times[rule, motion, latency].mean())

@@ -44,7 +44,7 @@ SCENARIO = Scenario(
     team=Team(count=2),
     protocol=sending,
     horizon=4.0,
-    announce=Announcements(trigger="never"),
+    announce=Announcements(trigger="never", start="known"),
     evader={"position": (1000.0, 1000.0)},
     record={"messages": True},
 )

@@ -99,6 +99,9 @@ class DisseminationTraits(Assuming):
 
     hops: float = inf
     """Largest number of hops that an announcement travels."""
+    forwarding_jitter: float | None = None
+    """Longest random delay between the arrival of an announcement and its rebroadcast, s; None if no arrival causes
+    one."""
     retransmits: Flag = False
     """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
     one replaces it."""
