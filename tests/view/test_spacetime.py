@@ -145,7 +145,7 @@ def test_a_run_that_cannot_be_drawn_is_reported(asked, says):
 
 @pytest.mark.slow
 def test_without_messages_lines_and_decisions_remain(run_of):
-    result = run_of("relay.toml", "announce.trigger=never", "horizon=0.3")
+    result = run_of("relay.toml", "announce.trigger=never", "announce.start=known", "horizon=0.3")
     assert not deliveries(result)
     figure = spacetime(result)
     assert not count(figure)
