@@ -32,9 +32,9 @@ from desim.kernel.graph_files.node_names import shortened
 from desim.kernel.models.access import Tdma
 from desim.kernel.models.faults import Partition, nodes_of
 from desim.kernel.models.graphs import Edges
-from desim.kernel.models.link_checks import link_misfits
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Radio, airtime_of
+from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, ByzantineFault, is_lie
 from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, UtilityTraits

@@ -19,11 +19,10 @@ from desim.kernel.core.records import Arrival, per_receiver
 from desim.kernel.core.seeds import ROOM, stream
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.latency import Constant, mean_of
-from desim.kernel.models.link_checks import link_misfits
 from desim.kernel.models.link_draws import as_booleans, as_nanoseconds, booleans_of, buffered, times_of
-from desim.kernel.models.link_overrides import link_overrides, overrides_of_run
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.own_links import link_misfits, link_overrides, overrides_of_run
 from desim.kernel.models.traits import LinkTraits, link_trait, model_of_run
 
 if TYPE_CHECKING:

@@ -140,7 +140,7 @@ class Links(Value):
     def numbered(self, names: tuple[str, ...]) -> "Links":
         """Return the links with tables of measurements that give the nodes of these names their numbers.
 
-        A table that has other names is unchanged; see `desim.kernel.models.link_checks`.
+        A table that has other names is unchanged; see `desim.kernel.models.own_links`.
         """
         changed: dict[tuple[str | int, ...], LinkTrace] = {}
         for place, trace in self.traces():

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant, Uniform, mean_of
-from desim.kernel.models.link_overrides import link_overrides
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, Correlated, FourState, GilbertElliott
 from desim.kernel.models.medium import Bitrate, Medium, Radio, Unlimited
 from desim.kernel.models.netem import Netem
 from desim.kernel.models.netem_tables import TABLES, fit
+from desim.kernel.models.own_links import link_overrides
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.tc.syntax import HEADERS, LINK, MAX_LIMIT, order_of
 from desim.kernel.tc.units import rate_word, share_word, time_word, to_bad
