@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
-from desim.analysis.relative_places import RelativePlaces
+from desim.analysis.timeline import RelativePlaces
 from desim.config.traits import inherits, overrides, positions
 from desim.kernel.core.events import Event, Watcher
 from desim.kernel.core.units import SECOND, nanoseconds, seconds

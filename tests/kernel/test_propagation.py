@@ -14,6 +14,7 @@ from desim.kernel.core.positions import PositionSource
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.correlation import LinkMemory
 from desim.kernel.models.graphs import Edge, Edges, Link
 from desim.kernel.models.latency import (
     Constant,
@@ -26,7 +27,6 @@ from desim.kernel.models.latency import (
     Uniform,
 )
 from desim.kernel.models.link_draws import BLOCK
-from desim.kernel.models.link_memory import LinkMemory
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.network import Network

@@ -18,8 +18,7 @@ from desim.config.model import Length, Positive, Probability, Value
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.portable_math import exp, power
 from desim.kernel.measured.models import LossTrace, SignalTrace
-from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
-from desim.kernel.models.link_memory import LinkMemory
+from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
 from desim.kernel.models.traits import LinkTraits
 
 PositiveProbability = Annotated[float, Field(gt=0, le=1, strict=True)]

@@ -14,8 +14,7 @@ from desim.config.arrays import Bools, Floats
 from desim.config.model import Counted, FirstError, Probability, Time, Unsigned, Value
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
-from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
-from desim.kernel.models.link_memory import LinkMemory
+from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
 from desim.kernel.models.netem_tables import HIGHEST, LONGEST, LOWEST, SCALE, SIZE, TABLES, read_table
 
 MAX_JITTER = (2**31 - 1) / 1e9
