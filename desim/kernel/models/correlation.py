@@ -3,12 +3,15 @@
 from collections import defaultdict
 from functools import partial
 from math import nan
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arrays import Floats
 from desim.kernel.core.link_context import LinkContext
+
+if TYPE_CHECKING:
+    from desim.config.arrays import Floats
 
 
 class LinkMemory:
