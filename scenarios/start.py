@@ -40,7 +40,7 @@ def table(cells: Sequence[Cell], shares: Sequence[Share], runs: int) -> str:
         for rule in RULES:
             for cell in cells:
                 if (cell.team, cell.rule) == (team, rule):
-                    costs = (with_half_width(each, runs, "+") for each in cell.costs)
+                    costs = (with_half_width(cost, runs, "+") for cost in cell.costs)
                     rows.append((rule, cell.start, with_half_width(cell.prompt, runs), *costs))
         parts.append(f"{team}\n{aligned(rows)}")
     who: list[tuple[str, ...]] = [("utility", "start", "cannot be in time", "others")]

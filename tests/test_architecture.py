@@ -213,7 +213,6 @@ def test_every_module_of_desim_lives_in_a_package():
 
 
 def test_every_room_is_on_a_floor_and_says_what_is_in_it():
-    """It says so in its docstring, which names nothing that the folder does not have."""
     doors = [path for path in MODULES if path.name == "__init__.py" and path.parts[len(ROOT.parts)] != "scenarios"]
     rooms = {name_of(path) for path in doors if any(other.name != "__init__.py" for other in path.parent.glob("*.py"))}
     assert rooms - {"desim"} == ROOMS - {"scenarios"}

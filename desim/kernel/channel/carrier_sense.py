@@ -59,16 +59,16 @@ class CarrierSense:
         """
         if not self._method.senses:
             return np.empty(0, dtype=np.int64)
-        found = self._known.get(node)
-        if found is None:
-            found = self._near(node)
+        listeners = self._known.get(node)
+        if listeners is None:
+            listeners = self._near(node)
             if self._hears is not None:
-                found = found[self._hears(node, found)]
+                listeners = listeners[self._hears(node, listeners)]
             if not self._delay:
-                found = np.append(found, node)
-            if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(found) <= ROOM:
-                self._known[node] = found
-        return found
+                listeners = np.append(listeners, node)
+            if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(listeners) <= ROOM:
+                self._known[node] = listeners
+        return listeners
 
     def _near(self, node: int) -> Integers:
         """Return the nodes that sense the frames of a node, ascending, without itself."""
