@@ -80,7 +80,7 @@ def test_a_prediction_does_not_depend_on_the_times_in_between(seed, first, secon
 
 def test_the_key_of_the_filters_that_depended_on_the_interval_is_refused_with_the_new_one():
     for model in (AlphaBeta, Kalman):
-        with pytest.raises(ValueError, match=r"velocity_diffusion instead, in m/s per sqrt\(s\)"):
+        with pytest.raises(ValueError, match=r"use velocity_diffusion instead, in m/s per sqrt\(s\)"):
             model(acceleration=1.0)
 
 

@@ -10,9 +10,10 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping
 from math import sqrt
 from operator import attrgetter
-from typing import Annotated, Any, Literal, NamedTuple
+from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from desim.config.choice import OneOf
 from desim.config.model import Value
@@ -199,24 +200,15 @@ class Unfiltered(Value):
 class _Diffusing(Value):
     """A filter for an evader whose velocity diffuses."""
 
+    _replaced: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "acceleration": ", use velocity_diffusion instead, in m/s per sqrt(s), which does not depend on the"
+            " interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
+        }
+    )
     velocity_diffusion: Diffusion = 0.3
     """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
     velocity_diffusion sqrt(t) (standard deviation), however many sightings there were."""
-
-    @classmethod
-    def _check_names(cls, values: Mapping[str, Any]) -> None:
-        if "acceleration" not in values:  # the validator says more of it
-            super()._check_names(values)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _has_no_acceleration(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "acceleration" in given:
-            raise ValueError(
-                "acceleration: the filters have a velocity_diffusion instead, in m/s per sqrt(s), which does not depend"
-                " on the interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
-            )
-        return given
 
 
 class AlphaBeta(_Diffusing):
