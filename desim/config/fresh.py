@@ -188,6 +188,8 @@ def _snapshot(value: Any) -> Any:
         return None
     if _is_plain(value) and not isinstance(value, np.ndarray):
         return [value]
+    if type(value).__module__ == "itertools":  # its text has what a counter returns next
+        return [repr(value)]
     content = BytesIO()
     copier = _Copier(content)
     try:

@@ -1,5 +1,6 @@
 """State that a model shares with other runs: what its code changes in classes, functions, collections and globals."""
 
+import random
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -37,12 +38,14 @@ def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[
 
     These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the
     global variables that code of a user reads or writes. A collection to which the code only adds may change: it
-    reports to the caller. A first run is never warned of, nor one before which the caller has reset the variable.
+    reports to the caller. A first run is never warned of, nor one before which the caller has reset the variable. But
+    even a first run is warned of if the global generators of `random` and `numpy.random` have advanced.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
+    objects = list(objects)
     reads = list(_shared(objects))
     before = [snapshot(read()) for _, _, read in reads]
     carried = set()
@@ -57,9 +60,25 @@ def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[
             " may be appended to a list that it does not read"
         )
         warn(text, StateWarning, stacklevel=6)
+    generators = _global_generators()
     yield
+    if drawn_from := [name for name, state in _global_generators().items() if state != generators[name]]:
+        text = (
+            f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
+            " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
+        )
+        warn(text, StateWarning, stacklevel=6)
     for (owner, name, read), first in zip(reads, before, strict=True):
         _runs.setdefault(owner, {})[name] = first, snapshot(read())
+    for owner, name, read in _shared(objects):
+        if name not in _runs.get(owner, {}):  # the run has created it
+            _runs.setdefault(owner, {})[name] = (), snapshot(read())
+
+
+def _global_generators() -> dict[str, Any]:
+    """Return the states of the random generators that all code of a process shares, by the names of their modules."""
+    state = np.random.get_state(legacy=False)  # noqa: NPY002
+    return {"random": random.getstate(), "numpy.random": (bytes(state["state"]["key"]), state["state"]["pos"])}
 
 
 def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:

@@ -4,7 +4,10 @@ import functools
 import importlib
 import itertools
 import pkgutil
+import random
+import re
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from warnings import catch_warnings, simplefilter
 
 import networkx
 import numpy as np
@@ -426,10 +429,25 @@ def rereading(state, rng):
     return 1j * min(len(SEEN), 1)
 
 
+def creating(state, rng):
+    creating.calls = getattr(creating, "calls", 0) + 1
+    return 1j
+
+
+def counting(state, rng):
+    next(NUMBERS)
+    return 1j
+
+
+NUMBERS = itertools.count()
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("strategy", "name"),
     [
+        (creating, "creating.calls"),
+        (counting, f"{__name__}.NUMBERS"),
         (Counter(), "Counter.calls"),
         (functools.partial(Tally()), "Tally.calls"),
         (global_counter, f"{__name__}.CALLS"),
@@ -447,6 +465,24 @@ def test_state_in_a_class_a_function_or_a_module_is_warned_of(strategy, name):
     run(game(strategy), 1)
     with pytest.warns(StateWarning, match=f"^{name}: an earlier run has changed it, so this run starts from another"):
         run(game(strategy), 1)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("draw", "module"),
+    [(lambda: random.random(), "random"), (lambda: np.random.normal(), r"numpy\.random"), (lambda: 1.0, None)],  # noqa: NPY002
+)
+def test_a_first_run_that_draws_from_a_global_generator_is_warned_of(draw, module):
+    def strategy(state, rng):
+        return np.exp(1j * draw())
+
+    with catch_warnings(record=True) as caught:
+        simplefilter("always")
+        run(game(strategy), 1)
+    texts = [str(warning.message) for warning in caught if warning.category is StateWarning]
+    assert len(texts) == (module is not None)
+    for text in texts:
+        assert re.match(f"{module}: the run has drawn from the global generator", text)
 
 
 def with_a_global_on_its_edges(size):
