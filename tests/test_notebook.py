@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from math import isnan, nan
 
 import pytest
+from jupyter_client.manager import start_new_kernel
 
 import desim
 from desim import Scenario, run, summary
@@ -182,6 +183,36 @@ def test_a_replay_is_a_frame_that_cannot_reach_the_notebook(tmp_path):
     (page,) = re.findall(r'srcdoc="([^"]*)" sandbox="allow-scripts allow-downloads"', frame)
     assert unescape(page) == shown.page == replay_page(result)
     assert shown.write(tmp_path / "r.html").read_text(encoding="utf-8") == replay_page(result)
+
+
+@pytest.fixture(scope="module")
+def cell():
+    """Return a function that executes a cell in a kernel and returns the data of its outputs by their MIME types."""
+    manager, client = start_new_kernel()
+
+    def execute(code):
+        outputs = []
+        reply = client.execute_interactive(code, timeout=120, output_hook=outputs.append)
+        assert reply["content"]["status"] == "ok", reply["content"]
+        return {kind: data for output in outputs for kind, data in output["content"].get("data", {}).items()}
+
+    execute(
+        "import desim; from desim import *\n"
+        "result = run(Scenario(horizon=1.0, team=Team(count=3), record=Recording(messages=True)))\n"
+        "swept = sweep(result.scenario, {'network.latency.value': [0.0, 0.2]}, reps=2)"
+    )
+    yield execute
+    client.stop_channels()
+    manager.shutdown_kernel(now=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setup", ["0", "import matplotlib.pyplot", "%matplotlib inline"])
+def test_a_kernel_shows_each_figure(cell, setup):
+    cell(setup)
+    for code in ("desim.plot(result)", "desim.plot(result, 'spacetime')", "swept.plot('active_time')"):
+        assert b64decode(cell(code)["image/png"]).startswith(b"\x89PNG"), code
+    assert "image/png" not in cell("swept"), "a table is no figure"
 
 
 def test_a_notebook_shows_progress_and_a_pipe_does_not(monkeypatch):

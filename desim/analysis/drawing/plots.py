@@ -100,6 +100,14 @@ class _StyledFigure(Figure):
         with mpl.rc_context(STYLE):
             super().savefig(*args, **options)
 
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Return what a notebook shows: a PNG at twice the resolution, and its width and height on the page, pixels.
+
+        IPython knows by itself only how to show figures of pyplot.
+        """
+        width, height = (round(72 * length) for length in self.get_size_inches())
+        return _png(self), {"width": width, "height": height}
+
 
 class _SettledLayout(ConstrainedLayoutEngine):
     """A constrained layout that is computed anew only if the size or a text of the figure has changed.
@@ -176,12 +184,17 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
     return paths
 
 
-def html_image(figure: Figure, name: str) -> str:
-    """Return a figure as an HTML image: a PNG at twice the resolution of the page, with `name` as alternative text."""
+def _png(figure: Figure) -> bytes:
+    """Return a figure as a PNG at twice the resolution of a page, 144 dots per inch."""
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=2 * 72)
+    return stream.getvalue()
+
+
+def html_image(figure: Figure, name: str) -> str:
+    """Return a figure as an HTML image: a PNG at twice the resolution of the page, with `name` as alternative text."""
     width = 72.0 * figure.get_figwidth()
-    source = f"data:image/png;base64,{b64encode(stream.getvalue()).decode()}"
+    source = f"data:image/png;base64,{b64encode(_png(figure)).decode()}"
     return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'
 
 
