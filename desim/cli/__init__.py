@@ -23,6 +23,37 @@ from desim.config.trust import no_cwd_import
 
 RENAMED = {"draw": "plot"}
 """Names that users may try, each with the name of the command that they mean."""
+GROUPS: dict[str, dict[click.Command, str]] = {
+    "Start": {
+        examples: "List the example scenarios, or copy one.",
+        new: "Write a commented scenario, protocol, or model, ready to run.",
+        check: "Validate a scenario, and print it with all defaults.",
+    },
+    "Run": {
+        run: "Run a scenario with one or several seeds.",
+        sweep: "Run each configuration of a grid with many seeds; resumes.",
+        explain: "Measure what each imperfection of the network costs.",
+        merge: "Merge the runs of several stores of one sweep.",
+    },
+    "Look": {
+        play: "Change a scenario on a page, and see what it does.",
+        plot: "Draw a run or a sweep.",
+        replay: "Make a page that plays a run.",
+        report: "Make a page about a sweep.",
+    },
+    "Share": {
+        export: "Write runs or events as a table, or for other programs.",
+        netem: "Print the commands that give real links the latency and loss.",
+        schema: "Print the JSON schema of scenario files, for editors.",
+    },
+    "Look up": {
+        keys: "List the keys of scenario files, with defaults and units.",
+        protocols: "List the protocols, their parameters and sources.",
+        metrics: "List the metrics, with units.",
+    },
+}
+"""The commands by what they are for, each with its line in the help of `desim`, of at most 65 characters."""
+FIRST_STEP = "First: desim examples relay && desim run relay.toml && desim play relay.toml"
 
 
 class Commands(Program, click.Group):
@@ -40,6 +71,14 @@ class Commands(Program, click.Group):
             ctx.fail(f"No such command {args[0]!r}. Did you mean {RENAMED[args[0]]!r}?")
         return super().resolve_command(ctx, args)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands in groups, and a first step."""
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{command.name:<9}", text) for command, text in commands.items()])
+        formatter.write_paragraph()
+        formatter.write_text(FIRST_STEP)
+
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pursuit-desim")
@@ -50,8 +89,7 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-for command in (
-    *(examples, new, run, play, replay, plot, sweep, explain, report),
-    *(merge, export, netem, check, keys, metrics, protocols, schema),
-):
-    main.add_command(command)
+for group in GROUPS.values():
+    for command, line in group.items():
+        command.short_help = line
+        main.add_command(command)

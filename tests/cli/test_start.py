@@ -1,11 +1,14 @@
 """`desim examples` and `desim new`: files to start from, which run as they are."""
 
+import re
+
 import pytest
 
+from desim.cli import main
 from desim.scenario.templates import TEMPLATES
 from desim.scenario.toml import load
 from scenarios.study import SCENARIOS
-from tests.command import accepted, refused
+from tests.command import accepted, desim, refused
 
 
 @pytest.fixture
@@ -104,3 +107,12 @@ def test_a_class_is_named_after_its_module(folder):
         accepted("new", "protocol", name)
         assert f'kind = "{expected}"' in (folder / f"{name}.toml").read_text()
         accepted("check", f"{name}.toml", "--allow-import")
+
+
+def test_the_help_has_a_whole_line_for_each_command():
+    text = accepted("--help").stdout
+    lines = dict(re.findall(r"^  ([a-z]+) {2,}(\S.*)$", text, re.MULTILINE))
+    assert set(lines) == set(main.commands)
+    assert [name for name, line in lines.items() if not line.endswith(".") or line.endswith("...")] == []
+    assert "desim examples relay && " in text
+    assert desim().output == text, "also without an argument"
