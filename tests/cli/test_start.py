@@ -74,8 +74,8 @@ def test_a_new_file_runs_with_the_command_that_is_printed(what, folder):
     planned = accepted("sweep", *words[1:], "--dry-run")
     assert planned.stderr == ""
     text = "".join((folder / file).read_text() for file in files)
-    assert "NAME" not in text
-    assert "CLASS" not in text
+    template = "".join((SCENARIOS / "templates" / file).read_text() for file in files)
+    assert text == template
 
 
 def test_a_new_file_overwrites_nothing(folder):
@@ -100,6 +100,13 @@ def test_a_new_file_overwrites_nothing(folder):
 def test_a_name_that_no_module_can_have_is_refused(what, name, why, folder):
     assert refused("new", what, name).startswith(why)
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", TEMPLATES)
+def test_a_template_with_another_name_keeps_nothing_of_its_own(what, folder):
+    accepted("new", what, "aim")
+    texts = [path.read_text() for path in folder.iterdir()]
+    assert not any(f"my_{what}" in text or f"My{what.title()}" in text for text in texts)
 
 
 def test_a_class_is_named_after_its_module(folder):

@@ -1,0 +1,1 @@
+"""Commented starting files, which `desim new` copies under another name: each runs as it is."""
