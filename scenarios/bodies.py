@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
-from scenarios.bodies_runs import ALL, LATENCIES, MOTIONS, ONE, RULES, SIMPLE, SPEED, Cell, N, measure
-from scenarios.study import Options, study
+from scenarios.studies.bodies_runs import ALL, LATENCIES, MOTIONS, ONE, RULES, SIMPLE, SPEED, Cell, N, measure
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

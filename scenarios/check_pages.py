@@ -20,7 +20,7 @@ from typing import Any
 import click
 
 from desim.cli.program import Program
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 MARGIN = 1.5
 """Largest difference of two means, in roots of the sum of the squares of their half widths."""

@@ -15,7 +15,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from desim.analysis.tables import aligned
-from scenarios.contention_runs import (
+from scenarios.studies.contention_runs import (
     ACCESSES,
     AIRTIME,
     JITTER,
@@ -32,7 +32,7 @@ from scenarios.contention_runs import (
     measure_ages,
     measure_lora,
 )
-from scenarios.study import Options, study
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from desim.analysis.tables import aligned
-from scenarios.study import Options, study
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-from scenarios.delay_runs import (
+from scenarios.studies.delay_runs import (
     CRITICAL,
     DELAYS,
     LATENCIES,

@@ -23,7 +23,7 @@ import numpy as np
 
 from desim.analysis.tables import aligned
 from desim.config.json_numbers import json_number
-from scenarios.evaders_runs import (
+from scenarios.studies.evaders_runs import (
     CHASERS,
     CLAIMED,
     ESTIMATES,
@@ -42,8 +42,8 @@ from scenarios.evaders_runs import (
     measure_chases,
     measure_sight,
 )
-from scenarios.rivals_runs import N
-from scenarios.study import Options, study
+from scenarios.studies.rivals_runs import N
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,8 +23,8 @@ from desim.analysis.trace_index import ended, started, trace_index
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND, seconds
 from desim.scenario.scenario import Recording
-from scenarios.study import Options, study
-from scenarios.table1 import DELTAS, centralised, configuration, decentralised
+from scenarios.studies.study import Options, study
+from scenarios.studies.table1_runs import DELTAS, centralised, configuration, decentralised
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

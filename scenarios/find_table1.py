@@ -27,8 +27,8 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Recording, Scenario
 from desim.study.workers.batch import run_many, seeds_from
-from scenarios.study import SCENARIOS
-from scenarios.table1 import DELTAS, PUBLISHED, decentralised
+from scenarios.studies.study import SCENARIOS
+from scenarios.studies.table1_runs import DELTAS, PUBLISHED, decentralised
 
 TOLERANCE = 0.005
 """Largest relative deviation of a candidate's centralised active times from the published ones."""

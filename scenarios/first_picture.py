@@ -11,7 +11,7 @@ import numpy as np
 from desim import Result, load, run
 from desim.analysis.metrics import activity
 from desim.analysis.tables import aligned
-from scenarios.study import SCENARIOS, Options, study
+from scenarios.studies.study import SCENARIOS, Options, study
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,8 +11,20 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from desim.analysis.tables import aligned
-from scenarios.liars_runs import DEFENCES, HONEST, LATE, LIES, NONE, OBSERVING, PROTOCOLS, WORST, Cell, N, measure
-from scenarios.study import Options, study
+from scenarios.studies.liars_runs import (
+    DEFENCES,
+    HONEST,
+    LATE,
+    LIES,
+    NONE,
+    OBSERVING,
+    PROTOCOLS,
+    WORST,
+    Cell,
+    N,
+    measure,
+)
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from desim.analysis.tables import aligned
-from scenarios.many_runs import (
+from scenarios.studies.many_runs import (
     BUDGET,
     BUDGETS,
     CONTENDERS,
@@ -34,7 +34,7 @@ from scenarios.many_runs import (
     run_pursuits,
     run_static_games,
 )
-from scenarios.study import Options, study
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from desim.analysis.tables import aligned
-from scenarios.study import Options, study
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-from scenarios.range_runs import PROTOCOLS, RANGES, REFERENCE, TEAMS, TICKS, Games, N, Pursuits, games, measure
+from scenarios.studies.range_runs import PROTOCOLS, RANGES, REFERENCE, TEAMS, TICKS, Games, N, Pursuits, games, measure
 
 
 def table(pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> str:

@@ -18,8 +18,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from desim.analysis.tables import aligned
-from scenarios.rivals_runs import LATENCIES, REFERENCE, SHOWN, WORLDS, Cell, N, measure
-from scenarios.study import Options, study
+from scenarios.studies.rivals_runs import LATENCIES, REFERENCE, SHOWN, WORLDS, Cell, N, measure
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,8 @@ from dataclasses import asdict
 from click import Option
 
 from desim.analysis.tables import aligned, with_half_width
-from scenarios.rivals_runs import SHOWN
-from scenarios.start_runs import (
+from scenarios.studies.rivals_runs import SHOWN
+from scenarios.studies.start_runs import (
     LATENCIES,
     LONG,
     RULES,
@@ -29,7 +29,7 @@ from scenarios.start_runs import (
     measure_shares,
     measure_worth,
 )
-from scenarios.study import Options, study
+from scenarios.studies.study import Options, study
 
 
 def table(cells: Sequence[Cell], shares: Sequence[Share], runs: int) -> str:

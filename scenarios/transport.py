@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
-from scenarios.study import Options, study
-from scenarios.transport_runs import N_REST, ONCE, REFERENCE, SWEEPS, WAYS, WITH_AGES, Cell, N, measure
+from scenarios.studies.study import Options, study
+from scenarios.studies.transport_runs import N_REST, ONCE, REFERENCE, SWEEPS, WAYS, WITH_AGES, Cell, N, measure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,8 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.scenario.scenario import Capture, Motion
-from scenarios.study import Options, study
-from scenarios.table1 import configuration, decentralised
+from scenarios.studies.study import Options, study
+from scenarios.studies.table1_runs import configuration, decentralised
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,7 +16,7 @@ import protocols
 from desim import load, run
 from desim.kernel.core.events import Trace
 from desim.testing.messages import Conservation
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new and more ones with --hypothesis-profile=explore.
 settings.register_profile("steady", deadline=None, derandomize=True, max_examples=32)

@@ -13,7 +13,7 @@ import click
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import plain
 from desim.kernel.core.trace_file import line_of
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 HORIZON = 1.0
 """Of the run of each scenario file, s."""

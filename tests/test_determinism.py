@@ -19,7 +19,7 @@ from desim.simulation import run as run_module
 from desim.study.workers.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, SharedSeed
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.digests import NAMES, digests
 
 RELAY = SCENARIOS / "relay.toml"

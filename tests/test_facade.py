@@ -16,7 +16,7 @@ from desim.kernel.models.interference import INTERFERENCES
 from desim.pursuit.motion.dynamics import DYNAMICS, Simple
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 FACADES = pytest.mark.parametrize("facade", [desim, protocols])
 

@@ -14,7 +14,7 @@ from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
-from scenarios import many_runs
+from scenarios.studies import many_runs
 from tests.law import HORIZON, batches, by_batches, distance
 
 TEAM = Team(positions=((4.4, 0.3), (-2.0, 4.0), (-2.6, -3.6)), speeds=0.2)

@@ -21,7 +21,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.trace_file import line_of
 from desim.scenario.overrides import ScenarioError
 from desim.simulation.watchdog import TimedOut, within
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(file.name for file in SCENARIOS.glob("*.toml"))
 

@@ -25,7 +25,7 @@ from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.rule import SCHEDULES, Rule
 from protocols.schedules.periodic import Poisson
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.many import LOSSY, at_rest, chased, easy, times
 
 KINDS = PROTOCOLS.choices()

@@ -21,16 +21,16 @@ import click
 from tqdm import tqdm
 
 from desim.analysis.tables import aligned
-from scenarios import costs, measuring
-from scenarios.peers.elsewhere import PEERS
-from scenarios.peers.ways import WAYS
-from scenarios.peers.workloads import workloads
-from scenarios.study import Options, study
+from scenarios.benchmarks import costs, measuring
+from scenarios.benchmarks.peers.elsewhere import PEERS
+from scenarios.benchmarks.peers.ways import WAYS
+from scenarios.benchmarks.peers.workloads import workloads
+from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-from scenarios.benchmarks_runs import BROADCASTS, DESIM_WAYS, WORKLOAD_NAMES, Rate, measure, short
+from scenarios.benchmarks.rates import BROADCASTS, DESIM_WAYS, WORKLOAD_NAMES, Rate, measure, short
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:

@@ -43,14 +43,14 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import SharedSeed
-from scenarios.measuring import Cost, apart, command, memory, per_unit
-from scenarios.peers.bare_loop import bare_loop
-from scenarios.peers.desim_ways import Publish
-from scenarios.peers.simpy_contention import Contention
-from scenarios.peers.workloads import LOGNORMAL, TICK, Workload
-from scenarios.study import SCENARIOS, Options
-from scenarios.sweep_costs import large_store, two_workers
-from scenarios.table1 import configuration, decentralised
+from scenarios.benchmarks.measuring import Cost, apart, command, memory, per_unit
+from scenarios.benchmarks.peers.bare_loop import bare_loop
+from scenarios.benchmarks.peers.desim_ways import Publish
+from scenarios.benchmarks.peers.simpy_contention import Contention
+from scenarios.benchmarks.peers.workloads import LOGNORMAL, TICK, Workload
+from scenarios.benchmarks.sweep_costs import large_store, two_workers
+from scenarios.studies.study import SCENARIOS, Options
+from scenarios.studies.table1_runs import configuration, decentralised
 
 SIZES = (100, 1_000, 10_000, 100_000)
 """Numbers of nodes of the disk graphs; the cost of a message in the largest is compared with that in the second."""

@@ -1,7 +1,7 @@
 """The measurements of `python -m scenarios.benchmarks`.
 
-A way is an implementation that delivers the broadcasts of a workload, in this process (`scenarios.peers.ways`) or in
-another simulator (`scenarios.peers.elsewhere`). A lap is one run of a way on a workload.
+A way is an implementation that delivers the broadcasts of a workload, in this process (`peers.ways`) or in
+another simulator (`peers.elsewhere`). A lap is one run of a way on a workload.
 """
 
 import gc
@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 import click
 from tqdm import tqdm
 
-from scenarios.peers.elsewhere import PEERS, UnavailableError
-from scenarios.peers.ways import WAYS
-from scenarios.peers.workloads import Workload, workloads
-from scenarios.study import Options
+from scenarios.benchmarks.peers.elsewhere import PEERS, UnavailableError
+from scenarios.benchmarks.peers.ways import WAYS
+from scenarios.benchmarks.peers.workloads import Workload, workloads
+from scenarios.studies.study import Options
 
 if TYPE_CHECKING:
-    from scenarios.peers.workloads import Outcome
+    from scenarios.benchmarks.peers.workloads import Outcome
 
 
 def short(workload: str) -> str:
@@ -34,7 +34,7 @@ def short(workload: str) -> str:
 DESIM_WAYS = ("publish", "send")
 """The two ways of desim to deliver a broadcast, named after its methods; for all ways see `scenarios.benchmarks`."""
 BROADCASTS = "broadcasts"
-"""The value of `--parts` for the delivery rates, which this module measures; `scenarios.costs.PARTS` has the others."""
+"""The value of `--parts` for the delivery rates, which this module measures; `costs.PARTS` has the others."""
 SLOW_LAP = 5.0
 """Limit of CPU time, s: a way whose first lap on a workload takes longer has no further laps on this workload."""
 Commands = Mapping[str, Sequence[str]]

@@ -24,8 +24,8 @@ from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.measuring import Cost, apart, memory
-from scenarios.study import Options
+from scenarios.benchmarks.measuring import Cost, apart, memory
+from scenarios.studies.study import Options
 
 SHORT = Scenario(
     name="short",

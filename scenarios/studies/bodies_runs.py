@@ -21,7 +21,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Rounds, SharedSeed
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 8
 SPEED = 1.2

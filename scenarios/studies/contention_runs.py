@@ -24,7 +24,7 @@ from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from protocols.schedules.token import TokenRing
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 10
 BITRATE = 19_200.0

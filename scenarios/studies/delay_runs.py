@@ -18,7 +18,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, Rounds, Schedule, SharedSeed
 from protocols.schedules.token import TokenRing
 from protocols.temperature import ConstantTau
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 20
 LAMBDA = 5.0

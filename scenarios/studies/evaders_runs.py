@@ -36,8 +36,8 @@ from desim.pursuit.sensing.sensing import Sensing, Sighting
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording
-from scenarios.rivals_runs import N, contender
-from scenarios.study import Options
+from scenarios.studies.rivals_runs import N, contender
+from scenarios.studies.study import Options
 
 LATENCY = 0.1
 """One-way latency L, s."""

@@ -24,7 +24,7 @@ from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 12
 NONE = "none"

@@ -20,7 +20,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules.periodic import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
 """Numbers of pursuers N and evaders M."""

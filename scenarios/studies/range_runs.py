@@ -25,7 +25,7 @@ from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 10
 TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})

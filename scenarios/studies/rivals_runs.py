@@ -14,7 +14,7 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules.periodic import Poisson
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)
 """One-way latencies L, s."""

@@ -26,9 +26,9 @@ from protocols.best_response import BestResponse
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Schedule
-from scenarios import rivals_runs
-from scenarios.delay_runs import LAMBDA, SCHEDULES, N, static
-from scenarios.study import Options
+from scenarios.studies import rivals_runs
+from scenarios.studies.delay_runs import LAMBDA, SCHEDULES, N, static
+from scenarios.studies.study import Options
 
 TEAMS: Mapping[str, Team] = MappingProxyType({"few in time": Team(), "all in time": Team(speeds=2.5)})
 """Twenty pursuers: with the speeds of the paper, about three could capture before the horizon."""

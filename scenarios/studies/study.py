@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from desim import Result, Scenario
 
 Measured = TypeVar("Measured")
-SCENARIOS = Path(__file__).parent
+SCENARIOS = Path(__file__).parents[1]
 """Folder of the scenario files."""
 
 

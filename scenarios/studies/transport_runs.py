@@ -23,7 +23,7 @@ from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, ReliableOneHop
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.study import Options
+from scenarios.studies.study import Options
 
 N = 10
 SIZE = HEADER + 8

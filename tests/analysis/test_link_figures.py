@@ -6,7 +6,7 @@ from desim import LatencyTrace, Links, LossTrace, Scenario, SignalTrace
 from desim.kernel.models.graphs import Link
 from desim.view.pictures import link_traces as link_figures
 from desim.view.pictures.link_traces import link_traces
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.drawn import described
 from tests.golden import golden

@@ -9,8 +9,8 @@ from functools import cache
 
 import pytest
 
-from scenarios.peers.ways import WAYS
-from scenarios.peers.workloads import Outcome, workloads
+from scenarios.benchmarks.peers.ways import WAYS
+from scenarios.benchmarks.peers.workloads import Outcome, workloads
 
 LAPS = 5
 WORKLOADS = {workload.name: workload for workload in workloads()}

@@ -27,8 +27,8 @@ from desim.kernel.models.latency import (
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
-from scenarios.peers.ways import WAYS
-from scenarios.peers.workloads import LOGNORMAL, workloads
+from scenarios.benchmarks.peers.ways import WAYS
+from scenarios.benchmarks.peers.workloads import LOGNORMAL, workloads
 from tests.benchmarks.conftest import BY_MODEL
 
 LAPS = 5

@@ -11,7 +11,7 @@ from desim.cli import main
 from desim.cli.completion import KEYS
 from desim.scenario.key_index import all_keys
 from desim.scenario.scenario import PROTOCOLS
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 
 def completed(*words: str) -> list[str]:

@@ -15,7 +15,7 @@ from desim.pursuit.core.events import Ended, Started
 from desim.results import run_folder
 from desim.view.formats import trace_table
 from desim.view.formats.export import export
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, desim, refused
 
 SHORT = ["horizon=0.2", "team.count=4"]

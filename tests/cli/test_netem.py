@@ -7,7 +7,7 @@ import pytest
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem_tables import read_table
 from desim.scenario.toml import load
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, desim, refused
 
 EXAMPLE = SCENARIOS / "netem.toml"

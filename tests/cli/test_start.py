@@ -7,7 +7,7 @@ import pytest
 from desim.cli import main
 from desim.scenario.templates import TEMPLATES
 from desim.scenario.toml import load
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, desim, refused
 
 

@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[2]
 RULE = "from desim import Scenario\nfrom protocols.sap import SpatialAdaptivePlay\n"
 NAME = "from desim import Scenario\nfrom protocols import SpatialAdaptivePlay\n"
 SCENARIO = "from desim import Scenario\nScenario()\n"
-STUDY = "import desim\nfrom scenarios.study import study\n"
-SUBPACKAGE = "import desim\nimport scenarios.peers\n"
+STUDY = "import desim\nfrom scenarios.studies.study import study\n"
+SUBPACKAGE = "import desim\nimport scenarios.benchmarks.peers\n"
 
 
 def python(folder, *arguments):

@@ -35,7 +35,7 @@ from protocols.dissemination import Flooding
 from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.schedules.synchronous import Synchronous
 from protocols.schedules.token import TokenRing
-from scenarios import rivals_runs
+from scenarios.studies import rivals_runs
 from tests.many import LOSSY, at_rest, by_evader, chased, easy
 from tests.many import times as times_of_all
 

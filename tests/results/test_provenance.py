@@ -800,7 +800,7 @@ def test_a_record_that_cannot_be_written_at_the_top_is_reported(earlier, tmp_pat
 
 
 def test_a_study_writes_where_it_comes_from_beside_its_numbers(tmp_path, monkeypatch):
-    from scenarios.study import Options
+    from scenarios.studies.study import Options
 
     monkeypatch.setattr(sys, "argv", ["scenarios/a.py", "--runs", "4"])
     Options("a", 4, 1, 3, tmp_path, False).show({"cells": []}, "table")

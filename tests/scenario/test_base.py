@@ -12,7 +12,7 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, load, read
 from desim.study.plan.configurations import configurations
 from protocols.cbba import CBBA
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused, strict_json
 
 RELAY = """\

@@ -19,7 +19,7 @@ def shortened(monkeypatch):
         def run_few(tasks, *rest):
             return run_many([(cut(scenario), seed) for scenario, seed in tasks], *rest)
 
-        monkeypatch.setattr("scenarios.study.run_many", run_few)
+        monkeypatch.setattr("scenarios.studies.study.run_many", run_few)
         return cut
 
     return shorten

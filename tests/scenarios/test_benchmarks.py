@@ -17,13 +17,14 @@ from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.latency import Constant
-from scenarios import benchmarks, benchmarks_runs, costs, measuring, sweep_costs
-from scenarios.peers import elsewhere, ways
-from scenarios.peers.bare_loop import bare_loop
-from scenarios.peers.elsewhere import PROGRAMS, Peer, UnavailableError
-from scenarios.peers.simpy_ways import PerMessage
-from scenarios.peers.workloads import LOGNORMAL, TICK, Outcome, Workload
-from scenarios.table1 import configuration, decentralised
+from scenarios.benchmarks import __main__ as benchmarks
+from scenarios.benchmarks import costs, measuring, rates, sweep_costs
+from scenarios.benchmarks.peers import elsewhere, ways
+from scenarios.benchmarks.peers.bare_loop import bare_loop
+from scenarios.benchmarks.peers.elsewhere import PROGRAMS, Peer, UnavailableError
+from scenarios.benchmarks.peers.simpy_ways import PerMessage
+from scenarios.benchmarks.peers.workloads import LOGNORMAL, TICK, Outcome, Workload
+from scenarios.studies.table1_runs import configuration, decentralised
 from tests.scenarios.patching import patch_study
 
 TINY = [
@@ -88,7 +89,7 @@ def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     text = (tmp_path / "benchmarks.txt").read_text()
     found = {(each["workload"][:2], each["way"]): each["per_second"] for each in rates}
     assert re.search(rf"^heapq +{found['W1', 'heapq'] / 1e3:,.0f} ", text, re.MULTILINE)
-    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks_runs.DESIM_WAYS]
+    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in rates.DESIM_WAYS]
     assert re.search(r"^heapq +" + " +".join(f"{ratio:,.2f}" for ratio in ratios) + "$", text, re.MULTILINE)
     picture = (tmp_path / "benchmarks.svg").read_text()
     assert all(picture.count(f">{way}</text>") == 2 for way in ways.WAYS)
@@ -107,7 +108,7 @@ def test_ways_and_workloads_can_be_chosen(few):
 def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, monkeypatch, tmp_path):
     peer = Peer("peer_ns3.cpp", ("there-is-no-such-package",))
     monkeypatch.setattr(elsewhere, "PEERS", {"ns-3": peer})
-    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", {"ns-3": peer})
+    patch_study(monkeypatch, (benchmarks, rates), "PEERS", {"ns-3": peer})
     document = few("--parts", "broadcasts", "--only", "ns-3,publish", "--workloads", "W1")
     assert [each["way"] for each in document["broadcasts"]] == ["publish"]
     assert "apt-get" in document["missing"]["ns-3"]
@@ -121,10 +122,8 @@ def test_an_implementation_with_other_deliveries_is_an_error(monkeypatch):
             delivered, tables = super().outcome()
             return Outcome(delivered, [{}, *tables[1:]])
 
-    patch_study(
-        monkeypatch, (benchmarks, benchmarks_runs), "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful}
-    )
-    laps = benchmarks_runs.Laps(TINY[0], {}, {})
+    patch_study(monkeypatch, (benchmarks, rates), "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful})
+    laps = rates.Laps(TINY[0], {}, {})
     laps.lap("simpy-message")
     with pytest.raises(RuntimeError, match="the final tables of forgetful differ"):
         laps.lap("forgetful")
@@ -132,18 +131,18 @@ def test_an_implementation_with_other_deliveries_is_an_error(monkeypatch):
 
 def test_a_long_lap_is_not_repeated(monkeypatch):
     peers = {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())}
-    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", peers)
+    patch_study(monkeypatch, (benchmarks, rates), "PEERS", peers)
     commands = {
         name: [sys.executable, "-c", PRINTS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
-        for name, seconds in (("slow", benchmarks_runs.SLOW_LAP + 1.0), ("fast", 0.5))
+        for name, seconds in (("slow", rates.SLOW_LAP + 1.0), ("fast", 0.5))
     }
-    laps = benchmarks_runs.Laps(TINY[0], commands, {})
+    laps = rates.Laps(TINY[0], commands, {})
     laps.lap("slow")
     laps.lap("fast")
     commands |= {name: [sys.executable, "-c", "raise SystemExit('again')"] for name in commands}
     laps.lap("slow")
     laps.lap("fast")
-    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks_runs.SLOW_LAP + 1.0))]
+    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (rates.SLOW_LAP + 1.0))]
 
 
 @pytest.mark.slow
@@ -156,9 +155,9 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
 )
 def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, says, reason):
     """60 turns to 4 neighbours each are 240 deliveries."""
-    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", {"other": Peer("peer_mesa.py", ())})
+    patch_study(monkeypatch, (benchmarks, rates), "PEERS", {"other": Peer("peer_mesa.py", ())})
     missing = {}
-    laps = benchmarks_runs.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
+    laps = rates.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
     for _ in range(2):
         for name in ("publish", "other", "heapq"):
             laps.lap(name)

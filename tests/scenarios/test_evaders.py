@@ -14,8 +14,9 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.scenario import Motion
 from desim.simulation.run import Result
 from desim.study.workers.batch import run_many
-from scenarios import evaders, evaders_runs
-from scenarios.evaders_runs import CLAIMED, IDEAL, REFERENCE
+from scenarios import evaders
+from scenarios.studies import evaders_runs
+from scenarios.studies.evaders_runs import CLAIMED, IDEAL, REFERENCE
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed
 

@@ -6,7 +6,7 @@ from desim import load, summary
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
 from desim.study.sweeps.sweep import SweepPlan
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))
 SHORT = ("horizon=1.0", "record.messages=true")

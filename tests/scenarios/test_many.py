@@ -6,7 +6,8 @@ import pytest
 from desim import run
 from desim.pursuit.core.events import Captured, Started
 from desim.pursuit.game.assignment import optimal_assignment, welfare
-from scenarios import many, many_runs
+from scenarios import many
+from scenarios.studies import many_runs
 from tests.scenarios.patching import patch_study
 
 FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "local min")

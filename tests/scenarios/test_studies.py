@@ -19,31 +19,33 @@ from desim.simulation.run import Result
 from desim.study.workers.batch import seeds_from
 from protocols.local_min import LocalMin
 from scenarios import (
-    benchmarks,
     bodies,
-    bodies_runs,
     contention,
-    contention_runs,
     delay,
     evaders,
     figures,
     find_table1,
     first_picture,
     liars,
-    liars_runs,
     many,
-    range_runs,
     rivals,
-    rivals_runs,
     start,
-    start_runs,
     table1,
     transport,
-    transport_runs,
     two_clocks,
 )
 from scenarios import range as ranges
-from scenarios.study import Options
+from scenarios.benchmarks import __main__ as benchmarks
+from scenarios.studies import (
+    bodies_runs,
+    contention_runs,
+    liars_runs,
+    range_runs,
+    rivals_runs,
+    start_runs,
+    transport_runs,
+)
+from scenarios.studies.study import Options
 from tests.command import strict_json
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed

@@ -18,7 +18,7 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from desim.testing.pursuits import watched
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 
 def orders(*plan):

@@ -54,7 +54,7 @@ from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.schedules.synchronous import Synchronous
 from protocols.schedules.token import TokenRing, TokenWalk
 from protocols.server import Server
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
 LATE, LOSSY = Constant(value=0.5), Bernoulli(p=0.25)

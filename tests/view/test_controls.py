@@ -9,7 +9,7 @@ from desim.kernel.models.latency import Gamma
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read, validate
 from desim.view.pages.controls import FIRST, Slider, controls
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
 

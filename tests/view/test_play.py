@@ -33,7 +33,7 @@ from desim.view.pages import play_server
 from desim.view.pages import playground as play
 from desim.view.pages.play_server import PlayServer
 from desim.view.pages.playground import Playground, Session, _differences
-from scenarios.study import SCENARIOS
+from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.view.browser import Page, in_chromium
 

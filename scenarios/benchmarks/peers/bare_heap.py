@@ -1,6 +1,6 @@
 """Deliver the broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and no simulator.
 
-The nodes take turns: at each turn, one node reads its messages and broadcasts (`scenarios.peers.workloads`). Each pass
+The nodes take turns: at each turn, one node reads its messages and broadcasts (see `workloads`). Each pass
 of the loop is one turn, except the last, which is at the end of the run. A pass delivers the messages that have arrived
 since the previous pass, and then sends the broadcast of its turn. The last pass sends a broadcast that never arrives.
 Nodes read only at turns. A pass therefore takes the broadcast at the top of the heap and writes all its arrivals until
@@ -10,7 +10,7 @@ now at once. If later arrivals of this broadcast remain, it goes back into the h
 from heapq import heappop, heappush, heapreplace
 
 from desim.kernel.models.latency import Constant
-from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Workload
+from scenarios.benchmarks.peers.workloads import TICK, Arrivals, Outcome, Table, Workload
 
 
 class BareHeap:

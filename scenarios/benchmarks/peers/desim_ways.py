@@ -12,7 +12,7 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.models.links import Links
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
-from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
+from scenarios.benchmarks.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
 
 
 class Desim:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from desim.kernel.models.latency import Constant
-from scenarios.peers.workloads import TICK, Workload
+from scenarios.benchmarks.peers.workloads import TICK, Workload
 
 PROGRAMS = Path(__file__).parent
 TIMEOUT = 600.0

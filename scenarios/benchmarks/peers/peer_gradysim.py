@@ -1,6 +1,6 @@
 """Deliver the broadcasts of a workload in GrADyS-SIM NextGen, as one packet to each receiver.
 
-This is a standalone program, which `scenarios.peers.elsewhere` runs. The simulator's own medium has a single delay, and
+This is a standalone program, which `elsewhere` runs. The simulator's own medium has a single delay, and
 checks for every node whether it is within range. `Medium` transmits to the neighbours only, with a separate delay for
 each. This is faster than the simulator's broadcast.
 """

@@ -1,6 +1,6 @@
 """Deliver the broadcasts of a workload in mango's simulation world, one message per receiver.
 
-This is a standalone program, which `scenarios.peers.elsewhere` runs; that module describes its input and output. The
+This is a standalone program, which `elsewhere` runs; that module describes its input and output. The
 nodes take turns; in its turn a node broadcasts once. After each turn the world takes one step, which delivers all
 messages that have arrived. A step per turn is faster than a step per arrival.
 """

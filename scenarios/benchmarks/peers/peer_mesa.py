@@ -1,6 +1,6 @@
 """Deliver the broadcasts of a workload by Mesa's event list, one event per message.
 
-This is a standalone program, which `scenarios.peers.elsewhere` runs.
+This is a standalone program, which `elsewhere` runs.
 """
 
 import json

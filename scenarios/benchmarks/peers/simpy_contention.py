@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Lognormal
-from scenarios.peers.workloads import note
+from scenarios.benchmarks.peers.workloads import note
 
 Steps = Generator[simpy.Event, Any, None]
 

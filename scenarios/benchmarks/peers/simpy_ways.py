@@ -15,7 +15,7 @@ import simpy
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.latency import Constant
-from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
+from scenarios.benchmarks.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
 
 
 class PlainSimPy:
