@@ -63,8 +63,6 @@ PACKAGES = [
 ROOMS = set().union(*FLOORS)
 TOP = {"desim": {room for room in ROOMS if not room.startswith("scenarios")}, "desim.__main__": {"desim.cli"}}
 """What the modules beside the packages import. `desim` hands functions down to packages that must not import them."""
-METHODS = {"desim.scenario.scenario": {"desim.scenario.toml"}}
-"""What a method imports when it is called, in a circle: `scenario.with_()` reads keys as a scenario file does."""
 FORBIDDEN = {
     "desim.kernel.core.events": {"simpy", "networkx"},
     "desim.kernel.core.trace_file": {"simpy", "networkx"},
@@ -104,16 +102,9 @@ def tree_of(path):
     return ast.parse(path.read_text())
 
 
-def methods_of(path):
-    """Yield the functions in the classes of a file."""
-    for node in tree_of(path).body:
-        if isinstance(node, ast.ClassDef):
-            yield from (each for each in node.body if isinstance(each, ast.FunctionDef))
-
-
-def imports(path, within=None):
-    """Yield every module a file imports, at the top or inside a function; or those that some of its nodes import."""
-    for node in [inner for each in within or [tree_of(path)] for inner in ast.walk(each)]:
+def imports(path):
+    """Yield every module a file imports, at the top or inside a function."""
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -163,17 +154,12 @@ def wrong_arrows(name, modules):
     return sorted(module for module in modules if module.split(".")[0] in OURS and not may_import(name, module))
 
 
-def for_methods(path):
-    """Return what a module may import from above because it does so in methods, and, for type checkers, at its top."""
-    return METHODS.get(name_of(path), set()) & set(imports(path, list(methods_of(path))))
-
-
 def test_every_module_imports_only_what_lies_below_it():
     wrong = {}
     for path in MODULES:
         name, modules = name_of(path), set(imports(path))
         theirs = {module.split(".")[0] for module in modules} - set(OURS)
-        arrows = wrong_arrows(name, modules - for_methods(path)) + sorted(theirs & rule_for(name, FORBIDDEN))
+        arrows = wrong_arrows(name, modules) + sorted(theirs & rule_for(name, FORBIDDEN))
         if arrows:
             wrong[name] = arrows
     assert wrong == {}
@@ -198,9 +184,7 @@ def circle(graph):
 
 @pytest.mark.slow
 def test_no_modules_import_each_other_in_a_circle():
-    graph = {
-        name: set(imports(path)) - {name} - for_methods(path) for path in MODULES if (name := name_of(path)) != "desim"
-    }
+    graph = {name: set(imports(path)) - {name} for path in MODULES if (name := name_of(path)) != "desim"}
     assert circle(graph) == []
     assert circle(graph | {"desim.kernel.core.clock": {"desim.kernel.network"}}) != []
 

@@ -215,7 +215,7 @@ def recovered(tables: dict[str, Any]) -> dict[str, Any]:
     """Return tables without what the program refuses, so that most documents run."""
     for _ in range(8):
         try:
-            validate(Source("f", tables))
+            validate(Source("f", tables, Scenario))
         except ScenarioError as error:
             for fault in str(error).splitlines():
                 _, place, *_ = fault.split(": ")

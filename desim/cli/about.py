@@ -141,10 +141,11 @@ def _imported(kind: str) -> Any:
     The module is an installed one, or lies in the working folder.
     """
     from desim.scenario.overrides import ScenarioError, Source
+    from desim.scenario.scenario import Scenario
     from desim.scenario.toml import validate
 
     tables = {"protocol": {"kind": kind}}
     try:
-        return validate(Source(kind, tables, folder=Path(), allow_import=is_import_allowed())).protocol
+        return validate(Source(kind, tables, Scenario, folder=Path(), allow_import=is_import_allowed())).protocol
     except ScenarioError as error:
         fail(str(error))

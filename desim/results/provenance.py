@@ -167,6 +167,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
         ScenarioError: if an override is wrong.
     """
     from desim.scenario.overrides import Source
+    from desim.scenario.scenario import Scenario
 
     if made["what"] != RUN or made["scenario"] is None:
         what = made["what"]
@@ -177,7 +178,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
         by = shlex.join(map(str, made["argv"]))
         raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {by}")
     folder = home(path, made) if allow_import else path.parent
-    recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
+    recorded = Source(str(path), _given(made["scenario"]), Scenario, folder=folder, allow_import=allow_import)
     for override in overrides:
         recorded.override(override)
     if not_importable := list(_not_importable(recorded.tables)):

@@ -14,7 +14,6 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
 from desim.config.suggestion import close_to
-from desim.scenario.scenario import Scenario
 
 
 class Key(NamedTuple):
@@ -35,13 +34,13 @@ class Key(NamedTuple):
 
 
 @cache
-def all_keys() -> tuple[Key, ...]:
-    """Return every key of scenario files; keys of outer tables come first.
+def all_keys(whole: type[BaseModel]) -> tuple[Key, ...]:
+    """Return every key of the files of a model, of scenario files for `Scenario`; keys of outer tables come first.
 
     A key occurs several times if the table that contains it may have several kinds, or be one of several models
     without a kind.
     """
-    return tuple(sorted(_keys(Scenario, (), None, ()), key=lambda key: len(key.place)))
+    return tuple(sorted(_keys(whole, (), None, ()), key=lambda key: len(key.place)))
 
 
 def _keys(
@@ -65,14 +64,14 @@ def _keys(
                 yield from _keys(inner, below, kind, (*outer, model))
 
 
-def homes_of(name: str) -> list[Key]:
-    """Return the outermost keys whose last part is `name`.
+def homes_of(name: str, whole: type[BaseModel]) -> list[Key]:
+    """Return the outermost keys of the files of a model whose last part is `name`.
 
     If there are none, return the outermost keys with the most similar last part; [] if no last part is similar.
     """
-    names = {key.place[-1] for key in all_keys()}
+    names = {key.place[-1] for key in all_keys(whole)}
     wanted = name if name in names else next(iter(close_to(name, names, cutoff=0.8)), None)
-    found = [key for key in all_keys() if key.place[-1] == wanted]
+    found = [key for key in all_keys(whole) if key.place[-1] == wanted]
     return [key for key in found if len(key.place) == len(found[0].place)]
 
 
@@ -87,13 +86,14 @@ def unit_in(field: FieldInfo) -> str | None:
 
 
 @cache
-def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table.
+def unit_of_key(key: str, whole: type[BaseModel]) -> str | None:
+    """Return the unit of a dotted key of the files of a model.
 
+    It is None if the key has none, or if its unit depends on the kind of its table.
     The kinds of which the key is a text do not count.
     """
     fields: list[FieldInfo] = []
-    models: list[type[BaseModel]] = [Scenario]
+    models: list[type[BaseModel]] = [whole]
     for part in (each for each in key.split(".") if not each.isdigit()):
         fields = [fields_of(model)[part] for model in models if part in model.model_fields]
         models = [model for field in fields for model in _models_of(field)]

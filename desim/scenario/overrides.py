@@ -16,7 +16,6 @@ from desim.config.model import Value, fields_of, models_in
 from desim.config.python_numbers import as_python
 from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
-from desim.scenario.scenario import Scenario
 from desim.scenario.toml_lines import KeyPath
 
 
@@ -31,6 +30,8 @@ class Source:
     name: str
     """The path of the file, or a description of another source."""
     tables: dict[str, Any]
+    model: type[Value]
+    """The class of the scenario."""
     lines: dict[KeyPath, int] | None = None
     """The line of each key; None if the source is not a text."""
     origins: dict[KeyPath, str] = field(default_factory=dict)
@@ -43,9 +44,9 @@ class Source:
     """For each key that is set only in a base (a file that the key `base` names), the path of this base."""
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Self:
+    def of(cls, scenario: Value) -> Self:
         """Return the source of a scenario that was constructed in Python: the arguments given, without defaults."""
-        return cls("the scenario", _tables(scenario), allow_import=True)
+        return cls("the scenario", _tables(scenario), type(scenario), allow_import=True)
 
     def where(self, place: KeyPath) -> str:
         """Return the place where a key was set: `file:line`, or the description of the last override.
@@ -175,7 +176,7 @@ class Source:
         """
         place: KeyPath = ()
         node: Any = self.tables
-        default: Any = _defaults(self.tables)
+        default: Any = _defaults(self.model, self.tables)
         *parents, last = parts = self._parts(name)
         for depth, part in enumerate(parents, start=1):
             key = _key(part, node)
@@ -203,13 +204,13 @@ class Source:
 
     def _as_table(self, place: KeyPath) -> Any:
         """Return the table that a bare string or number at a place stands for; return any other value unchanged."""
-        info = _field_at(self.tables, place)
+        info = _field_at(self.model, self.tables, place)
         value = value_at(self.tables, place)
         return reduce(lambda value, one_of: one_of.as_table(value), choices_of(info) if info else (), value)
 
     def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
         """Remove the keys of a table that a new kind does not have, except overridden keys."""
-        info = _field_at(self.tables, place)
+        info = _field_at(self.model, self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
         for model in filter(None, models):
             table = value_at(self.tables, place)
@@ -237,12 +238,12 @@ def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     return next(models_in(info.annotation), None)
 
 
-def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
+def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
     """Return the model field of a place in the tables of a scenario; for a list item, the field of the list.
 
     Return None if no model has such a field.
     """
-    model: type[BaseModel] | None = Scenario
+    model: type[BaseModel] | None = whole
     info: FieldInfo | None = None
     for end, key in enumerate(place, start=1):
         if isinstance(key, str):
@@ -308,9 +309,9 @@ def _copied(tables: Any) -> Any:
     return [_copied(each) for each in tables] if isinstance(tables, list) else tables
 
 
-def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return the defaults of missing keys: the default scenario, with the values of the network's preset, if any."""
-    default = Scenario().model_dump()
+def _defaults(model: type[Value], tables: dict[str, Any]) -> dict[str, Any]:
+    """Return the defaults of missing keys: those of the model, with the values of the network's preset, if any."""
+    default = model().model_dump()
     network = tables.get("network")
     preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
     return default if preset is None else default | {"network": default["network"] | preset}

@@ -44,8 +44,10 @@ from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Behaviour
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.named_metrics import MetricName
+from desim.scenario.overrides import Source
 from desim.scenario.players import Evader, Team
 from desim.scenario.sweep_table import Sweep
+from desim.scenario.toml_errors import validated
 
 
 def _never_or_period(time: float) -> float:
@@ -177,9 +179,10 @@ class Scenario(Value):
             ScenarioError: if there is no such key, or the scenario would not be valid; the message has a line per
                 error, with what is allowed.
         """
-        from desim.scenario.toml import changed
-
-        return changed(self, changes)
+        source = Source.of(self)
+        for name, value in changes.items():
+            source.replace(name, value)
+        return validated(source, Scenario)
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: the main keys, and all others that differ from their defaults."""

@@ -3,19 +3,18 @@
 import os
 import re
 from codecs import BOM_UTF8
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
 
 from desim.config.own_modules import CodeName
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_errors import BASE, explain
+from desim.scenario.toml_errors import BASE, validated
 from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, tables_of, unreadable
 
 
@@ -145,25 +144,12 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         tables = tables_of(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
-    return Source(str(file), tables, key_lines(text), allow_import=allow_import)
+    return Source(str(file), tables, Scenario, key_lines(text), allow_import=allow_import)
 
 
 def validate(source: Source) -> Scenario:
     """Return the scenario of a source; raise ScenarioError with all errors of the source, sorted by line."""
-    folder = Path(source.name).parent if source.folder is None else source.folder
-    try:
-        return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
-    except ValidationError as error:
-        problems = [problem for each in error.errors() for problem in explain(each, source, Scenario, ())]
-        raise ScenarioError("\n".join(text for _, text in sorted(problems))) from error
-
-
-def changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with other values of some keys; see `Scenario.with_`."""
-    source = Source.of(scenario)
-    for name, value in changes.items():
-        source.replace(name, value)
-    return validate(source)
+    return validated(source, Scenario)
 
 
 def dump(scenario: Scenario) -> str:

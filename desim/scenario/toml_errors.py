@@ -1,9 +1,10 @@
 """The errors of a scenario file in words: where each is, what is allowed there, and what may have been meant."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, Tag
+from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -12,16 +13,26 @@ from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.model import Value, fields_of, markers_of
 from desim.config.suggestion import close_to
 from desim.scenario.key_index import homes_of
-from desim.scenario.overrides import Source, holds, model_of, value_at
-from desim.scenario.scenario import Scenario
+from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.toml_lines import KeyPath
 
+Model = TypeVar("Model", bound=Value)
 BASE = "base"
-"""The key of a scenario file that names its base; it is no field of `Scenario`."""
+"""The key of a scenario file that names its base; it is no field of a scenario."""
 MAX_HOMES = 3
 """The largest number of tables that an error message suggests for a key."""
 Problem = tuple[tuple[int, str], str]
 """An error in a file: its sort key (line and place), and its text."""
+
+
+def validated(source: Source, model: type[Model]) -> Model:
+    """Return the scenario of a source; raise ScenarioError with all errors of the source, sorted by line."""
+    folder = Path(source.name).parent if source.folder is None else source.folder
+    try:
+        return model.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
+    except ValidationError as error:
+        problems = [problem for each in error.errors() for problem in explain(each, source, model, ())]
+        raise ScenarioError("\n".join(text for _, text in sorted(problems))) from error
 
 
 def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPath) -> Iterator[Problem]:
@@ -44,8 +55,8 @@ def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPat
         return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] not in SAYS_ENOUGH else ""
-    more = [BASE] if owner is Scenario and source.line(place) else []
-    yield _problem(source, place, f"{_reason(error, place, owner, info, more)}{note}{_input_text(error)}")
+    more = [BASE] if owner is source.model and source.line(place) else []
+    yield _problem(source, place, f"{_reason(error, place, owner, info, more, source.model)}{note}{_input_text(error)}")
 
 
 def _problem(source: Source, place: KeyPath, what: str) -> Problem:
@@ -96,11 +107,17 @@ def _one_of(info: FieldInfo) -> OneOf | None:
 
 
 def _reason(
-    error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None, more: Sequence[str]
+    error: ErrorDetails,
+    place: KeyPath,
+    owner: type[BaseModel] | None,
+    info: FieldInfo | None,
+    more: Sequence[str],
+    whole: type[BaseModel],
 ) -> str:
     """Return the text of an error, with the allowed values.
 
     `owner` is the model of the table that contains the key; `more` are keys that are allowed in addition to its fields.
+    `whole` is the model of the whole file.
     """
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
@@ -110,7 +127,7 @@ def _reason(
             return "is a key of scenario files only: it cannot be set, and a recorded scenario is complete without it"
         allowed = context.get("allowed") or (sorted([*owner.model_fields, *more]) if owner else [])
         replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
-        return f"unknown key{replaced or _other_key(place, allowed)}; allowed: {', '.join(allowed)}"
+        return f"unknown key{replaced or _other_key(place, allowed, whole)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
     if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
@@ -175,11 +192,11 @@ def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     return [RENAMED[word]] if RENAMED.get(word) in allowed else close_to(word, allowed)
 
 
-def _other_key(place: KeyPath, allowed: Sequence[str]) -> str:
+def _other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) -> str:
     """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
-    homes = homes_of(word) or homes_of(RENAMED.get(word, word))
+    homes = homes_of(word, whole) or homes_of(RENAMED.get(word, word), whole)
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
     here = [each for each in place if isinstance(each, str)]

@@ -10,7 +10,7 @@ from click.shell_completion import ShellComplete
 from desim.cli import main
 from desim.cli.completion import KEYS
 from desim.scenario.key_index import all_keys
-from desim.scenario.scenario import PROTOCOLS
+from desim.scenario.scenario import PROTOCOLS, Scenario
 from scenarios.studies.study import SCENARIOS
 
 
@@ -21,9 +21,9 @@ def completed(*words: str) -> list[str]:
 
 
 def test_the_golden_file_of_completed_keys_is_that_of_the_models():
-    found = {f"{key.dotted}=" for key in all_keys()}
-    found |= {f"{key.dotted}.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted != "fault"}
-    found |= {f"fault.0.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted == "fault"}
+    found = {f"{key.dotted}=" for key in all_keys(Scenario)}
+    found |= {f"{key.dotted}.kind={kind}" for key in all_keys(Scenario) for kind in key.kinds if key.dotted != "fault"}
+    found |= {f"fault.0.kind={kind}" for key in all_keys(Scenario) for kind in key.kinds if key.dotted == "fault"}
     text = "".join(f"{line}\n" for line in sorted(found))
     if os.environ.get("RENEW"):
         KEYS.write_text(text)

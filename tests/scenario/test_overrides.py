@@ -216,7 +216,7 @@ def test_an_item_of_a_list_that_is_empty_is_refused():
 
 
 def of_text(text: str) -> Source:
-    return Source("f", tomllib.loads(text), key_lines(text))
+    return Source("f", tomllib.loads(text), Scenario, key_lines(text))
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
 
 def line_of(text: str, *place: str | int) -> int:
     """Return the line with which an error at a place of a TOML text is reported."""
-    source = Source("f", tomllib.loads(text), key_lines(text))
+    source = Source("f", tomllib.loads(text), Scenario, key_lines(text))
     return int(source.where(place).removeprefix("f:"))
 
 
@@ -148,7 +148,7 @@ def documents(draw) -> Document:
 def test_an_error_is_reported_with_the_line_of_its_key(document):
     """In tables, dotted keys, inline tables, arrays of several lines, arrays of tables and tables below them."""
     tables, lines = tomllib.loads(document.text), key_lines(document.text)
-    source = Source("f", tables, lines)
+    source = Source("f", tables, Scenario, lines)
     found = {place: source.where(place) for place in document.expected}
     assert found == {place: f"f:{line}" for place, line in document.expected.items()}
     for place in lines:  # and nothing else has a line
@@ -545,9 +545,9 @@ def test_a_script_and_a_file_make_the_same_value(written):
 
 
 def test_tables_are_validated_without_a_file():
-    assert validate(Source("x", {"seed": 3}, {})) == Scenario(seed=3)
+    assert validate(Source("x", {"seed": 3}, Scenario, {})) == Scenario(seed=3)
     with pytest.raises(ScenarioError, match=r"^x:1: sed: unknown key, did you mean 'seed'"):
-        validate(Source("x", {"sed": 3}, {}))
+        validate(Source("x", {"sed": 3}, Scenario, {}))
 
 
 def test_a_scenario_with_a_user_function_is_dumped_with_its_import_path():

@@ -2,7 +2,8 @@
 
 import pytest
 
-from desim.scenario.key_index import unit_of
+from desim.scenario.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
 
 
 @pytest.mark.parametrize(
@@ -24,4 +25,4 @@ from desim.scenario.key_index import unit_of
     ],
 )
 def test_a_key_has_the_unit_of_its_description_whatever_the_kind_above_it(key, unit):
-    assert unit_of(key) == unit
+    assert unit_of_key(key, Scenario) == unit

@@ -18,7 +18,8 @@ from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate
 from desim.config.trust import escaped
-from desim.scenario.key_index import unit_of
+from desim.scenario.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.explanation import AS_IT_IS, IDEAL, Cost, Explanation
 from desim.study.results.runs import SHOWN, Group, SweepRuns, kind_of, text
@@ -301,7 +302,7 @@ def _with_unit(metric: str, result: SweepRuns, against: Mapping[str, Any] | None
 
 
 def _key_with_unit(key: str) -> str:
-    unit = unit_of(key)
+    unit = unit_of_key(key, Scenario)
     return _literal(f"{key} ({unit})" if unit else key)
 
 

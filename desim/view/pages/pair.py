@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from desim.scenario.key_index import unit_of
+from desim.scenario.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.pages.replay import replay_page, run_name
 
@@ -81,7 +82,7 @@ def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
             yield from _differences(f"{key}.{k}", one, other)
     else:
         are_numbers = _is_number(first) and _is_number(second)
-        yield Difference(key, _text(first), _text(second), unit_of(key) if are_numbers else None)
+        yield Difference(key, _text(first), _text(second), unit_of_key(key, Scenario) if are_numbers else None)
 
 
 def _is_alike(first: Any, second: Any) -> bool:

@@ -19,7 +19,8 @@ from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
-from desim.scenario.key_index import unit_of
+from desim.scenario.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
 from desim.study.results.explanation import Explanation
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN, text
@@ -112,7 +113,7 @@ def report(study: Study) -> str:
     shown = [*SHOWN, *result.units]
     template = files("desim.view.pages").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"signs": _signs, "unit": unit_of}
+    environment.filters |= {"signs": _signs, "unit": lambda key: unit_of_key(key, Scenario)}
     failures = list(_failures(result))
     made = study.made
     return environment.from_string(template).render(
