@@ -1,6 +1,6 @@
-"""The pages that are made from the code: the keys of scenario files, protocols, metrics, events, and the gallery.
+"""What is made from the code: pages of keys, protocols, metrics and events, the gallery, the picture of the packages.
 
-They are written before each build, into the folders `reference` and `gallery`, and are not kept in the repository.
+It is written before each build, mostly into the folders `reference` and `gallery`, and is not kept in the repository.
 """
 
 import ast
@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import import_picture
 from pydantic import BaseModel
 
 import scenarios
@@ -52,10 +53,11 @@ FIRST = (
 
 
 def write(docs: Path) -> None:
-    """Write all generated pages below a folder."""
+    """Write all generated pages and pictures below a folder."""
     for page in (keys, protocols, metrics, events, table):
         _write(docs / "reference" / f"{page.__name__}.md", page())
     gallery(docs / "gallery")
+    _write(docs / "explanation" / "packages.svg", import_picture.picture(import_picture.imports()))
 
 
 def keys() -> str:

@@ -11,9 +11,11 @@ import shutil
 import subprocess
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import get_args
+from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner
@@ -21,13 +23,13 @@ from click.testing import CliRunner
 from desim import Announcements, Scenario
 from tests.command import accepted
 from tests.conftest import undraw
-from tests.test_architecture import PACKAGES
+from tests.test_architecture import PACKAGES, ROOMS, may_import, package_of
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/howto/*.md")), *sorted(ROOT.glob("docs/explanation/*.md"))]
 TEXTS = {path.relative_to(ROOT).with_suffix("").as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
-GENERATED = ("docs/gallery/", "docs/reference/")
-"""Folders of pages that are made from the code before a build."""
+GENERATED = ("docs/gallery/", "docs/reference/", "docs/explanation/packages.svg")
+"""Folders of pages, and the picture, that are made from the code before a build."""
 
 
 def blocks(text, language):
@@ -135,6 +137,19 @@ def test_the_picture_of_the_layers_is_that_of_the_imports():
     assert [set(line.split()) for line in reversed(picture.splitlines())] == PACKAGES
 
 
+@pytest.mark.slow
+def test_the_picture_of_the_rooms_has_all_of_them_and_no_arrow_upwards(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import_picture = import_module("import_picture")
+    rooms = import_picture.imports()
+    assert set(rooms) == ROOMS
+    assert all(may_import(here, there) for here, there in rooms.edges)
+    boxes = [room for room in ROOMS if sum(package_of(other) == package_of(room) for other in ROOMS) > 1]
+    names = [*(package for floor in PACKAGES for package in floor), *(room.split(".")[-1] for room in boxes)]
+    drawn = ElementTree.fromstring(import_picture.picture(rooms))
+    assert sorted(text.text for text in drawn.iter() if text.tag.endswith("}text")) == sorted(names)
+
+
 @pytest.mark.parametrize("path", PAGES, ids=TEXTS)
 def test_every_file_a_page_links_to_exists(path):
     for link in re.findall(r"\]\((?!https?://|#)([^)#]+)", path.read_text(encoding="utf-8")):
@@ -186,6 +201,7 @@ def test_every_module_and_key_of_desim_a_page_names_exists(page):
 
 @pytest.mark.parametrize("module", sorted(set(re.findall(r"python -m (scenarios[\w.]+)", "".join(TEXTS.values())))))
 def test_every_study_a_page_names_has_help(module):
-    done = CliRunner().invoke(import_module(module).main, ["--help"], catch_exceptions=False)
+    program = f"{module}.__main__" if find_spec(module).submodule_search_locations else module
+    done = CliRunner().invoke(import_module(program).main, ["--help"], catch_exceptions=False)
     assert done.exit_code == 0
     assert done.stdout.startswith("Usage:")
