@@ -1,23 +1,55 @@
 """Shell completion of keys, kinds of protocols and names of examples, without slow imports.
 
-A shell runs the program on every press of Tab, so the keys are read from `keys.txt`. A test compares `keys.txt` with
-the models; if the environment variable RENEW is set, it first rewrites the file.
+A shell runs the program on every press of Tab, so the keys are kept in the cache folder of the user after their first
+use, until the source or an installed kind changes.
 """
 
+import os
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import click
 
-from desim.config.packages import check_visible
-
-KEYS = Path(__file__).with_name("keys.txt")
-"""The file of the keys of scenarios, in the form of --set: KEY= and, for a key with kinds, KEY.kind=KIND."""
+from desim.config.packages import check_visible, folder_of
+from desim.config.trust import write_whole
 
 
 def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
     """Return the completions KEY= and KEY.kind=KIND that begin with a text."""
-    return _matching(KEYS.read_text(encoding="utf-8").split(), incomplete)
+    cache, state = _cache_folder() / "keys.txt", _state()
+    kept = cache.read_text(encoding="utf-8").split("\n") if cache.is_file() else []
+    if kept[:1] != [state]:
+        kept = [state, *all_completions()]
+        with suppress(OSError):  # without a cache, the next press of Tab takes as long as this one
+            cache.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(cache, "\n".join(kept).encode())
+    return _matching(kept[1:], incomplete)
+
+
+def all_completions() -> list[str]:
+    """Return the keys of scenarios in the form of --set, sorted: KEY= and, for a key with kinds, KEY.kind=KIND."""
+    from desim.scenario.key_index import all_keys
+    from desim.scenario.scenario import Scenario
+
+    found = set[str]()
+    for key in all_keys(Scenario):
+        table = "fault.0" if key.dotted == "fault" else key.dotted
+        found |= {f"{key.dotted}=", *(f"{table}.kind={kind}" for kind in key.kinds)}
+    return sorted(found)
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "desim"
+
+
+def _state() -> str:
+    """Return a line that changes with the source of desim and with the kinds of other distributions."""
+    sources = [path for package in ("desim", "protocols") for path in folder_of(package).rglob("*.py")]
+    points = entry_points()
+    groups = sorted(group for group in points.groups if group.startswith("desim."))
+    installed = [f"{group}:{name}" for group in groups for name in sorted(points.select(group=group).names)]
+    return " ".join([str(folder_of("desim")), str(max(path.stat().st_mtime_ns for path in sources)), *installed])
 
 
 def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:

@@ -7,10 +7,8 @@ import sys
 import pytest
 from click.shell_completion import ShellComplete
 
-from desim.cli import main
-from desim.cli.completion import KEYS
-from desim.scenario.key_index import all_keys
-from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.cli import completion, main
+from desim.scenario.scenario import PROTOCOLS
 from scenarios.studies.study import SCENARIOS
 
 
@@ -20,14 +18,26 @@ def completed(*words: str) -> list[str]:
     return [each.value for each in ShellComplete(main, {}, "desim", "").get_completions(before, incomplete)]
 
 
-def test_the_golden_file_of_completed_keys_is_that_of_the_models():
-    found = {f"{key.dotted}=" for key in all_keys(Scenario)}
-    found |= {f"{key.dotted}.kind={kind}" for key in all_keys(Scenario) for kind in key.kinds if key.dotted != "fault"}
-    found |= {f"fault.0.kind={kind}" for key in all_keys(Scenario) for kind in key.kinds if key.dotted == "fault"}
-    text = "".join(f"{line}\n" for line in sorted(found))
-    if os.environ.get("RENEW"):
-        KEYS.write_text(text)
-    assert KEYS.read_text() == text, "if it should differ: RENEW=1 pytest ... and look"
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """Return the path of the kept keys, in a folder of the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "desim/keys.txt"
+
+
+def test_the_keys_are_kept_until_the_source_changes(cache, monkeypatch):
+    made = []
+    monkeypatch.setattr(completion, "all_completions", lambda: made.append(1) or [f"seed{len(made)}="])
+    assert completed("run", "f.toml", "--set", "se") == completed("run", "f.toml", "--set", "se") == ["seed1="]
+    state = completion._state()
+    monkeypatch.setattr(completion, "_state", lambda: state + " newer")
+    assert completed("run", "f.toml", "--set", "se") == ["seed2="]
+    assert cache.read_text() == f"{state} newer\nseed2="
+
+
+def test_the_keys_are_completed_without_a_cache(monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    assert completed("run", "f.toml", "--set", "hori") == ["horizon="]
 
 
 @pytest.mark.parametrize("command", ["run", "check", "sweep", "explain", "replay", "plot"])
@@ -66,6 +76,7 @@ def test_the_shell_is_answered_without_a_slow_import(words):
         "try:\n    main(prog_name='desim')\nexcept SystemExit:\n    pass\n"
         "print(*sys.modules, file=sys.stderr)"
     )
+    completion.keys(None, None, "")
     count = len(words.split())
     asked = {"_DESIM_COMPLETE": "bash_complete", "COMP_WORDS": f"desim {words}", "COMP_CWORD": str(count)}
     done = subprocess.run(
