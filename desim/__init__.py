@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from desim.config.exports import homes_of_exports
 from desim.config.html import PICTURES
 from desim.config.packages import KINDS_OF, check_visible, explain_hidden_packages
 
@@ -151,84 +152,8 @@ def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
 PICTURES["run"] = _picture_of_run
 KINDS_OF["protocols"] = _kinds_of_protocols
 explain_hidden_packages()
-_NAMES = {
-    "desim.analysis.metrics": ("summary",),
-    "desim.config.data_files": ("open_data",),
-    "desim.kernel.models.access": ("Aloha", "Csma", "CsmaCa", "SlottedAloha", "Tdma"),
-    "desim.kernel.clock_sync": ("TwoWay",),
-    "desim.kernel.models.faults": ("ClockSkew", "Crash", "Jamming", "Partition", "RandomCrashes", "RandomFaults"),
-    "desim.kernel.models.graphs": ("Complete", "Edge", "Edges", "Grid", "Link", "Ring", "Star"),
-    "desim.kernel.models.interference": ("CaptureEffect", "Collision", "LoRaInterference", "Sinr"),
-    "desim.kernel.models.latency": (
-        "Constant",
-        "Empirical",
-        "Gamma",
-        "LatencyMatrix",
-        "Lognormal",
-        "PerPair",
-        "Propagation",
-        "ShiftedExponential",
-        "Uniform",
-    ),
-    "desim.kernel.measured.models": ("LatencyTrace", "LossTrace", "SignalTrace"),
-    "desim.kernel.models.links": ("Links",),
-    "desim.kernel.models.loss": ("Bernoulli", "ByDistance", "Correlated", "FourState", "GilbertElliott"),
-    "desim.kernel.models.medium": ("Bitrate", "LoRa"),
-    "desim.kernel.models.netem": ("Netem",),
-    "desim.kernel.models.reception": ("Disk", "LogDistance", "Nakagami", "QuasiUnitDisk", "Rice"),
-    "desim.kernel.core.trace_file": ("TraceFile",),
-    "desim.kernel.models.transport": ("BestEffort", "Coded", "Reliable"),
-    "desim.pursuit.team.announcements": ("Announcements",),
-    "desim.pursuit.motion.dynamics": ("Acceleration", "TurnRate"),
-    "desim.pursuit.evaders.evasion": (
-        "ConstantHeading",
-        "Diffusion",
-        "Listener",
-        "MaxMin",
-        "PureEvasion",
-        "Still",
-        "VoronoiVertex",
-        "WeightedFlee",
-        "Zigzag",
-    ),
-    "desim.pursuit.motion.flow": (
-        "AffineFlow",
-        "Environment",
-        "GyreFlow",
-        "HarmonicFlow",
-        "RecordedFlow",
-        "SteadyFlow",
-    ),
-    "desim.pursuit.motion.guidance": ("ConstantBearing", "PurePursuit"),
-    "desim.pursuit.byzantine.lies": (
-        "Equivocate",
-        "Liar",
-        "RandomLies",
-        "ReplayAttack",
-        "Selective",
-        "Silent",
-        "Slander",
-        "Spoof",
-    ),
-    "desim.pursuit.sensing.noise": ("PositionNoise", "RangeBearingNoise"),
-    "desim.pursuit.evaders.recorded": ("RecordedMotion", "RelayNode"),
-    "desim.pursuit.sensing.sensing": ("Sensing",),
-    "desim.pursuit.sensing.tracking": ("AlphaBeta", "Kalman"),
-    "desim.pursuit.team.trust": ("Accusations", "Plausible", "Reputation", "Trimmed"),
-    "desim.scenario.examples": ("examples",),
-    "desim.scenario.players": ("Evader", "Team"),
-    "desim.scenario.scenario": ("Capture", "Clocks", "Motion", "Recording", "Scenario"),
-    "desim.scenario.toml": ("load",),
-    "desim.simulation.run": ("Result", "run"),
-    "desim.study.ablation.explain": ("explain",),
-    "desim.study.sweeps.folder": ("open",),
-    "desim.study.sweeps.sweep": ("sweep",),
-    "desim.view.pages.replay": ("replay",),
-    "desim.view.pictures.run_figure": ("plot",),
-    "desim.view.pages.widget": ("play",),
-}
-"""The public names by module. Each is imported on first access, so that `desim --help` does not load numpy."""
-_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+_HOMES = homes_of_exports(__file__)
+"""The module of each public name. It is imported on first access, so that `desim --help` does not load numpy."""
 __all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `open`
 
 

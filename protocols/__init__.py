@@ -8,6 +8,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from desim.config.exports import homes_of_exports
+
 if TYPE_CHECKING:
     from protocols.best_response import BestResponse as BestResponse
     from protocols.best_response import BetterReply as BetterReply
@@ -45,60 +47,47 @@ if TYPE_CHECKING:
     from protocols.temperature import LogarithmicTau as LogarithmicTau
     from protocols.temperature import PaperTau as PaperTau
 
-KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+_HOMES = homes_of_exports(__file__)
+"""The module of each class."""
+_CLASSES = MappingProxyType(
     {
         "desim.protocols": {
-            "sap": "protocols.sap:SpatialAdaptivePlay",
-            "best_response": "protocols.best_response:BestResponse",
-            "better_reply": "protocols.best_response:BetterReply",
-            "binary_log_linear": "protocols.binary_log_linear:BinaryLogLinear",
-            "selective_sap": "protocols.binary_log_linear:SelectiveSAP",
-            "fictitious_play": "protocols.fictitious_play:FictitiousPlay",
-            "jsfp": "protocols.fictitious_play:JointStrategyFictitiousPlay",
-            "regret_matching": "protocols.regret_matching:RegretMatching",
-            "generalised_regret_matching": "protocols.regret_matching:GeneralisedRegretMatching",
-            "local_min": "protocols.local_min:LocalMin",
-            "argmin_known": "protocols.local_min:ArgminKnown",
-            "cbaa": "protocols.cbaa:CBAA",
-            "cbba": "protocols.cbba:CBBA",
-            "server": "protocols.server:Server",
-            "voronoi": "protocols.geometric:Voronoi",
-            "argmin": "protocols.geometric:Argmin",
-            "centralised": "protocols.centralised:Centralised",
+            "sap": "SpatialAdaptivePlay",
+            "best_response": "BestResponse",
+            "better_reply": "BetterReply",
+            "binary_log_linear": "BinaryLogLinear",
+            "selective_sap": "SelectiveSAP",
+            "fictitious_play": "FictitiousPlay",
+            "jsfp": "JointStrategyFictitiousPlay",
+            "regret_matching": "RegretMatching",
+            "generalised_regret_matching": "GeneralisedRegretMatching",
+            "local_min": "LocalMin",
+            "argmin_known": "ArgminKnown",
+            "cbaa": "CBAA",
+            "cbba": "CBBA",
+            "server": "Server",
+            "voronoi": "Voronoi",
+            "argmin": "Argmin",
+            "centralised": "Centralised",
         },
         "desim.disseminations": {
-            "one_hop": "protocols.dissemination:OneHop",
-            "flooding": "protocols.dissemination:Flooding",
-            "gossip": "protocols.dissemination:Gossip",
-            "reliable": "protocols.dissemination:ReliableOneHop",
-            "coded": "protocols.dissemination:CodedOneHop",
+            "one_hop": "OneHop",
+            "flooding": "Flooding",
+            "gossip": "Gossip",
+            "reliable": "ReliableOneHop",
+            "coded": "CodedOneHop",
         },
     }
 )
-"""For each group of entry points, the class of each kind as "module:class"; add a new protocol here.
+"""For each group of entry points, the class of each kind; add a new protocol here, and to the imports above."""
+KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {group: {kind: f"{_HOMES[name]}:{name}" for kind, name in kinds.items()} for group, kinds in _CLASSES.items()}
+)
+"""For each group of entry points, the class of each kind as "module:class".
 
 A module is imported when a scenario selects its kind.
 """
 
-PARTS = (
-    "protocols.schedules.mutex:LocalMutex",
-    "protocols.schedules.periodic:Periodic",
-    "protocols.schedules.periodic:Poisson",
-    "protocols.schedules.periodic:Rounds",
-    "protocols.schedules.periodic:SharedSeed",
-    "protocols.schedules.synchronous:Synchronous",
-    "protocols.temperature:AdaptiveTau",
-    "protocols.temperature:ConstantTau",
-    "protocols.temperature:GeometricTau",
-    "protocols.temperature:LogarithmicTau",
-    "protocols.temperature:PaperTau",
-    "protocols.schedules.token:TokenRing",
-    "protocols.schedules.token:TokenWalk",
-)
-"""The schedules and temperatures as "module:class"; a script can import them from `protocols`, like the protocols."""
-_HOMES = {
-    home.partition(":")[2]: home for home in (*PARTS, *(home for group in KINDS.values() for home in group.values()))
-}
 __all__ = sorted(_HOMES)
 
 
@@ -106,7 +95,7 @@ def __getattr__(name: str) -> object:
     """Return a class, and import its module if necessary."""
     if name not in _HOMES:
         raise AttributeError(f"module 'protocols' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name].partition(":")[0]), name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

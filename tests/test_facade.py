@@ -33,7 +33,7 @@ def test_dir_shows_the_public_names(facade):
     ("facade", "name"), [(facade, name) for facade in (desim, protocols) for name in facade.__all__]
 )
 def test_a_public_name_is_that_of_its_module(facade, name):
-    home = import_module(facade._HOMES[name].partition(":")[0])
+    home = import_module(facade._HOMES[name])
     assert getattr(facade, name) is getattr(home, name)
     assert getattr(facade, name).__doc__
 
@@ -42,7 +42,7 @@ def test_a_public_name_is_that_of_its_module(facade, name):
 def test_type_checkers_see_the_same_names(facade):
     (block,) = [node for node in ast.parse(inspect.getsource(facade)).body if isinstance(node, ast.If)]
     seen = {alias.asname: statement.module for statement in block.body for alias in statement.names}
-    assert seen == {name: home.partition(":")[0] for name, home in facade._HOMES.items()}
+    assert seen == facade._HOMES
 
 
 def test_every_schedule_and_temperature_is_public():
