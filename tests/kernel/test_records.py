@@ -7,7 +7,7 @@ import pytest
 
 from desim.kernel.core.records import Record
 from desim.kernel.state.received_records import Records
-from desim.kernel.state.record_tables import SharedTable
+from desim.kernel.state.own_tables import SharedTable
 
 HISTORIES = 1000
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Arrival, Predicate, Record, Table
-from desim.kernel.state.record_tables import OwnTables, SharedTable
+from desim.kernel.state.own_tables import OwnTables, SharedTable
 
 MAX_UNREAD = 2048
 """Length above which a list of unread records is merged into its table; a flat list has two items per record."""
