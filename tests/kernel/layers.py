@@ -5,8 +5,7 @@ from unittest.mock import patch
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.delivery import Delivery
-from desim.kernel.link_layer.link_layer import LinkLayer
-from desim.kernel.link_layer.message_log import MessageLog
+from desim.kernel.link_layer.link_layer import LinkLayer, MessageLog
 from desim.kernel.network import Network
 
 

@@ -16,8 +16,7 @@ from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.link_layer.arrivals import Arrivals
-from desim.kernel.link_layer.link_layer import LinkLayer
-from desim.kernel.link_layer.message_log import MessageLog
+from desim.kernel.link_layer.link_layer import LinkLayer, MessageLog
 from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from desim.kernel.core.records import Record
-from desim.kernel.state.received_records import Records
-from desim.kernel.state.own_tables import SharedTable
+from desim.kernel.state.received_records import Records, SharedTable
 
 HISTORIES = 1000
 

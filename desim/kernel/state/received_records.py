@@ -3,14 +3,19 @@
 A record holds the state of its source at one time. A record whose arrival is certain needs no SimPy event. It is stored
 at transmission with its arrival time; `latest_records` and `matching` ignore it until that time. A record that can
 still be lost on arrival is stored when its outcome is decided (`Records.insert`, `Records.receive`).
+
+A record that reaches most nodes at one instant is stored once, in the table that all nodes share (`SharedTable`). All
+other records are stored at each node that they reach (`desim.kernel.state.own_tables`).
 """
 
+from bisect import insort
+from collections import defaultdict
 from collections.abc import Collection, Sequence
 
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.core.records import Arrival, Predicate, Record, Table
-from desim.kernel.state.own_tables import OwnTables, SharedTable
+from desim.kernel.core.records import Arrival, Predicate, Record, Table, TimedRecord
+from desim.kernel.state.own_tables import OwnTables
 
 MAX_UNREAD = 2048
 """Length above which a list of unread records is merged into its table; a flat list has two items per record."""
@@ -29,7 +34,7 @@ class Records:
     def __init__(self, env: Clock, size: int, predicate: Predicate | None, *, repeats: bool = False):
         self._env, self._size = env, size
         self._shared = SharedTable(predicate)
-        self._own = OwnTables(size, predicate, self._shared)
+        self._own = OwnTables(size, predicate, self._shared.known_by)
         if repeats:
             self._own.relayed.update(range(size))
         self._all_but_one = -1 if repeats else size - 1  # number of receivers of a record that may be shared
@@ -163,3 +168,134 @@ class Records:
             for node, unread in enumerate(self._own.unread):
                 if len(unread) > MAX_UNREAD:
                     self._own.merge(node, now)
+
+
+class SharedTable:
+    """The records that reach all or most nodes at one instant, stored once for all nodes.
+
+    A record waits until `apply_arrived` is called at or after its arrival time. It then enters the table, unless the
+    table has a newer record of its source. A node that the record does not reach keeps the record that it had before,
+    as an exception.
+
+    Attributes:
+        waiting: the waiting records, ordered by arrival.
+        table: the newest record of each source at the last `apply_arrived`.
+        matching: the records of the table whose body satisfies the predicate.
+        exceptions: by node and source, the record that the node has instead of the record in the table; None: the node
+            has no record of the source.
+        only_initial: whether only initial beliefs have been added so far.
+    """
+
+    def __init__(self, predicate: Predicate | None):
+        self._predicate = predicate
+        self.waiting: list[TimedRecord] = []
+        self.table: Table = {}
+        self.matching: Table = {}
+        self.exceptions: defaultdict[int, dict[int, TimedRecord | None]] = defaultdict(dict)
+        self.only_initial = True
+        self._unreached: dict[tuple[int, int], Collection[int]] = {}
+        """By source and sequence number, the nodes that a waiting record does not reach."""
+        self._excepted: dict[int, Collection[int]] = {}
+        """By source, the nodes with an exception."""
+
+    def set_initial_belief(self, received: TimedRecord) -> None:
+        """Insert an initial belief at all nodes that have no record of its source."""
+        src = received[1].src
+        if src not in self.table:
+            self._store(received)
+        for node in self._excepted.get(src, ()):
+            self.exceptions[node][src] = self.exceptions[node][src] or received
+
+    def schedule(self, timed: TimedRecord, unreached: Collection[int]) -> None:
+        """Let a record wait until its arrival time; it does not reach the nodes `unreached`."""
+        self.only_initial = False
+        if unreached:
+            self._unreached[timed[1][:2]] = unreached
+        if self.waiting and timed < self.waiting[-1]:
+            insort(self.waiting, timed)
+        else:
+            self.waiting.append(timed)
+
+    def apply_arrived(self, now: int) -> None:
+        """Move the records that have arrived by `now` (ns) to the table."""
+        arrived, table = 0, self.table
+        for timed in self.waiting:
+            arrival, record = timed
+            if arrival > now:
+                break
+            arrived += 1
+            known = table.get(record[0])  # src and seq, by position for speed
+            unreached = self._unreached.pop(record[:2], ()) if self._unreached else ()
+            if known is None or known[1][1] < record[1]:
+                if unreached or self._excepted:
+                    self._except(record[0], unreached, known)
+                self._store(timed)
+            else:
+                for node in self._excepted.get(record[0], ()):
+                    own = self.exceptions[node][record[0]]
+                    if node not in unreached and (own is None or own[1][1] < record[1]):
+                        self.exceptions[node][record[0]] = timed
+        del self.waiting[:arrived]
+
+    def _store(self, received: TimedRecord) -> None:
+        """Store a record in the table, and among the matching records if its body satisfies the predicate."""
+        src = received[1].src
+        self.table[src] = received
+        if self._predicate is not None:
+            if self._predicate(received[1].body):
+                self.matching[src] = received
+            else:
+                self.matching.pop(src, None)
+
+    def known_by(self, node: int, src: int) -> TimedRecord | None:
+        """Return the record that a node has of a source, an exception or from the table; None if it has no record."""
+        own = self.exceptions.get(node, {})
+        return own[src] if src in own else self.table.get(src)
+
+    def table_of(self, node: int) -> Table:
+        """Return the table as a node knows it: with its exceptions, and without its own record."""
+        known = self.table.copy()
+        known.pop(node, None)
+        for src, received in self.exceptions[node].items() if node in self.exceptions else ():
+            if received is not None:
+                known[src] = received
+            else:
+                known.pop(src, None)
+        return known
+
+    def matching_of(self, node: int) -> Table:
+        """Return the matching records among the records in `table_of` the node."""
+        known = self.matching.copy()
+        known.pop(node, None)
+        for src, received in self.exceptions.get(node, {}).items():
+            known.pop(src, None)
+            if received is not None and self._predicate is not None and self._predicate(received[1].body):
+                known[src] = received
+        return known
+
+    def forget(self, node: int) -> None:
+        """Make a node forget all records of the table; it gets an exception for each."""
+        self.exceptions[node] = {src: None for src in self.table if src != node}
+        for src in self.exceptions[node]:
+            self._excepted[src] = {node, *self._excepted.get(src, ())}
+
+    def unreached(self, record: Record) -> int:
+        """Return the number of nodes that a waiting record does not reach."""
+        return len(self._unreached.get(record[:2], ()))
+
+    def _except(self, src: int, unreached: Collection[int], known: TimedRecord | None) -> None:
+        """Let some nodes keep the record that they have of a source, and end the exceptions of all other nodes.
+
+        Args:
+            src: the source.
+            unreached: the nodes that the next record of the source does not reach.
+            known: the present record of the source in the table; None if there is none.
+        """
+        exceptions = self.exceptions
+        for node in self._excepted.pop(src, ()):
+            if node not in unreached:
+                del exceptions[node][src]
+        for node in unreached:
+            exceptions[node].setdefault(src, known)
+        if unreached:
+            self._excepted[src] = unreached
