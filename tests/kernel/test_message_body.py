@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from desim.kernel.core.body_content import MAX_DEPTH, content, in_json_types
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Broadcast, Delivered, Sent, Trace
-from desim.kernel.core.message_body import MAX_DEPTH, as_sent, content, in_json_types, is_immutable
+from desim.kernel.core.message_body import as_sent, is_immutable
 from desim.kernel.core.message_size import HEADER, size, size_of
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import body_json, events_of, line_of

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.python_numbers import whole
-from desim.kernel.core.message_body import Fields, attributes_of, content, fields_of
+from desim.kernel.core.body_content import Fields, attributes_of, content, fields_of
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Record
 

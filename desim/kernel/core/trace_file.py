@@ -18,8 +18,8 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from desim.config.json_numbers import field_names, has_plain
+from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.core.events import LOST, Arrival, Body, Broadcast, Count, Event, Nanoseconds, NodeId
-from desim.kernel.core.message_body import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.core.units import SECOND, nanoseconds
 
 Limits = Mapping[str, Any]
@@ -167,7 +167,7 @@ def value_json(value: Any) -> str:
 
 
 def body_json(value: Any) -> str:
-    """Return a body as JSON; see `desim.kernel.core.message_body.content`."""
+    """Return a body as JSON; see `desim.kernel.core.body_content.content`."""
     return _nested(value.plain() if converts_itself(value.__class__) else value)
 
 

@@ -1,0 +1,247 @@
+"""The content of message bodies: what an object contains, in JSON types.
+
+A trace records a body by its content (`content`), never by its `repr`, which may have addresses, cut arrays, or depend
+on settings. An object of another library takes part with `content.register`, and with
+`desim.kernel.core.message_size.size`. Functions are registered in `desim.kernel.core.message_body`.
+"""
+
+import array
+import dataclasses
+import datetime
+import functools
+import json
+import types
+import uuid
+import weakref
+from collections import UserString
+from collections.abc import Mapping, Sequence, Set
+from decimal import Decimal
+from enum import Enum
+from fractions import Fraction
+from math import isnan
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from desim.config.json_numbers import field_names, has_plain
+
+MAX_DEPTH = 100
+"""Number of levels to which a body may be nested; a text that is nested ten times as deep cannot be read again."""
+JSON_ATOMS = frozenset({type(None), bool, int, float, str})
+"""The types of JSON without parts."""
+
+
+class Fields(dict[str, Any]):
+    """Objects by their names, such as the fields of a dataclass."""
+
+
+def in_json_types(value: Any, depth: int = 0) -> Any:
+    """Return the whole content of an object: None, a bool, int, float (also infinite or NaN), str, list or dict.
+
+    Raises:
+        ValueError: if it contains itself, or is nested more than `MAX_DEPTH` levels deep.
+    """
+    check_depth(depth)
+    value = content(value)
+    if type(value) in JSON_ATOMS:
+        return value
+    if type(value) is list:
+        return [in_json_types(item, depth + 1) for item in value]
+    if type(value) is Fields:
+        return {name: in_json_types(item, depth + 1) for name, item in value.items()}
+    return in_json_types(value, depth + 1)
+
+
+@functools.singledispatch
+def content(value: Any) -> Any:
+    """Return the content of an object: a number, text, list, `Fields`, or another object, whose content it is.
+
+    The items of a list and of `Fields` are any objects.
+
+    The fields of a dataclass, a named tuple, a pydantic or an attrs model by name; an array, a series, a deque or a
+    range as a list; a set as a sorted list; a table by columns; bytes in hexadecimal digits; a complex number as its
+    real and imaginary part; an enumeration by its value; a date in ISO 8601; a duration in seconds; a fraction, decimal
+    number, path or UUID as text; a function or a class by its name. Any other object is a dict of its attributes with
+    its class as `class_name`.
+    """
+    if (fields := fields_of(value)) is not None:
+        return fields
+    kind: Any = type(value)
+    if converts_itself(kind):
+        return value.plain()
+    if callable(getattr(kind, "tolist", None)):
+        return value.tolist()
+    if hasattr(kind, "columns") and hasattr(kind, "to_dict"):
+        return {name: value[name] for name in value.columns}
+    if hasattr(kind, "__array__"):
+        return np.asarray(value)
+    attributes = attributes_of(value)
+    name = "class_name"
+    while name in attributes:
+        name += "_"
+    return Fields({name: kind.__name__} | attributes)
+
+
+def fields_of(value: Any) -> Fields | None:
+    """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None: it is neither."""
+    kind: Any = type(value)
+    names = _field_names(kind)
+    if names is None:
+        return None
+    extra = (isinstance(value, BaseModel) and value.model_extra) or {}
+    return Fields({name: getattr(value, name) for name in names if hasattr(value, name)} | extra)
+
+
+@functools.cache
+def converts_itself(kind: Any) -> bool:
+    """Return whether the objects of a type have a method `plain` that returns their content; a field is no method."""
+    return has_plain(kind) and callable(kind.plain) and not issubclass(kind, BaseModel)
+
+
+@functools.cache
+def _field_names(kind: Any) -> tuple[str, ...] | None:
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    if issubclass(kind, BaseModel):
+        return tuple(kind.model_fields)
+    if hasattr(kind, "__attrs_attrs__"):
+        return tuple(field.name for field in kind.__attrs_attrs__)
+    return field_names(kind) or getattr(kind, "__struct_fields__", None)
+
+
+def attributes_of(value: Any) -> Fields:
+    """Return the attributes that are stored in an object, by name; those in slots are last, sorted."""
+    state = object.__getstate__(value)
+    stored, slots = state if isinstance(state, tuple) else (state, None)
+    return Fields((stored or {}) | dict(sorted((slots or {}).items())))
+
+
+def check_depth(depth: int) -> None:
+    """Raise ValueError if a part of a body is nested more than `MAX_DEPTH` levels deep."""
+    if depth > MAX_DEPTH:
+        raise ValueError(f"it is nested more than {MAX_DEPTH} levels deep, or contains itself")
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+content.register(type(None), _same)
+content.register(bool, _same)
+content.register(int, int)
+content.register(float, float)
+content.register(str, lambda text: str.__str__(text))
+content.register(UserString, str)
+
+
+@content.register(list)
+@content.register(tuple)
+@content.register(Sequence)
+def _items(items: Sequence[Any]) -> Any:
+    fields = fields_of(items)
+    return list(items) if fields is None else fields
+
+
+@content.register(Mapping)
+def _mapping(items: Mapping[Any, Any]) -> Any:
+    """Return a mapping with JSON texts as keys, or as a list of pairs if two keys have the same text."""
+    keys = map(in_json_types, items)
+    texts = [key if type(key) is str else json.dumps(key) for key in keys]
+    if len(set(texts)) < len(texts):
+        return list(map(list, items.items()))
+    return Fields(zip(texts, items.values(), strict=True))
+
+
+@content.register(Set)
+def _sorted(items: Set[Any]) -> list[Any]:
+    return sorted(map(in_json_types, items), key=_order)
+
+
+def _order(value: Any) -> tuple[Any, ...]:
+    """Return the key by which the plain items of a set are sorted: numbers, then texts, lists and dicts."""
+    if isinstance(value, int | float):
+        return (2,) if isnan(value) else (1, value, type(value).__name__)
+    if isinstance(value, str):
+        return 3, value
+    if isinstance(value, list):
+        return 4, list(map(_order, value))
+    return (0,) if value is None else (5, [(name, _order(item)) for name, item in value.items()])
+
+
+@content.register(Enum)
+def _value_of(member: Enum) -> Any:
+    return member.value
+
+
+@content.register(complex)
+def _parts(number: complex) -> list[float]:
+    return [number.real, number.imag]
+
+
+@content.register(bytes)
+@content.register(bytearray)
+def _digits(octets: bytes | bytearray) -> str:
+    return octets.hex()
+
+
+@content.register
+def _memory(octets: memoryview) -> str:
+    return octets.tobytes().hex()
+
+
+@content.register
+def _typed(items: array.array) -> list[Any]:  # type: ignore[type-arg]
+    return items.tolist()
+
+
+content.register(Decimal, str)
+content.register(Fraction, str)
+content.register(uuid.UUID, str)
+content.register(PurePath, lambda path: path.as_posix())
+content.register(datetime.date, lambda date: date.isoformat())
+content.register(datetime.time, lambda time: time.isoformat())
+content.register(datetime.timedelta, lambda duration: duration.total_seconds())
+
+
+@content.register(type)
+@content.register(types.MethodType)
+def _name(code: Any) -> str:
+    return str(code.__qualname__)
+
+
+@content.register
+def _reference(_: weakref.ref) -> Any:  # type: ignore[type-arg]
+    raise ValueError("a weak reference refers to an object that may change")
+
+
+@content.register
+def _call(call: functools.partial) -> Fields:  # type: ignore[type-arg]
+    return Fields(class_name="partial", func=call.func, args=call.args, keywords=call.keywords)
+
+
+@content.register
+def _exception(error: BaseException) -> Fields:
+    return Fields({"class_name": type(error).__name__, "args": list(error.args)} | attributes_of(error))
+
+
+@content.register
+def _scalar(scalar: np.generic) -> Any:
+    if isinstance(scalar, np.void):
+        names = scalar.dtype.names
+        return scalar.tobytes().hex() if names is None else Fields({name: scalar[name] for name in names})
+    if isinstance(scalar, np.timedelta64) and np.datetime_data(scalar.dtype)[0] not in {"Y", "M", "generic"}:
+        return float(scalar / np.timedelta64(1, "s"))
+    if isinstance(scalar, np.datetime64 | np.timedelta64):
+        return str(scalar)
+    if isinstance(scalar, np.floating):
+        return float(scalar)
+    return complex(scalar) if isinstance(scalar, np.complexfloating) else scalar.item()
+
+
+@content.register
+def _array(array: np.ndarray) -> Any:
+    if array.ndim == 0:
+        return array[()]
+    return array.tolist() if array.dtype.kind in "biufcSUO" else list(np.asarray(array))
