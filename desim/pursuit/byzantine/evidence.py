@@ -14,8 +14,8 @@ from desim.pursuit.byzantine.lies import Falsifiable
 from desim.pursuit.core.events import Distrusted
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
+from desim.pursuit.team.agent import Voice
 from desim.pursuit.team.announcements import Located, TimedAssignment, announced_action
-from desim.pursuit.team.voice import Voice
 
 MARGIN = 1e-6
 """Share by which a claim may go beyond a physical bound, for rounding."""

@@ -8,7 +8,7 @@ positions of its teammates. It learns the actions of teammates only from deliver
 from collections.abc import Callable, Generator, Iterable
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import simpy
@@ -23,21 +23,44 @@ from desim.kernel.state.inbox import Message
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.announcements import PAYLOADS, Announcements, Located, LocatedAssignment, MovingAssignment
 from desim.pursuit.team.beliefs import Beliefs
-from desim.pursuit.team.knowledge import Knowledge
 from desim.pursuit.team.timing import Timing
 from desim.pursuit.team.trust import Judge
-from desim.pursuit.team.voice import Voice
 
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 
 
-class Agent(Knowledge, Timing):
+class Voice(Protocol):
+    """The operations with which a pursuer sends; the methods are those of `Network`."""
+
+    def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
+        """Broadcast the state of a pursuer as a record."""
+        ...
+
+    def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
+        """Return a new record of a pursuer."""
+        ...
+
+    def send(
+        self,
+        src: int,
+        dst: int | None,
+        body: Any,
+        *,
+        port: str = "",
+        size: int | None = None,
+        transport: Transport | None = None,
+    ) -> None:
+        """Send a message to a pursuer, or to all neighbours."""
+        ...
+
+
+class Agent(Beliefs, Timing):
     """The interface of a protocol to one pursuer.
 
-    Its methods return what the pursuer knows (`Knowledge`) and the events that the protocol waits for (`Timing`), set
-    the action of the pursuer, and send and receive messages. A protocol waits by yielding an event that `at`, `sleep`,
-    `arrival` or `after_decisions` returns. No method waits when it is called.
+    Its methods return what the pursuer knows (`Knowledge`) and believes (`Beliefs`), and the events that the protocol
+    waits for (`Timing`); they set the action of the pursuer, and send and receive messages. A protocol waits by
+    yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method waits when it is called.
 
     Attributes:
         restarts: number of restarts without memory after a crash.
@@ -70,11 +93,10 @@ class Agent(Knowledge, Timing):
         voice: Voice | None = None,
         judge: Judge | None = None,
     ):
-        beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement, judge)
-        Knowledge.__init__(self, pursuer, view, network, clock, beliefs)
+        Beliefs.__init__(self, pursuer, view, network, clock, announcements, self.announcement, judge)
         Timing.__init__(self, pursuer, env, clock, network)
-        self.global_state, self._voice, self._judge = global_state, voice or network, judge
-        self._seed, self._announcements = seed, announcements
+        self.global_state, self._voice = global_state, voice or network
+        self._seed = seed
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
         # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
@@ -114,6 +136,11 @@ class Agent(Knowledge, Timing):
         return stream(self._seed, f"shared {name}")
 
     # Actions and announcements.
+
+    @property
+    def action(self) -> int:
+        """The evader that it chases, 1 .. M, or 0 if it is inactive."""
+        return self._state.profile[self.id]
 
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or be inactive (0) from now on.

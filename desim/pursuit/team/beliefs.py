@@ -1,6 +1,9 @@
-"""Beliefs of a pursuer about its teammates: their last announcements, until they expire, and dead reckoning."""
+"""Beliefs of a pursuer about its teammates: their last announcements, until they expire, and dead reckoning.
 
-from collections.abc import Callable, Mapping, Sequence
+Here a pursuer reads the records that have arrived, and what they tell becomes the gain of an action.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import inf, nan
@@ -15,14 +18,18 @@ from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.network import Network
+from desim.pursuit.game.utility import Mean, Scope, Utility
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcements, Located, TimedAssignment
+from desim.pursuit.team.knowledge import Knowledge
 from desim.pursuit.team.trust import Judge, ignored_by
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
 """The orders that a pursuer, as a server, has sent to each teammate: [(t, action)], ascending. An action holds from the
 time t on (ns, by the clock of the server)."""
+PAPER = Mean()
+"""The utility of Lee & Bakolas."""
 UNORDERED: Orders = MappingProxyType({})
 """No orders: every teammate continues its announced action."""
 
@@ -51,14 +58,14 @@ class TeamEstimate(NamedTuple):
     """(n,) capture times, s; nan if unknown."""
 
 
-class Beliefs:
-    """The beliefs of one pursuer.
+class Beliefs(Knowledge):
+    """The beliefs of one pursuer about its teammates, and its gain from an action, which depends on them.
 
     Args:
         pursuer: the id of the pursuer.
-        clock: its local clock.
         view: its view of the world.
         network: the network that delivers announcements.
+        clock: its local clock.
         announcements: the content of announcements, and how long they are believed.
         announcement: returns an announcement of the pursuer, from which the airtime is computed.
         judge: decides which announcements the pursuer believes; None: it believes all.
@@ -67,48 +74,65 @@ class Beliefs:
     def __init__(
         self,
         pursuer: int,
-        clock: NodeClock,
         view: View,
         network: Network,
+        clock: NodeClock,
         announcements: Announcements,
         announcement: Callable[[], Any],
         judge: Judge | None = None,
     ):
-        self._id, self._clock, self._view, self._network = pursuer, clock, view, network
+        super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
         self.senses_others = announcements.payload == "action"
+        """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 
     def latest_records(self) -> dict[int, Record]:
         """Return the newest announcement received from each teammate, however old."""
-        return {j: record for j, (_, record) in self._network.latest_records(self._id).items()}
+        return {j: record for j, (_, record) in self._network.latest_records(self.id).items()}
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago.
+        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago and is believed.
+
+        Which announcements are believed is determined by `announce.trust`.
 
         Args:
             period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
                 It is used only if `belief_timeout` is "auto".
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
-        received = self._network.latest_records(self._id)
+        received = self._network.latest_records(self.id)
         fresh = {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
         if self._judge is None:
             return fresh
         return {j: record for j, record in fresh.items() if self._judge.believes(record)}
 
-    def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
+    def believed_chasers(self, evader: int = 1) -> dict[int, float]:
+        """Return the believed capture time, s, of each teammate that it believes to chase an evader.
+
+        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active, nor is one
+        that the pursuer does not trust (`announce.trust`). The capture time is nan if neither it nor the position of
+        the teammate is announced, and the position is not sensed.
+        """
+        _, rivals, times = self._rivals(evader)
+        return dict(zip(rivals, times, strict=True))
+
+    def believed_active(self, evader: int = 1) -> list[int]:
+        """Return the teammates that it believes to chase an evader; see `believed_chasers`."""
+        return self._rivals(evader)[1]
+
+    def _rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
 
         The believed chasers are teammates. Capture times are in s; nan if unknown.
         """
-        oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
+        oldest, matching = self._clock.true - self._timeout, self._network.matching(self.id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self._judge is not None:
             chasing = [j for j in chasing if self._judge.believes(matching[j][1])]
         if self.senses_others:
-            own, *times = self._view.capture_times_of([self._id, *chasing], evader)
+            own, *times = self._view.capture_times_of([self.id, *chasing], evader)
         else:
-            (own,) = self._view.capture_times_of([self._id], evader)
+            (own,) = self._view.capture_times_of([self.id], evader)
             times = [self._capture_time(matching[j][1], evader) for j in chasing]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
@@ -117,10 +141,16 @@ class Beliefs:
             times = [claims[j] for j in chasing]
         return own, chasing, times
 
-    def about_teammates(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return the belief about each teammate whose announcement has not expired; see `Agent.beliefs`.
+    def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
+        """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
 
-        The capture time of a belief is that of the teammate for the given evader.
+        Args:
+            period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
+                It counts only if `belief_timeout` is "auto".
+            evader: the evader to which the capture times refer.
+            orders: the orders that this pursuer, as a server, has sent to each teammate; see `Orders`. An announced
+                position is extrapolated with the announced action until the first order to the teammate takes effect,
+                and then with the ordered actions.
         """
         now = self._clock.stamp
         beliefs = {
@@ -129,20 +159,21 @@ class Beliefs:
         }
         if self._judge is None:
             return beliefs
-        (own,) = self._view.capture_times_of([self._id], evader)
+        (own,) = self._view.capture_times_of([self.id], evader)
         ignored = ignored_by(self._judge, own, {j: belief.capture_time for j, belief in beliefs.items()})
         return {j: belief for j, belief in beliefs.items() if j not in ignored}
 
-    def team_estimate(self, evader: int) -> TeamEstimate:
-        """Return the estimated positions and speeds of the team, and the capture times for an evader.
+    def team_estimate(self, evader: int = 1) -> TeamEstimate:
+        """Return its estimate of the positions, speeds and capture times of itself and its teammates.
 
-        Positions are sensed, or dead-reckoned from announcements that have not expired.
+        Positions are sensed, or extrapolated from `trusted` announcements (`announce.reckoning`). Capture times refer
+        to the given evader.
         """
         view, state = self._view, self._view.state
         if self.senses_others:
             return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
-        ids = sorted({*records, self._id})
+        ids = sorted({*records, self.id})
         motions = [self._motion(records[j]) if j in records else state.motion(j) for j in ids]
         phi = [
             self._capture_time(records[j], evader)
@@ -151,6 +182,34 @@ class Beliefs:
             for j, motion in zip(ids, motions, strict=True)
         ]
         return TeamEstimate(ids, np.array([each.position for each in motions]), state.speeds[ids], np.array(phi))
+
+    def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
+        """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
+
+        Raises:
+            ValueError: if a user's utility returns no number, or nan.
+        """
+        own, rivals, times = self._rivals(evader)
+        counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
+        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
+        gain: Any = utility(own, others, self._state.time_left(self._clock.stamp))
+        if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
+            return gain
+        if not isinstance(gain, (float, int, np.number)) or gain != gain:
+            raise ValueError(f"a utility should return a gain, a number in s, got {gain!r} from {utility!r}")
+        return float(gain)
+
+    def counted_teammates(self, scope: Scope) -> Collection[int]:
+        """Return the pursuers whose actions count in its utility, given the scope of the utility.
+
+        They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or its component
+        ("component"). The component contains all pursuers whose messages can reach it now over any number of hops. If
+        this pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
+        """
+        if scope == "heard" or not self.senses_others:
+            return range(self.team_size)
+        topology = self._network.topology
+        return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
 
     @cached_property
     def _everyone(self) -> list[int]:

@@ -1,27 +1,18 @@
-"""The knowledge of a pursuer: the positions that it senses, its teammates' announcements, and the network's links."""
+"""The knowledge of a pursuer without messages: itself, the evaders that it senses, and the links of the network."""
 
-from collections.abc import Collection, Sequence
-from math import inf
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
 
-import numpy as np
-
 from desim.kernel.core.clock import NodeClock
-from desim.kernel.core.records import Record
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.network import Network
-from desim.pursuit.game.utility import Mean, Scope, Utility
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.sensing.views import View
-from desim.pursuit.team.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
-
-PAPER = Mean()
-"""The utility of Lee & Bakolas."""
 
 
 class Knowledge:
-    """The knowledge of one pursuer; its decisions and messages are in `desim.pursuit.team.agent.Agent`.
+    """The knowledge of one pursuer without messages; see `desim.pursuit.team.beliefs.Beliefs` for its teammates.
 
     Evaders are numbered 1 .. M; most methods raise ValueError for any other number.
 
@@ -33,26 +24,20 @@ class Knowledge:
         view: its view of the world.
         network: the network that carries its messages.
         clock: its local clock.
-        beliefs: its beliefs about its teammates.
     """
 
     now: float = property(  # type: ignore[assignment]  # as in `desim.kernel.core.clock.Clock`
         attrgetter("_clock.now"), doc="The time on its local clock, s: offset + (1 + drift) t at the true time t."
     )
 
-    def __init__(self, pursuer: int, view: View, network: Network, clock: NodeClock, beliefs: Beliefs):
+    def __init__(self, pursuer: int, view: View, network: Network, clock: NodeClock):
         self.id = pursuer
-        self._view, self._state, self._network, self._clock, self._beliefs = view, view.state, network, clock, beliefs
+        self._view, self._state, self._network, self._clock = view, view.state, network, clock
 
     @property
     def team_size(self) -> int:
         """Number of pursuers, N."""
         return self._state.size
-
-    @property
-    def action(self) -> int:
-        """The evader that it chases, 1 .. M, or 0 if it is inactive."""
-        return self._state.profile[self.id]
 
     def evaders(self) -> Sequence[int]:
         """Return the numbers of the evaders that have not been captured."""
@@ -114,73 +99,6 @@ class Knowledge:
         """The medium in which the players move, whose flow all pursuers know."""
         return self._state.environment
 
-    def latest_records(self) -> dict[int, Record]:
-        """Return the newest announcement received from each teammate, however old."""
-        return self._beliefs.latest_records()
-
-    def believed_chasers(self, evader: int = 1) -> dict[int, float]:
-        """Return the believed capture time, s, of each teammate that it believes to chase an evader.
-
-        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active, nor is one
-        that the pursuer does not trust (`announce.trust`). The capture time is nan if neither it nor the position of
-        the teammate is announced, and the position is not sensed.
-        """
-        _, rivals, times = self._beliefs.rivals(evader)
-        return dict(zip(rivals, times, strict=True))
-
-    def believed_active(self, evader: int = 1) -> list[int]:
-        """Return the teammates that it believes to chase an evader; see `believed_chasers`."""
-        return self._beliefs.rivals(evader)[1]
-
-    def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
-
-        Args:
-            period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
-                It counts only if `belief_timeout` is "auto".
-            evader: the evader to which the capture times refer.
-            orders: the orders that this pursuer, as a server, has sent to each teammate; see `Orders`. An announced
-                position is extrapolated with the announced action until the first order to the teammate takes effect,
-                and then with the ordered actions.
-        """
-        return self._beliefs.about_teammates(period, evader, orders)
-
-    def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago and is believed.
-
-        Which announcements are believed is determined by `announce.trust`.
-        """
-        return self._beliefs.trusted()
-
-    def team_estimate(self, evader: int = 1) -> TeamEstimate:
-        """Return its estimate of the positions, speeds and capture times of itself and its teammates.
-
-        Positions are sensed, or extrapolated from `trusted` announcements (`announce.reckoning`). Capture times refer
-        to the given evader.
-        """
-        return self._beliefs.team_estimate(evader)
-
-    @property
-    def senses_others(self) -> bool:
-        """Whether it senses the positions of its teammates, so that announcements need not contain them."""
-        return self._beliefs.senses_others
-
-    def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
-
-        Raises:
-            ValueError: if a user's utility returns no number, or nan.
-        """
-        own, rivals, times = self._beliefs.rivals(evader)
-        counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
-        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
-        gain: Any = utility(own, others, self._state.time_left(self._clock.stamp))
-        if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
-            return gain
-        if not isinstance(gain, (float, int, np.number)) or gain != gain:
-            raise ValueError(f"a utility should return a gain, a number in s, got {gain!r} from {utility!r}")
-        return float(gain)
-
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""
         found: list[int] = self._network.topology.neighbours(self.id if of is None else of).tolist()
@@ -190,18 +108,6 @@ class Knowledge:
     def mean_degree(self) -> float:
         """Mean number of neighbours of a pursuer, computed at the first access during the run."""
         return self._network.estimates.mean_degree
-
-    def counted_teammates(self, scope: Scope) -> Collection[int]:
-        """Return the pursuers whose actions count in its utility, given the scope of the utility.
-
-        They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or its component
-        ("component"). The component contains all pursuers whose messages can reach it now over any number of hops. If
-        this pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
-        """
-        if scope == "heard" or not self.senses_others:
-            return range(self.team_size)
-        topology = self._network.topology
-        return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
 
     @property
     def latency(self) -> float:
