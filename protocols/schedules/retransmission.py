@@ -10,7 +10,7 @@ channel may be busy.
 from collections.abc import Generator
 from typing import Any
 
-from desim.kernel.transport.retransmission import MAX_GROWTH, first_timeout
+from desim.kernel.transport.sender import MAX_GROWTH, first_timeout
 from desim.pursuit.team.agent import Agent
 
 BACKOFF = 1.5

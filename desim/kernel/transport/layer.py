@@ -27,8 +27,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.kernel.transport.frames import Acknowledgement, Frame, Piece, Segment, Skip, acknowledgement_size
 from desim.kernel.transport.log import Flow, TransportLog
 from desim.kernel.transport.receiver import CodedReceiver, Expectation, ReliableReceiver
-from desim.kernel.transport.retransmission import first_timeout
-from desim.kernel.transport.sender import CodedSender, Endpoint, ReliableSender, Sender
+from desim.kernel.transport.sender import CodedSender, Endpoint, ReliableSender, Sender, first_timeout
 
 PORT = ReservedPort("transport frames", __name__)
 """The port at which frames arrive."""
