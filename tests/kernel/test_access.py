@@ -19,7 +19,7 @@ from desim.kernel.core.events import Broadcast, Lost, Sent, Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
+from desim.kernel.models.access import Aloha, Csma, CsmaCa, Ideal, SlottedAloha, Tdma
 from desim.kernel.models.faults import Jamming, Partition
 from desim.kernel.models.implicit_complete import complete_graph
 from desim.kernel.models.interference import CaptureEffect, Collision, LoRaInterference, Sinr
@@ -1098,3 +1098,28 @@ def test_a_sensing_range_needs_positions():
     with pytest.raises(ValueError, match="positions"):
         network(Csma(sensing_range=5.0))
     network(Csma(sensing_range=5.0), positions=lambda: np.zeros((2, 2)))
+
+
+# One transmitter and a channel for which nobody else contends.
+
+BURSTS = st.lists(st.tuples(st.integers(0, 3000), st.integers(0, 200)), min_size=1, max_size=12)
+"""Messages of a node: the time since the one before, us, and the size, bytes."""
+
+
+def sent_alone(access, bursts, limit):
+    """Return the events of a node that alone transmits, without those of waiting, and the counts of its messages."""
+    clock, net, trace = network(access, 3, medium={"queue_limit": limit}, latency=ShiftedExponential(), loss=0.2)
+    t = 0
+    for gap, size in bursts:
+        t += gap
+        at(clock, t, net.publish, 0, size, size)
+    clock.run(until=SECOND)
+    counts = net.message_counts()
+    return [*trace.of(Broadcast), *trace.of(Lost)], (counts.delivered, counts.lost_by, counts.transmissions)
+
+
+@pytest.mark.slow
+@given(BURSTS, st.sampled_from([1.0, 2.0, inf]))
+def test_a_node_that_transmits_alone_contends_as_it_transmits(bursts, limit):
+    """A frame starts as soon as the one before has ended, and a full queue drops its oldest, on either channel."""
+    assert sent_alone(Aloha(), bursts, limit) == sent_alone(Ideal(), bursts, limit)

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, summary
+from desim.kernel import wandering_clock
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import ClockSkew
-from desim.kernel.wandering_clock import TICK, WanderingClock, node_clocks
+from desim.kernel.wandering_clock import TICK, ClockWalk, WanderingClock, node_clocks
 from desim.testing.pursuits import watched
 
 UNTIL = 100 * SECOND
@@ -112,3 +113,16 @@ def test_a_team_on_wandering_clocks_keeps_all_invariants(access):
         )
         lost.append(summary(watched(scenario, 3)).messages_lost)
     assert lost[0] < lost[1] if access == "tdma" else lost[0] != lost[1]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 300), st.lists(st.integers(0, 5 * SECOND), min_size=1, max_size=5))
+def test_a_walk_drawn_ahead_is_that_drawn_state_by_state(seed, block, times):
+    """Whatever the number of states that are drawn at once, and in whatever order the clock is read."""
+
+    def errors_by(size, moments):
+        walk = ClockWalk(1e-3, 1e-3, 1.0, UNTIL, np.random.default_rng(seed))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(wandering_clock, "BLOCK", size)
+            return {t: walk.error(t) for t in moments}
+
+    assert errors_by(1, sorted(times)) == errors_by(block, times)
