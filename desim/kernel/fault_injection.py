@@ -6,11 +6,11 @@ from functools import partial
 import simpy
 
 from desim.config.model import MAX_TIME
+from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
-from desim.kernel.models.traits import FaultTraits
+from desim.kernel.models.faults import Crash, Fault, FaultEnded, FaultStarted, Undo, cause_of, nodes_of, traced
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
@@ -42,21 +42,23 @@ def inject(
     faults, size = list(faults), network.topology.size
     if faults and network.fault_state.is_planned and network.message_counts().sent:
         raise ValueError("faults should be injected before the first message is sent")
+    sites = [_Site(env, network, trace, fault, crashed, recovered) for fault in faults]
     for fault in faults:
-        if unknown := [node for node in nodes_of(fault) if node >= size]:
-            raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
+        for key, nodes in nodes_of(fault).items():
+            if unknown := [node for node in nodes if not 0 <= node < size]:
+                raise ValueError(
+                    f"{kind_of(fault)}.{key}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}"
+                )
 
-    def begin(fault: Fault, _: simpy.Event) -> None:
-        if trace is not None:
-            trace.append(FaultStarted(env.now, fault))
+    def begin(site: _Site, _: simpy.Event) -> None:
+        site.record(FaultStarted)
         with network.fault_state.planned_change():
-            end = _start(fault, network, crashed, recovered)
-            if fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
-                schedule(fault.end, partial(finish, fault, end))
+            end = site.apply()
+            if site.fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
+                schedule(site.fault.end, partial(finish, site, end))
 
-    def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
-        if trace is not None:
-            trace.append(FaultEnded(env.now, fault))
+    def finish(site: _Site, end: Undo, _: simpy.Event) -> None:
+        site.record(FaultEnded)
         with network.fault_state.planned_change():
             end()
 
@@ -65,26 +67,70 @@ def inject(
         network.fault_state.plan(when)
         Instant(env, when, Phase.FAULT).callbacks.append(change)
 
-    for fault in faults:
-        schedule(fault.start, partial(begin, fault))
+    for site in sites:
+        schedule(site.fault.start, partial(begin, site))
 
 
-def _start(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
-    """Start a fault; return a function that ends it."""
-    fault_state = network.fault_state
-    if isinstance(fault, Crash):
-        network.crash(fault.node)
-        crashed(fault)
+class _Site:
+    """What a fault can do to a network; see `desim.kernel.models.faults.FaultSite`.
+
+    Args:
+        fault: the fault.
+    """
+
+    def __init__(self, env: Clock, network: Network, trace: Trace | None, fault: Fault, crashed: Hook, recovered: Hook):
+        self.fault = fault
+        self._env, self._network, self._trace = env, network, trace
+        self._crashed, self._recovered = crashed, recovered
+        self._record, self._cause = traced(fault), cause_of(fault)
+
+    @property
+    def size(self) -> int:
+        return self._network.topology.size
+
+    def record(self, kind: type[FaultStarted | FaultEnded]) -> None:
+        """Append to the trace that the fault starts or ends now."""
+        if self._trace is not None:
+            self._trace.append(kind(self._env.now, self._record))
+
+    def apply(self) -> Undo:
+        """Let the fault begin; return the function that ends it."""
+        undo = self.fault.begin(self)
+        if not callable(undo):
+            what = f"begin() of {type(self.fault).__name__}"
+            raise ValueError(f"{what} should return a function without arguments that ends the fault (got {undo!r})")
+        return undo
+
+    def begin(self, fault: Fault) -> Undo:
+        part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered)
+        part.record(FaultStarted)
+        undo = part.apply()
+
+        def end() -> None:
+            part.record(FaultEnded)
+            undo()
+
+        return end
+
+    def crash(self, crash: Crash) -> Undo:
+        self._network.crash(crash.node)
+        self._crashed(crash)
 
         def recover() -> None:
-            network.recover(fault.node, memory=fault.memory)
-            recovered(fault)
+            self._network.recover(crash.node, memory=crash.memory)
+            self._recovered(crash)
 
         return recover
-    if isinstance(fault, Partition):
-        cut = fault_state.partition(fault.groups, FaultTraits.of(fault).cause or "partition")
-        return lambda: fault_state.rejoin(cut)
-    disc = (fault.centre, fault.radius)
-    cause = FaultTraits.of(fault).cause or "jamming"
-    fault_state.jam(disc, cause)
-    return lambda: fault_state.clear(disc, cause)
+
+    def partition(self, groups: Iterable[Iterable[int]]) -> Undo:
+        state = self._network.fault_state
+        return partial(state.rejoin, state.partition(groups, self._cause))
+
+    def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
+        state = self._network.fault_state
+        return partial(state.rejoin, state.block(is_blocked, self._cause))
+
+    def jam(self, centre: tuple[float, float], radius: float) -> Undo:
+        state, disc = self._network.fault_state, (centre, radius)
+        state.jam(disc, self._cause)
+        return partial(state.clear, disc, self._cause)

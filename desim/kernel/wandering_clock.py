@@ -17,7 +17,7 @@ from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import MIN_DRIFT, ClockSkew, clock_errors
+from desim.kernel.models.faults import MIN_DRIFT, clock_errors, clock_skews
 
 TICK = nanoseconds(0.01)
 """Time between two states of a walk, ns."""
@@ -134,7 +134,7 @@ def node_clocks(env: Clock, given: Iterable[object], size: int, seed: int, until
     faults = list(given)
     clocks: list[NodeClock] = []
     for node, (offset, drift) in enumerate(clock_errors(faults, size, seed)):
-        skews = [each for each in faults if isinstance(each, ClockSkew) and each.node in (None, node)]
+        skews = clock_skews(faults, node)
         walks = [(each.offset_walk, each.drift_walk) for each in skews if each.offset_walk or each.drift_walk]
         if walks:
             offset_walk, drift_walk = (

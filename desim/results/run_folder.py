@@ -309,7 +309,7 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
             elif lost[event.transmission, event.dst]:
                 lost[event.transmission, event.dst].pop()
         elif isinstance(event, FaultStarted):
-            if any(node >= size for node in nodes_of(event.fault)):
+            if any(node >= size for nodes in nodes_of(event.fault).values() for node in nodes):
                 yield number, f"names a node that is not one of 0 to {size - 1}"
             broken.append(event.fault)
         elif isinstance(event, FaultEnded):

@@ -9,18 +9,17 @@ protocols where their assumptions do not hold.
 
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
-from types import MappingProxyType, UnionType
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import networkx as nx
 
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
 from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.medium import Medium, Radio
 from desim.kernel.models.reception import Disk
-from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.models.traits import FaultTraits, InterferenceTraits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import Assuming, DisseminationTraits
 
@@ -34,7 +33,7 @@ NOT_FORWARDED = "announcements are not forwarded (`announce.dissemination`)"
 
 def undivided(scenario: "Scenario") -> str | None:
     """No partition splits the team."""
-    return "a partition splits the team" if _has_fault(scenario, "partition", Partition) else None
+    return "a partition splits the team" if _is_broken(scenario, "undivided") else None
 
 
 def connected(scenario: "Scenario") -> str | None:
@@ -116,12 +115,12 @@ def rounds(scenario: "Scenario") -> str | None:
 
 def no_crashes(scenario: "Scenario") -> str | None:
     """No pursuer crashes; a crash of the radio alone counts, too."""
-    return "pursuers break down" if _has_fault(scenario, "crash", Crash | RandomCrashes) else None
+    return "pursuers break down" if _is_broken(scenario, "no_crashes") else None
 
 
 def equal_clocks(scenario: "Scenario") -> str | None:
     """All clocks show the same time."""
-    return "clocks differ" if any(isinstance(fault, ClockSkew) for fault in scenario.fault) else None
+    return "clocks differ" if _is_broken(scenario, "equal_clocks") else None
 
 
 def equal_speeds(scenario: "Scenario") -> str | None:
@@ -206,12 +205,9 @@ def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
                 yield key, f"{kind} assumes {name}, but {why}"
 
 
-def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
-    """Return whether faults of a kind are given, or may be drawn by random faults."""
-    return any(
-        isinstance(fault, faults) or (isinstance(fault, RandomFaults) and kind in fault.kinds)
-        for fault in scenario.fault
-    )
+def _is_broken(scenario: "Scenario", assumption: str) -> bool:
+    """Return whether a fault breaks an assumption, or a plan may draw one that does."""
+    return any(assumption in FaultTraits.of(fault).breaks for fault in scenario.fault)
 
 
 def _loses_frames(medium: Medium) -> bool:

@@ -30,7 +30,7 @@ from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronis
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.node_names import shortened
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import Partition, nodes_of
+from desim.kernel.models.faults import nodes_of
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Radio, airtime_of
@@ -310,11 +310,8 @@ class Scenario(Value):
             except ValueError as error:
                 yield ("protocol", part), str(error)
         for k, fault in enumerate(self.fault):
-            if isinstance(fault, ByzantineFault):
-                named = fault.named().items()
-                yield from ((("fault", k, key), no_pursuer.format(each)) for key, each in named if each >= count)
-            key = "groups" if isinstance(fault, Partition) else "node"
-            yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
+            for key, nodes in nodes_of(fault).items():
+                yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes if node >= count)
 
 
 def _motion_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:

@@ -2,24 +2,76 @@
 
 A crash, a partition or a jamming disc has a start time and an end time; a clock error lasts for the whole run. A fault
 plan draws faults at random from the seed. All of these are kinds of `[[fault]]` in a scenario file.
+
+A kind of faults is a class that derives from `Fault`. It says how the fault begins and ends (`begin`), which nodes it
+names (`named`), how a page draws it (`sketch`), and what a loss by it is called (`cause`).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
 from math import inf
-from typing import Annotated, Any, Literal, NamedTuple, Protocol
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from desim.config.choice import OneOf
+from desim.config.choice import OneOf, definition_of, import_name
 from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, NotEmpty, Rate, Time, Value
-from desim.kernel.core.events import Nanoseconds
+from desim.config.traits import inherits
+from desim.kernel.core.events import Cause, Nanoseconds
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.graphs import Node
+from desim.kernel.models.traits import FaultTraits
 
 MIN_DRIFT = -0.99
 """Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
+
+
+Nodes = Mapping[str, Sequence[int]]
+"""The nodes that a fault names, by the key of a scenario file."""
+Undo = Callable[[], object]
+"""A function that ends what a fault has begun."""
+Sketch = dict[str, Any]
+"""JSON values from which a page draws a fault; see `Window.sketch`."""
+NO_NODES: Nodes = MappingProxyType({})
+
+
+class FaultSite(Protocol):
+    """What a fault can do to a network. Each method returns the function that ends what it has begun.
+
+    Losses by the fault have its `cause`.
+    """
+
+    @property
+    def size(self) -> int:
+        """The number of nodes."""
+        ...
+
+    def begin(self, fault: "Fault") -> Undo:
+        """Begin another fault as a part of this one; the trace records both."""
+        ...
+
+    def crash(self, crash: "Crash") -> Undo:
+        """Take a node down."""
+        ...
+
+    def partition(self, groups: Iterable[Iterable[int]]) -> Undo:
+        """Separate groups of nodes from each other and from all other nodes."""
+        ...
+
+    def jam(self, centre: tuple[float, float], radius: float) -> Undo:
+        """Block reception at all nodes within a disc, m."""
+        ...
+
+    def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
+        """Lose each message from a sender to a receiver for which `is_blocked(src, dst)` is true.
+
+        The answer must depend on the two nodes only, not on the time: while no fault begins or ends, the network
+        decides arrivals in advance.
+        """
+        ...
 
 
 class Window(Value):
@@ -37,8 +89,52 @@ class Window(Value):
             raise ValueError(f"should be later than start (got {end:g} and {info.data['start']:g})")
         return end
 
+    def named(self) -> Nodes:
+        """Return the nodes that the fault names, by key: errors about a node that does not exist name the key."""
+        return NO_NODES
 
-class Crash(Window):
+    def sketch(self) -> Sketch:
+        """Return what a page draws, as JSON values, in addition to the name and the interval of the fault.
+
+        "centre" and "radius" are drawn as a disc, "groups" as letters at the nodes of each list, "node" with "scope"
+        as a crash mark, "node" with "model" as a warning sign. Other keys have no effect.
+        """
+        return {}
+
+    @property
+    def label(self) -> str:
+        """The name of the fault in pictures: by default its kind, without the module."""
+        return str(FaultTraits.of(self).kind or type(self).__name__).rpartition(":")[2]
+
+
+class Fault(Window):
+    """Base of the faults of the network; a class of a user derives from it, and is then a kind "module:Name".
+
+        class LinkDown(Fault):
+            ends: tuple[int, int]
+
+            def named(self):
+                return {"ends": self.ends}
+
+            def begin(self, site):
+                return site.block(lambda src, dst: {src, dst} == {*self.ends})
+
+    A fault is also the plan that draws this fault alone. `FaultTraits` lists its optional attributes.
+    """
+
+    breaks: ClassVar[frozenset[str]] = frozenset()
+    """The assumptions of protocols (`assumes`) that it breaks."""
+
+    def begin(self, site: FaultSite) -> Undo:
+        """Begin the fault at its start time; return the function that ends it."""
+        raise NotImplementedError
+
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator["Fault"]:
+        """Yield the fault itself."""
+        yield self
+
+
+class Crash(Fault):
     """A node crashes and, if the crash ends, recovers."""
 
     kind: Literal["crash"] = "crash"
@@ -49,13 +145,34 @@ class Crash(Window):
     memory: Flag = True
     """Whether the node keeps its beliefs; if not, it recovers without any, and a crashed robot restarts its process."""
 
+    breaks: ClassVar[frozenset[str]] = frozenset({"no_crashes"})
 
-class Partition(Window):
+    def begin(self, site: FaultSite) -> Undo:
+        """Take the node down."""
+        return site.crash(self)
+
+    def named(self) -> Nodes:
+        """Return the node."""
+        return {"node": [self.node]}
+
+    def sketch(self) -> Sketch:
+        """Return the node, the scope, and whether the node keeps its beliefs."""
+        return {"node": self.node, "scope": self.scope, "memory": self.memory}
+
+    @property
+    def label(self) -> str:
+        """The part that is down, and its node."""
+        return f"{self.scope} of {self.node} down"
+
+
+class Partition(Fault):
     """Groups of nodes cannot communicate with each other."""
 
     kind: Literal["partition"] = "partition"
     groups: Annotated[tuple[Annotated[tuple[Node, ...], FirstError()], ...], FirstError(), NotEmpty()]
     """Lists of nodes; nodes in no list form one more group."""
+
+    breaks: ClassVar[frozenset[str]] = frozenset({"undivided"})
 
     @field_validator("groups")
     @classmethod
@@ -66,8 +183,28 @@ class Partition(Window):
             raise ValueError(f"should be disjoint, node {twice[0]} is listed twice")
         return groups
 
+    def begin(self, site: FaultSite) -> Undo:
+        """Separate the groups."""
+        return site.partition(self.groups)
 
-class Jamming(Window):
+    def named(self) -> Nodes:
+        """Return the nodes of all groups."""
+        return {"groups": [node for group in self.groups for node in group]}
+
+    def sketch(self) -> Sketch:
+        """Return the groups."""
+        return {"groups": [list(group) for group in self.groups]}
+
+    def separates(self, src: int, dst: int) -> bool:
+        """Return whether two nodes are in different groups."""
+        return self._group(src) != self._group(dst)
+
+    def _group(self, node: int) -> int:
+        """Return the number of the group of a node; -1 if no list has it."""
+        return next((k for k, group in enumerate(self.groups) if node in group), -1)
+
+
+class Jamming(Fault):
     """No node within a disc receives messages."""
 
     kind: Literal["jamming"] = "jamming"
@@ -75,6 +212,14 @@ class Jamming(Window):
     """[x, y], m."""
     radius: Length
     """m"""
+
+    def begin(self, site: FaultSite) -> Undo:
+        """Jam the disc."""
+        return site.jam(self.centre, self.radius)
+
+    def sketch(self) -> Sketch:
+        """Return the disc."""
+        return {"centre": list(self.centre), "radius": self.radius}
 
 
 class Misbehaviour(Window):
@@ -90,6 +235,44 @@ class Misbehaviour(Window):
     """The kind of the model."""
     number: Annotated[int, Field(ge=0, strict=True)]
     """Number of the misbehaviour in the run, from 0 on."""
+
+    def named(self) -> Nodes:
+        """Return the node."""
+        return {"node": [self.node]}
+
+    def sketch(self) -> Sketch:
+        """Return the node and the kind of the model."""
+        return {"node": self.node, "model": self.model}
+
+    @property
+    def label(self) -> str:
+        """The kind of the model, and the node."""
+        return f"{self.model} {self.node}"
+
+
+class CustomFault(Window):
+    """The record of a fault of a user's kind in a trace, which can be read without the code of the user."""
+
+    kind: Literal["custom"] = "custom"
+    model: str
+    """The kind of the fault, "module:Name"."""
+    nodes: tuple[Node, ...] = ()
+    """The nodes that it names."""
+    drawn: Sketch = {}
+    """What a page draws; see `Window.sketch`."""
+
+    def named(self) -> Nodes:
+        """Return the nodes."""
+        return {"nodes": self.nodes}
+
+    def sketch(self) -> Sketch:
+        """Return what a page draws."""
+        return self.drawn
+
+    @property
+    def label(self) -> str:
+        """The name of the class of the fault."""
+        return self.model.rpartition(":")[2]
 
 
 class ClockSkew(Value):
@@ -113,18 +296,49 @@ class ClockSkew(Value):
     drift_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
     """Random walk of the drift, 1 per sqrt(s): after a time t its standard deviation is drift_walk sqrt(t)."""
 
+    breaks: ClassVar[frozenset[str]] = frozenset({"equal_clocks"})
 
-Fault = Crash | Partition | Jamming
-"""A fault of the network, with a start and an end time."""
-TracedFault = Fault | Misbehaviour
+    def named(self) -> Nodes:
+        """Return the node, if one is given."""
+        return NO_NODES if self.node is None else {"node": [self.node]}
+
+
+BUILT_IN: tuple[type[Fault], ...] = (Crash, Partition, Jamming)
+"""The built-in faults of the network, with a start and an end time."""
+TracedFault = Crash | Partition | Jamming | Misbehaviour | CustomFault
 """A fault whose start and end are events of the trace."""
 
 
-def nodes_of(fault: object) -> list[int]:
-    """Return the nodes that a fault or a clock error names."""
-    if isinstance(fault, Partition):
-        return [node for group in fault.groups for node in group]
-    return [fault.node] if isinstance(fault, Crash | Misbehaviour | ClockSkew) and fault.node is not None else []
+def traced(fault: Fault) -> TracedFault:
+    """Return the record of a fault in a trace.
+
+    A fault of a user's class that begins as a built-in one does, only with a cause of its own for instance, is
+    recorded as the built-in fault, and any other as a `CustomFault`.
+    """
+    for base in BUILT_IN:
+        if inherits(fault, base, "begin"):
+            fields = {name: getattr(fault, name) for name in base.model_fields if name != "kind"}
+            return fault if type(fault) is base else base(**fields)  # type: ignore[return-value]
+    nodes = tuple(node for named in fault.named().values() for node in named)
+    sketch = fault.sketch()
+    try:
+        drawn = json.loads(json.dumps(sketch, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{fault.label}: sketch() should return JSON values ({error}), got {sketch!r}") from error
+    model = import_name(definition_of(fault))
+    return CustomFault(start=fault.start, end=fault.end, model=model, nodes=nodes, drawn=drawn)
+
+
+def cause_of(fault: Fault) -> Cause:
+    """Return the cause of the losses by a fault: its own `cause`, or else its kind."""
+    traits = FaultTraits.of(fault)
+    return traits.cause or (traits.kind or type(fault).__name__).rpartition(":")[2]
+
+
+def nodes_of(fault: object) -> Nodes:
+    """Return the nodes that a fault, a clock error or a plan names, by key."""
+    named = FaultTraits.of(fault).named
+    return NO_NODES if named is None else named()
 
 
 class FaultStarted(NamedTuple):
@@ -162,6 +376,8 @@ class RandomCrashes(Value):
     memory: Flag = True
     """Whether the node keeps its beliefs."""
 
+    breaks: ClassVar[frozenset[str]] = Crash.breaks
+
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
         """Yield, node by node, the crashes that start before the horizon, s."""
         for node, each in enumerate(rng.spawn(size)):
@@ -191,6 +407,12 @@ class RandomFaults(Value):
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
 
+    @property
+    def breaks(self) -> frozenset[str]:
+        """The assumptions that the kinds of faults break."""
+        kinds = (kind for kind in BUILT_IN if kind.model_fields["kind"].default in self.kinds)
+        return frozenset[str]().union(*(kind.breaks for kind in kinds))
+
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
         t, end = 0.0, min(self.end, horizon)
@@ -215,7 +437,12 @@ PLANNED_WITH = ("size", "horizon", "rng")
 """The arguments of a plan of faults."""
 MIN_FAULT_DURATION = 1e-6
 """Minimum duration of a drawn fault, s."""
-FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH)
+FAULTS = OneOf(*BUILT_IN, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
+
+
+def clock_skews(faults: Iterable[object], node: int) -> list[ClockSkew]:
+    """Return the clock errors in `faults` that concern a node."""
+    return [skew for skew in faults if isinstance(skew, ClockSkew) and skew.node in (None, node)]
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
@@ -248,8 +475,8 @@ def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horiz
         if isinstance(each, Fault):
             faults.append(each)
         elif not isinstance(each, ClockSkew):
-            found: Any = each(size, horizon, stream(seed, "faults", next(number)))
-            planned: list[Any] = [*found] if isinstance(found, Iterable) else [found]
+            answer: Any = each(size, horizon, stream(seed, "faults", next(number)))
+            planned: list[Any] = [*answer] if isinstance(answer, Iterable) else [answer]
             if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
                 raise ValueError(f"the plan {each!r} should return or yield faults, got {strange[0]!r}")
             faults += planned

@@ -1,6 +1,6 @@
 """The optional attributes of models of links; a user's model may have any of them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from typing import Annotated, Any
 
@@ -142,7 +142,11 @@ class ReceptionTraits(Traits):
 
 
 class FaultTraits(Traits):
-    """The optional attribute of a partition or of jamming."""
+    """The optional attributes of a fault, or of a plan of faults, in addition to `__call__`."""
 
     cause: Annotated[str, Field(min_length=1)] | None = None
-    """The cause of the losses, in traces and counts; None: "partition" or "jamming"."""
+    """The cause of the losses by a fault, in traces and counts, see `events.CAUSES`; None: its kind or class."""
+    named: Callable[[], Mapping[str, Sequence[int]]] | None = None
+    """`named()` returns the nodes that it names, by key; an error about a node that does not exist names the key."""
+    breaks: frozenset[str] = frozenset()
+    """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""

@@ -1,9 +1,10 @@
-"""The active faults of a network: nodes whose radio is down, partitions into groups of nodes, jammed discs."""
+"""The active faults of a network: nodes whose radio is down, partitions into groups, blocked links, jammed discs."""
 
 from bisect import insort
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import compress
 from math import inf
 from typing import NamedTuple
 
@@ -15,10 +16,10 @@ from desim.kernel.core.positions import PositionFunction, as_position_source
 
 
 class Cut(NamedTuple):
-    """A partition."""
+    """A partition, or another set of blocked links."""
 
-    group: Mapping[int, int]
-    """The group number of each listed node; all other nodes form one more group."""
+    blocked: Callable[[list[int], list[int]], list[bool]]
+    """Returns, for (k,) senders and (k,) receivers, whether messages between them are lost."""
     cause: Cause = "partition"
     """The cause of its losses."""
 
@@ -108,9 +109,9 @@ class FaultState:
         return self._down[node] > 0
 
     def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
-        """Return the cause of loss, (k,), where an active partition separates a node from its sender, else None.
+        """Return the cause of loss, (k,), where an active partition or cut blocks the link to a node, else None.
 
-        None instead of a list: nowhere. Of several partitions, the first counts.
+        None instead of a list: nowhere. Of several cuts, the first counts.
 
         Args:
             src: the sender, one for all or (k,).
@@ -120,12 +121,11 @@ class FaultState:
             return None
         here = np.asarray(nodes).tolist()
         senders = [src] * len(here) if isinstance(src, int) else src.tolist()
-        pairs = list(zip(senders, here, strict=True))
-        cuts = self._cuts
-        return [
-            next((cause for group, cause in cuts if group.get(one, -1) != group.get(other, -1)), None)
-            for one, other in pairs
-        ]
+        causes: list[Cause | None] = [None] * len(here)
+        for cut in reversed(self._cuts):
+            for k in compress(range(len(here)), cut.blocked(senders, here)):
+                causes[k] = cut.cause
+        return causes
 
     def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
         """Return the cause of loss, (k,), where a node was, at its time, within a disc that is jammed now, else None.
@@ -165,13 +165,26 @@ class FaultState:
 
     def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
+        number_of = {node: number for number, group in enumerate(groups) for node in group}.get
+        return self._cut(
+            lambda senders, nodes: [
+                number_of(one, -1) != number_of(other, -1) for one, other in zip(senders, nodes, strict=True)
+            ],
+            cause,
+        )
+
+    def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Cut:
+        """Block the links from a sender to a receiver where a function says so; return the cut, which `rejoin` ends."""
+        return self._cut(lambda senders, nodes: [bool(is_blocked(*link)) for link in zip(senders, nodes)], cause)
+
+    def _cut(self, blocked: Callable[[list[int], list[int]], list[bool]], cause: Cause) -> Cut:
         self._require_change()
-        cut = Cut({node: number for number, group in enumerate(groups) for node in group}, cause)
+        cut = Cut(blocked, cause)
         self._cuts.append(cut)
         return cut
 
     def rejoin(self, cut: Cut) -> None:
-        """End a partition, given the cut that `partition` returned."""
+        """End a cut, given what `partition` or `block` returned."""
         self._require_change()
         self._cuts = [each for each in self._cuts if each is not cut]
 

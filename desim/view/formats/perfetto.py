@@ -25,7 +25,6 @@ from desim.kernel.core.events import DeadlineMissed, Expired, GivenUp, Livelines
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Crash, Misbehaviour
 from desim.pursuit.core.events import Captured
 from desim.simulation.run import Result
 from desim.view.data.deliveries import chasing, deliveries, handover_events, outages
@@ -99,8 +98,7 @@ def _slices(result: Result) -> Iterator[Entry]:
             yield _entry("X", name, FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
     for k, (fault, (begin, end)) in enumerate(outages(result)):
         ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
-        name = f"{fault.scope} of {fault.node} down" if isinstance(fault, Crash) else fault.kind
-        name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else name
+        name = fault.label
         yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault.plain()})
         yield _entry("e", name, TEAM, end, **ends)
 

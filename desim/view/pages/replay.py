@@ -37,7 +37,7 @@ from desim.config.model import Value
 from desim.config.traits import kind_of, name_of
 from desim.config.trust import escaped, write_whole
 from desim.kernel.core.units import SECOND, seconds
-from desim.kernel.models.faults import Crash, Misbehaviour, Partition, TracedFault
+from desim.kernel.models.faults import TracedFault
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.latency import Constant
@@ -521,16 +521,8 @@ def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
 
 def _fault(fault: TracedFault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
     """Return the data of a fault that lasted from `begin` to `until` (ns)."""
-    found: ReplayData
-    if isinstance(fault, Crash):
-        found = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
-    elif isinstance(fault, Misbehaviour):
-        found = {"node": fault.node, "model": fault.model}
-    elif isinstance(fault, Partition):
-        found = {"groups": [list(group) for group in fault.groups]}
-    else:
-        found = {"centre": list(fault.centre), "radius": fault.radius}
-    return {"kind": fault.kind, "begin": ticks.nearest(begin), "end": ticks.nearest(until)} | found
+    when = {"begin": ticks.nearest(begin), "end": ticks.nearest(until)}
+    return {"kind": fault.kind, "label": fault.label} | when | fault.sketch()
 
 
 def _messages(result: Result, ticks: _Ticks) -> ReplayData:

@@ -19,7 +19,6 @@ from desim.analysis.drawing.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import Crash, Misbehaviour
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import action_in_game
 from desim.simulation.run import Result
@@ -187,15 +186,15 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
     level = 0
     for fault, (begin, end) in inside:
         x = max(begin, window.begin) / SECOND, min(end, window.end) / SECOND
-        if not isinstance(fault, Crash):
+        node, scope = (fault.sketch().get(key) for key in ("node", "scope"))
+        if scope is None:
             axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
             lower, level = (2, -2 - 8 * level), 1 - level
-            name = f"{fault.model} {fault.node}" if isinstance(fault, Misbehaviour) else fault.kind
-            axes.annotate(name, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
-        elif fault.node in rows:
-            row = rows[fault.node]
-            kind = "robot down" if fault.scope == "robot" else "radio down"
-            look: dict[str, Any] = {"robot": {"hatch": "/////"}, "radio": {"hatch": "xxxx"}}[fault.scope]
+            axes.annotate(fault.label, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
+        elif node in rows:
+            row = rows[node]
+            kind = "robot down" if scope == "robot" else "radio down"
+            look: dict[str, Any] = {"hatch": "/////" if scope == "robot" else "xxxx"}
             axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
 
 
