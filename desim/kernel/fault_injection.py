@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from functools import partial
+from typing import Any
 
 import simpy
 
@@ -95,11 +96,12 @@ class _Site:
 
     def apply(self) -> Undo:
         """Let the fault begin; return the function that ends it."""
-        undo = self.fault.begin(self)
+        undo: Any = self.fault.begin(self)
         if not callable(undo):
             what = f"begin() of {type(self.fault).__name__}"
             raise ValueError(f"{what} should return a function without arguments that ends the fault (got {undo!r})")
-        return undo
+        end: Undo = undo
+        return end
 
     def begin(self, fault: Fault) -> Undo:
         part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered)

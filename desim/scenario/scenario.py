@@ -36,7 +36,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Radio, airtime_of
 from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
-from desim.pursuit.byzantine.lies import PURSUER_FAULTS, ByzantineFault, is_lie
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
 from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
 from desim.pursuit.motion.dynamics import Dynamics, Simple
 from desim.pursuit.motion.flow import Environment

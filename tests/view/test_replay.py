@@ -909,6 +909,7 @@ def test_the_page_says_who_lies_and_how_many_believe_it(shown, trust, told):
     opened.until(f"said.textContent.endsWith({json.dumps(told)})")
     assert _document(result)["faults"][0] == {
         "kind": "misbehaviour",
+        "label": "liar 4",
         "begin": 0,
         "end": 2 * SECOND,
         "node": 4,

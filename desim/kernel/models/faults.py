@@ -258,7 +258,7 @@ class CustomFault(Window):
     """The kind of the fault, "module:Name"."""
     nodes: tuple[Node, ...] = ()
     """The nodes that it names."""
-    drawn: Sketch = {}
+    drawn: Sketch
     """What a page draws; see `Window.sketch`."""
 
     def named(self) -> Nodes:
@@ -472,7 +472,7 @@ def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horiz
     faults: list[Fault] = []
     number = count()
     for each in given:
-        if isinstance(each, Fault):
+        if inherits(each, Fault):  # unless a class of a user draws other faults
             faults.append(each)
         elif not isinstance(each, ClockSkew):
             answer: Any = each(size, horizon, stream(seed, "faults", next(number)))

@@ -175,7 +175,7 @@ class FaultState:
 
     def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Cut:
         """Block the links from a sender to a receiver where a function says so; return the cut, which `rejoin` ends."""
-        return self._cut(lambda senders, nodes: [bool(is_blocked(*link)) for link in zip(senders, nodes)], cause)
+        return self._cut(lambda senders, nodes: [bool(blocked) for blocked in map(is_blocked, senders, nodes)], cause)
 
     def _cut(self, blocked: Callable[[list[int], list[int]], list[bool]], cause: Cause) -> Cut:
         self._require_change()

@@ -7,7 +7,7 @@ applies these models in a run.
 """
 
 from cmath import isfinite
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isnan
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
