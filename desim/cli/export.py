@@ -1,21 +1,14 @@
 """`desim export`: the runs of a sweep as a table; the events of a run as a table, a capture file or an MCAP file."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from desim.cli.many import store_files
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, storing
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, is_import_allowed, limited, storing
 from desim.cli.recorded import check_recorded_options, is_recorded, result_of
 from desim.config.file_names import STORE, TRACE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from desim.analysis.knowledge import Pieces
-    from desim.kernel.core.events import Event
-    from desim.view.data.headings import Headings
 
 KINDS = (
     *("Started", "Decided", "BrokeDown", "Sampled", "Estimated", "Captured", "Distrusted", "Ended"),
@@ -37,27 +30,44 @@ KINDS = (
     help="Of a run, to .csv or .parquet: only events of this type, e.g. Decided, and only their columns; can be"
     " repeated.",
 )
+@click.option(
+    "--exporter",
+    metavar="NAME",
+    help="Of a run: the exporter, if the suffix of TO does not choose it: a kind, or MODULE:NAME, a function of the"
+    " result and the file (needs --allow-import).",
+)
 @SEED
 @limited
 @ALLOW_IMPORT
 @SET
-def export(source: Path, file: Path, kinds: tuple[str, ...], seed: int | None, overrides: tuple[str, ...]) -> None:
+def export(
+    source: Path,
+    file: Path,
+    kinds: tuple[str, ...],
+    exporter: str | None,
+    seed: int | None,
+    overrides: tuple[str, ...],
+) -> None:
     """Write the runs of a sweep, or the events of a run, to the file TO; its suffix sets the format.
 
     Of a sweep, a STORE (a file or its folder): .csv or .parquet, one row per run.
 
     Of a run, a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first: .csv or .parquet, one row per
-    event and receiver or player; .pcapng, one packet per message, for Wireshark; .mcap, for Foxglove.
+    event and receiver or player; .pcapng, one packet per message, for Wireshark; .mcap, for Foxglove; .perfetto.json,
+    a timeline for https://ui.perfetto.dev. An installed exporter (entry point of `desim.exporters`) has a suffix of its
+    own.
 
     In CSV, a text that a spreadsheet would take for a formula is prefixed with an apostrophe, and control characters
     are escaped.
     """
     if _is_run(source):
-        _export_run(source, file, kinds, seed, overrides)
+        _export_run(source, file, kinds, exporter, seed, overrides)
         return
     check_recorded_options(seed, overrides)
     if kinds:
         raise click.UsageError(f"--event chooses events of a run, and {source} is a sweep")
+    if exporter is not None:
+        raise click.UsageError(f"--exporter writes a run, and {source} is a sweep")
     _export_sweep(source, file)
 
 
@@ -70,21 +80,29 @@ def _is_run(source: Path) -> bool:
     return source.name == TRACE or (not is_recorded(source) and (source.exists() or source.suffix == ".toml"))
 
 
-def _export_run(source: Path, file: Path, kinds: tuple[str, ...], seed: int | None, overrides: tuple[str, ...]) -> None:
-    """Write the events of a run to a file; end the program if that is not possible."""
+def _export_run(
+    source: Path,
+    file: Path,
+    kinds: tuple[str, ...],
+    exporter: str | None,
+    seed: int | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Write a run to a file; end the program if that is not possible."""
+    from desim.results.run_folder import streamed
     from desim.view.formats import export as formats
 
     try:
-        formats.check_suffix(file)
-    except ValueError as error:
-        fail(str(error))
-    suffix = file.suffix.lower()
-    if kinds and suffix not in formats.TABLES:
-        raise click.UsageError(f"--event is an option of {' and '.join(formats.TABLES)}")
-    chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    try:
-        events, beliefs, headings = _run_of(source, seed, overrides, whole=suffix == ".mcap")
-        count = formats.export(events, file, beliefs=beliefs, headings=headings, **chosen)
+        parameters = {"events": kinds} if kinds else {}
+        chosen = formats.exporter_for(file, exporter, allow_import=is_import_allowed(), **parameters)
+        traits = formats.ExporterTraits.of(chosen)
+        if is_recorded(source) and traits.streams:
+            check_recorded_options(seed, overrides)
+            folder = source if source.is_dir() else source.parent
+            result: Any = streamed(folder, allow_import=is_import_allowed())
+        else:
+            result = result_of(source, seed, overrides)
+        count = formats.export(result, file, chosen)
     except OSError as error:
         is_source = error.filename is not None and Path(error.filename).name == TRACE
         fail(
@@ -92,48 +110,11 @@ def _export_run(source: Path, file: Path, kinds: tuple[str, ...], seed: int | No
         )
     except (ImportError, ValueError) as error:
         fail(str(error))
-    echo(f"wrote {count:,} {formats.COUNTED[suffix]} to {file}", err=True)
-
-
-def _run_of(
-    source: Path, seed: int | None, overrides: tuple[str, ...], *, whole: bool
-) -> "tuple[Iterable[Event], Pieces | None, Headings | None]":
-    """Return the events of a run and, if the `whole` is asked for, the beliefs and the headings in it.
-
-    The events of a recorded run are read one by one, unless the whole is asked for. As elsewhere, there are no beliefs,
-    and no headings either, for a run with `record.messages = "file"`, whose trace may be too long for the memory.
-
-    Raises:
-        ValueError: if the run.json of a run is not valid.
-        OSError: if a file cannot be read.
-    """
-    from desim.analysis.knowledge import knowledge
-    from desim.analysis.trace_index import lacks_messages
-    from desim.results import run_folder
-    from desim.view.data.headings import Headings
-
-    if is_recorded(source):
-        check_recorded_options(seed, overrides)
-        folder = source if source.is_dir() else source.parent
-        if not (whole and _fits_memory(folder)):
-            return run_folder.events(folder), None, None
-        source = folder / TRACE
-    result = result_of(source, seed, overrides)
-    if not whole:
-        return result.trace, None, None
-    beliefs = None if lacks_messages(result) else knowledge(result)
-    return result.trace, beliefs, Headings(result.scenario, result.seed)
-
-
-def _fits_memory(folder: Path) -> bool:
-    """Return whether a run was recorded without `record.messages = "file"`; print a warning if without messages."""
-    from desim.results import provenance
-
-    path = folder / provenance.FILE
-    recorded = provenance.read(path)["scenario"]["record"]["messages"] if path.exists() else "file"
-    if recorded is False:
-        echo(f"warning: {folder}: messages were not recorded, and are left out: set record.messages = true", err=True)
-    return bool(recorded != "file")
+    scenario = vars(result).get("scenario")  # a streamed result has one if the exporter has asked for it
+    if is_recorded(source) and scenario is not None and scenario.record.messages is False:
+        echo(f"warning: {source}: messages were not recorded, and are left out: set record.messages = true", err=True)
+    written = "" if count is None else f"{count:,} {traits.items} to "
+    echo(f"wrote {written}{file}", err=True)
 
 
 def _export_sweep(source: Path, file: Path) -> None:

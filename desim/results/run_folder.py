@@ -4,6 +4,7 @@ import json
 from collections import defaultdict
 from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self
@@ -232,6 +233,42 @@ def events(folder: str | Path) -> Iterator[Event]:
             yield from _complete(events_of(chain(first, lines), EVENTS, _limits(starts[0])) if starts else ())
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
+
+
+class StreamedResult:
+    """The result of a run in a folder whose trace is not held in memory; see `streamed`.
+
+    Args:
+        folder: the folder of the run.
+        allow_import: whether run.json may name code to be imported; see `desim.load`.
+    """
+
+    def __init__(self, folder: Path, allow_import: bool):
+        self._folder, self._allow_import = folder, allow_import
+
+    @property
+    def trace(self) -> Iterator[Event]:
+        """The events, which are read from the file each time."""
+        return events(self._folder)
+
+    @cached_property
+    def scenario(self) -> Scenario | None:
+        """The scenario; None without a run.json. It is read at the first access."""
+        path = self._folder / provenance.FILE
+        if not path.exists():
+            return None
+        return validate(provenance.source(path, provenance.read(path), allow_import=self._allow_import))
+
+    @cached_property
+    def seed(self) -> int | None:
+        """The seed; None without a run.json."""
+        path = self._folder / provenance.FILE
+        return int(provenance.read(path)["seed"]) if path.exists() else None
+
+
+def streamed(folder: str | Path, *, allow_import: bool = False) -> StreamedResult:
+    """Return the run in a folder, of which nothing has been read yet; `read` checks it and holds it in memory."""
+    return StreamedResult(Path(folder), allow_import)
 
 
 def _complete(found: Iterable[Event]) -> Iterator[Event]:

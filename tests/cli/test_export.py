@@ -2,6 +2,7 @@
 
 import sys
 import tracemalloc
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -100,11 +101,11 @@ def test_a_trace_without_run_json_is_exported_too(recorded, tmp_path):
 
 def test_what_makes_no_sense_is_refused(recorded, tmp_path):
     to = tmp_path / "x.csv"
-    suffixes = "should end in .csv, .parquet, .pcapng or .mcap"
+    suffixes = "should end in .csv, .parquet, .pcapng, .mcap or .perfetto.json"
     assert refused("export", recorded, tmp_path / "x.txt") == f"{tmp_path}/x.txt: {suffixes}\n"
     assert "apply to a scenario FILE only" in refused("export", recorded, to, "-s", 1)
     assert "'Decide' is not one of 'Started', 'Decided'" in refused("export", recorded, to, "--event", "Decide")
-    assert "--event is an option of .csv and .parquet" in refused(
+    assert "the exporter mcap has no parameter 'events'" in refused(
         "export", recorded, tmp_path / "x.mcap", "--event", "Lost"
     )
     assert refused("export", tmp_path / "no.toml", to).startswith(f"{tmp_path}/no.toml: cannot be read")
@@ -124,7 +125,7 @@ def test_what_makes_no_sense_is_refused(recorded, tmp_path):
     assert "--event chooses events of a run" in refused("export", both, to, "--event", "Lost")
     assert not to.exists()
     with pytest.raises(ValueError, match=rf"x\.txt: {suffixes}"):
-        export([], tmp_path / "x.txt")
+        export(None, tmp_path / "x.txt")
     assert not (tmp_path / "x.txt").exists()
 
 
@@ -193,7 +194,7 @@ def test_a_trace_is_not_held_in_memory(tmp_path, suffix, count, monkeypatch):
             tracemalloc.stop()
 
     def exported(events):
-        export(events, tmp_path / f"x.{suffix}")
+        export(SimpleNamespace(trace=events, scenario=None, seed=None), tmp_path / f"x.{suffix}")
 
     exported(long_trace(100))  # what is imported and cached does not count
     _, short = peak(lambda: exported(long_trace(count)))

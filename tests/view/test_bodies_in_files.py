@@ -82,7 +82,7 @@ def is_data(text):
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_tables(result, tmp_path, suffix):
-    export(result.trace, tmp_path / f"t{suffix}", ["Sent", "Broadcast"])
+    export(result, tmp_path / f"t{suffix}", {"kind": suffix[1:], "events": ["Sent", "Broadcast"]})
     if suffix == ".csv":
         csv.field_size_limit(1 << 24)
         with (tmp_path / "t.csv").open(newline="", encoding="utf-8") as file:
@@ -94,7 +94,7 @@ def test_tables(result, tmp_path, suffix):
 
 @pytest.mark.slow
 def test_captures(result, tmp_path):
-    export(result.trace, tmp_path / "t.pcapng")
+    export(result, tmp_path / "t.pcapng")
     with PcapNgReader(str(tmp_path / "t.pcapng")) as reader:
         texts = [b"".join(packet.comments).decode() for packet in reader]
     check(filter(is_data, texts))
@@ -102,7 +102,7 @@ def test_captures(result, tmp_path):
 
 @pytest.mark.slow
 def test_recordings(result, tmp_path):
-    export(result.trace, tmp_path / "t.mcap")
+    export(result, tmp_path / "t.mcap")
     check(filter(is_data, [message["body"] for _, message in read(tmp_path / "t.mcap")["/messages"]]))
 
 

@@ -239,6 +239,6 @@ def test_a_port_of_any_text_is_in_a_table(suffix, tmp_path):
 
     made = run(Scenario(team=Team(count=2), protocol=protocol, horizon=0.1, record={"messages": True}), 1)
     file = tmp_path / f"a.{suffix}"
-    export(made.trace, file)
+    export(made, file)
     table = pd.read_csv(file) if suffix == "csv" else pd.read_parquet(file)
     assert set(table["port"].dropna()) == {"half \\udcff"}

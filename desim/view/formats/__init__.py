@@ -1,4 +1,4 @@
 """Runs in the formats of other tools: pandas, Perfetto, Wireshark and Foxglove.
 
-A new format is one module and one entry in `export`.
+A new format is one exporter, in a module of its own, and one entry in `export`.
 """

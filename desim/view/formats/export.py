@@ -1,77 +1,138 @@
-"""The trace of a run in the formats of other programs, chosen by the suffix of the file."""
+"""Runs in the formats of other programs. An exporter writes one format; the suffix of the file chooses it.
 
-from collections.abc import Collection, Iterable, Mapping
+An exporter is a function of the result of a run and a path, or a frozen model that is called like one. The attributes
+in `ExporterTraits` give it a suffix. Built-in exporters, those of other distributions (entry points of the group
+`desim.exporters`) and those that a user names as "module:Name" are chosen and called alike.
+"""
+
 from pathlib import Path
-from types import MappingProxyType
+from typing import Annotated, Any
 
-from desim.analysis.knowledge import Pieces
+from pydantic import Field, ValidationError
+
+from desim.config.choice import OneOf
+from desim.config.error_texts import text_of
+from desim.config.model import Flag, Value
+from desim.config.suggestion import did_you_mean
+from desim.config.traits import Traits, kind_of
 from desim.config.trust import replacing
-from desim.kernel.core.events import Event
-from desim.view.data.headings import Headings
-from desim.view.formats import foxglove, pcapng, trace_table
+from desim.results.run_folder import StreamedResult
+from desim.simulation.run import Result
+from desim.view.formats.foxglove import Mcap
+from desim.view.formats.pcapng import Pcapng
+from desim.view.formats.perfetto import Perfetto
+from desim.view.formats.trace_table import Csv, Parquet
 
-TABLES = (".csv", ".parquet")
-"""The suffixes of tables; see `desim.view.formats.trace_table`."""
-COUNTED: Mapping[str, str] = MappingProxyType(
-    {".csv": "rows", ".parquet": "rows", ".pcapng": "packets", ".mcap": "messages"}
-)
-"""The items of a file, by its suffix."""
-NEEDED: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {".parquet": ("pyarrow", "parquet"), ".mcap": ("mcap", "mcap")}
-)
-"""The package that a format needs, and the extra of desim with this package."""
+WRITTEN = ("result", "file")
+"""The arguments of an exporter."""
 
 
-def export(
-    events: Iterable[Event],
-    file: str | Path,
-    kinds: Collection[str] = trace_table.KINDS,
-    beliefs: Pieces | None = None,
-    headings: Headings | None = None,
-) -> int:
-    """Write the trace of a run to a file, and return the number of its rows, packets or messages.
+class ExporterTraits(Traits):
+    """The optional attributes of an exporter, in addition to `__call__(result, file)`.
 
-    The events are not held in memory. The file is written beside its place and replaces an older one at the end.
+    The call writes the file, and returns the number of items in it, or None.
+    """
+
+    suffix: Annotated[str, Field(pattern=r"^\.[^/]+$")] | None = None
+    """The end of the names of its files, in lower case, for instance ".edges"; None: any."""
+    items: Annotated[str, Field(min_length=1)] = "items"
+    """What it counts, for instance "rows"."""
+    streams: Flag = False
+    """Whether it reads `result.trace` once, in order, and no more than it has to. A recorded trace is then read from
+    its file event by event, and may be longer than the memory; `result.scenario` is None for one without run.json."""
+    requires: tuple[str, str] | None = None
+    """A package that it imports, and the extra of desim that installs it; the error of a failed import names both."""
+
+
+EXPORTERS = OneOf(Csv, Parquet, Pcapng, Mcap, Perfetto, group="desim.exporters", takes=WRITTEN, traits=ExporterTraits)
+
+
+class _Chosen(Value):
+    """An exporter, as a table, a name or a callable object chooses it."""
+
+    exporter: Annotated[Any, EXPORTERS]
+
+
+def suffixes() -> dict[str, str]:
+    """Return the suffixes of all exporters that have a kind, and the kind of each."""
+    every = ((kind, ExporterTraits.of(model).suffix) for kind, model in EXPORTERS.choices().items())
+    return {suffix: kind for kind, suffix in every if suffix is not None}
+
+
+def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False, **parameters: Any) -> Any:
+    """Return the exporter that writes a file.
 
     Args:
-        events: the events of the run, in order: `result.trace`, or `desim.results.run_folder.events(folder)`.
-        file: the path of the file: .csv or .parquet (see `desim.view.formats.trace_table`), .pcapng
-            (`desim.view.formats.pcapng`) or .mcap (`desim.view.formats.foxglove`).
-        kinds: the types of the events in a table.
-        beliefs: the beliefs for .mcap, from `desim.analysis.knowledge.knowledge`; None: they are left out.
-        headings: the headings for .mcap; None: all players head along the x axis.
+        file: the path of the file.
+        exporter: an exporter, its kind, "module:Name" or a table with a kind; None: the suffix of the file chooses it.
+        allow_import: whether "module:Name" may import a module that is not an entry point.
+        **parameters: the parameters of an exporter that is given by its kind or by the suffix.
 
     Raises:
-        ValueError: if the file has another suffix, there is no such type of events, or the messages that a .pcapng
-            needs were not recorded.
+        ValueError: if the file has the wrong suffix, there is no such exporter, or it has no such parameters.
+    """
+    if exporter is None:
+        known = suffixes()
+        suffix = max((each for each in known if file.name.lower().endswith(each)), key=len, default=None)
+        if suffix is None:
+            *others, last = known
+            raise ValueError(f"{file}: should end in {', '.join(others)} or {last}")
+        exporter = known[suffix]
+    if isinstance(exporter, str):
+        exporter = {"kind": exporter, **parameters}
+    try:
+        context = {"allow_import": allow_import, "folder": Path.cwd()}
+        chosen: Any = _Chosen.model_validate({"exporter": exporter}, context=context).exporter
+    except ValidationError as error:
+        raise ValueError(_reason(error, exporter)) from error
+    own = ExporterTraits.of(chosen).suffix
+    if own is not None and not file.name.lower().endswith(own):
+        raise ValueError(f"{file}: should end in {own} for the exporter {kind_of(chosen)}")
+    return chosen
+
+
+def _reason(error: ValidationError, exporter: Any) -> str:
+    """Return the text of the first error in the choice of an exporter."""
+    first = error.errors()[0]
+    name = exporter["kind"] if isinstance(exporter, dict) and "kind" in exporter else repr(exporter)
+    key = ".".join(str(part) for part in first["loc"][1:] if part != name)
+    if first["type"] == "union_tag_invalid":
+        kinds = list(EXPORTERS.choices())
+        return f"there is no exporter {name}{did_you_mean(name, kinds)}; there are {', '.join(kinds)} and module:Name"
+    if first["type"] == "extra_forbidden":
+        return f"the exporter {name} has no parameter {key!r}"
+    return f"exporter {name}: {f'{key}: ' if key else ''}{text_of(first)}"
+
+
+def export(result: Result | StreamedResult, file: str | Path, exporter: Any = None) -> int | None:
+    """Write a run to a file, and return the number of its rows, packets, messages or other items.
+
+    Use it to read a run in another program; `desim.open` reads a run that desim has written to a folder. The file is
+    written beside its place and replaces an older one at the end.
+
+    Args:
+        result: the result of the run, or of `desim.results.run_folder.streamed(folder)`.
+        file: the path of the file; without an `exporter`, its suffix chooses one: see `suffixes`.
+        exporter: an exporter, its kind or "module:Name", for instance `Csv(events=("Decided",))`.
+
+    Raises:
+        ValueError: if the file has another suffix, or the messages that a .pcapng needs were not recorded.
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.
     """
     file = Path(file)
-    check_suffix(file)
-    trace_table.columns_of(kinds)  # raises an error for a wrong kind before anything is written
-    suffix = file.suffix.lower()
+    chosen = exporter_for(file, exporter, allow_import=True)
+    needed = ExporterTraits.of(chosen).requires
     with replacing(file) as part:
         try:
-            match suffix:
-                case ".csv":
-                    return trace_table.write_csv(events, part, kinds)
-                case ".parquet":
-                    return trace_table.write_parquet(events, part, kinds)
-                case ".pcapng":
-                    return pcapng.write(events, part)
-            return foxglove.write(events, part, beliefs, headings)
+            count = chosen(result, part)
         except ModuleNotFoundError as error:
-            package, extra = NEEDED.get(suffix, ("", ""))
+            package, extra = needed or ("", "")
             if (error.name or "").partition(".")[0] != package:
                 raise
             raise ImportError(
                 f"{package} is missing: pip install 'pursuit-desim[{extra}]', or in a clone '.[{extra}]'"
             ) from error
-
-
-def check_suffix(file: Path) -> None:
-    """Raise ValueError unless the suffix of a file is that of a format."""
-    if file.suffix.lower() not in COUNTED:
-        *others, last = COUNTED
-        raise ValueError(f"{file}: should end in {', '.join(others)} or {last}")
+        if not part.exists():
+            raise ValueError(f"the exporter {kind_of(chosen)} should write the file that it is given, {part}")
+    return None if count is None else int(count)

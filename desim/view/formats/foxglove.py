@@ -19,16 +19,19 @@ from collections.abc import Iterable, Iterator, Mapping
 from heapq import merge
 from math import cos, sin
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
-from desim.analysis.knowledge import Pieces
+from desim.analysis.knowledge import Pieces, knowledge
+from desim.config.model import Value
 from desim.kernel.core.events import LOST as NEVER
-from desim.kernel.core.events import Broadcast, Event, Lost, Sent
+from desim.kernel.core.events import Broadcast, Event, Lost, Sent, Trace
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Point, Sampled, Started
+from desim.results.run_folder import StreamedResult
+from desim.simulation.run import Result
 from desim.view.data.headings import Headings
 from desim.view.formats.foxglove_schemas import SCHEMAS
 
@@ -86,6 +89,31 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, he
             count += 1
         writer.finish()
     return count
+
+
+class Mcap(Value):
+    """An MCAP file for Foxglove: players, messages, beliefs and a log.
+
+    It has no beliefs if `record.messages` is not true: with "file" the trace may be too long for the memory.
+    """
+
+    kind: Literal["mcap"] = "mcap"
+
+    suffix: ClassVar[str] = ".mcap"
+    items: ClassVar[str] = "messages"
+    streams: ClassVar[bool] = True
+    requires: ClassVar[tuple[str, str]] = "mcap", "mcap"
+
+    def __call__(self, result: Result | StreamedResult, file: Path) -> int:
+        """Write the file, and return the number of its messages."""
+        scenario, seed = result.scenario, result.seed
+        if scenario is None or seed is None:  # a trace without its run.json
+            return write(result.trace, file)
+        if scenario.record.messages is not True:
+            return write(result.trace, file, None, Headings(scenario, seed))
+        whole = Trace()
+        whole.events += result.trace
+        return write(whole, file, knowledge(Result(scenario, seed, whole)), Headings(scenario, seed))
 
 
 class Scene:

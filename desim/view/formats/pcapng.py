@@ -13,11 +13,15 @@ begun are in the file, and those that were dropped from a queue are not.
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import ClassVar, Literal
 
 from desim.analysis.trace_index import NO_MESSAGES
+from desim.config.model import Value
 from desim.kernel.core.events import MESSAGES, Broadcast, Event, MessageCounts, Sent
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.trace_file import body_json
+from desim.results.run_folder import StreamedResult
+from desim.simulation.run import Result
 
 SECTION_HEADER, INTERFACE, PACKET = 0x0A0D0D0A, 1, 6
 """Types of blocks."""
@@ -55,6 +59,20 @@ def write(events: Iterable[Event], file: Path) -> int:
             elif isinstance(event, MessageCounts) and event.sent and not are_recorded:
                 raise ValueError(NO_MESSAGES)
     return count
+
+
+class Pcapng(Value):
+    """A capture file for Wireshark: one packet per message."""
+
+    kind: Literal["pcapng"] = "pcapng"
+
+    suffix: ClassVar[str] = ".pcapng"
+    items: ClassVar[str] = "packets"
+    streams: ClassVar[bool] = True
+
+    def __call__(self, result: Result | StreamedResult, file: Path) -> int:
+        """Write the capture, and return the number of packets."""
+        return write(result.trace, file)
 
 
 def _header() -> bytes:

@@ -15,11 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import inf, nextafter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import to_json
+from desim.config.model import Value
 from desim.config.trust import write_whole
 from desim.kernel.core.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.core.portable_math import portable_sum
@@ -70,6 +71,19 @@ def perfetto(result: Result) -> str:
 def write(result: Result, path: Path) -> None:
     """Write the timeline of a run to a file."""
     write_whole(path, perfetto(result).encode())
+
+
+class Perfetto(Value):
+    """A timeline for https://ui.perfetto.dev."""
+
+    kind: Literal["perfetto"] = "perfetto"
+
+    suffix: ClassVar[str] = ".perfetto.json"
+    items: ClassVar[str] = "entries"
+
+    def __call__(self, result: Result, file: Path) -> None:
+        """Write the timeline."""
+        write(result, file)
 
 
 def _names(size: int, has_messages: bool) -> Iterator[Entry]:

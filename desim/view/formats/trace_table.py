@@ -10,8 +10,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
+from pydantic import AfterValidator
+
+from desim.config.model import Value
 from desim.config.trust import csv_cell
 from desim.kernel.core.events import (
     LOST,
@@ -30,7 +33,8 @@ from desim.kernel.core.events import (
 from desim.kernel.core.trace_file import body_json, value_json
 from desim.kernel.core.units import seconds
 from desim.pursuit.core.events import Sampled, Started
-from desim.results.run_folder import EVENTS
+from desim.results.run_folder import EVENTS, StreamedResult
+from desim.simulation.run import Result
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,6 +43,16 @@ Row = dict[str, Any]
 """A row: the values of its columns by name, without empty ones."""
 KINDS = tuple(kind.__name__ for kind in EVENTS)
 """The names of all types of events."""
+
+
+def _is_event(name: str) -> str:
+    if name not in KINDS:
+        raise ValueError(f"there are no events {name}; there are {', '.join(KINDS)}")
+    return name
+
+
+EventName = Annotated[str, AfterValidator(_is_event)]
+"""The name of a type of events."""
 
 
 class Column(NamedTuple):
@@ -162,6 +176,41 @@ def write_parquet(events: Iterable[Event], file: Path, kinds: Collection[str] = 
             writer.write_table(_arrow_table(batch, schema))
             count += len(batch)
     return count
+
+
+class _Table(Value):
+    """Base of the exporters of tables."""
+
+    events: tuple[EventName, ...] = KINDS
+    """The types of events in the table; it has only the columns of these."""
+
+    items: ClassVar[str] = "rows"
+    streams: ClassVar[bool] = True
+
+
+class Csv(_Table):
+    """A table as CSV: one row per event and receiver or player."""
+
+    kind: Literal["csv"] = "csv"
+
+    suffix: ClassVar[str] = ".csv"
+
+    def __call__(self, result: Result | StreamedResult, file: Path) -> int:
+        """Write the table, and return the number of rows."""
+        return write_csv(result.trace, file, self.events)
+
+
+class Parquet(_Table):
+    """A table as Parquet."""
+
+    kind: Literal["parquet"] = "parquet"
+
+    suffix: ClassVar[str] = ".parquet"
+    requires: ClassVar[tuple[str, str]] = "pyarrow", "parquet"
+
+    def __call__(self, result: Result | StreamedResult, file: Path) -> int:
+        """Write the table, and return the number of rows."""
+        return write_parquet(result.trace, file, self.events)
 
 
 def _arrow_table(batch: Sequence[Row], schema: "pa.Schema") -> "pa.Table":
