@@ -1,0 +1,178 @@
+"""What all checks of models have in common: how a model is given, how it is run twice, and how its error is told."""
+
+import random
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import zip_longest
+from math import sqrt
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+import cloudpickle
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from desim.config.choice import OneOf
+from desim.config.error_texts import text_of
+from desim.config.fresh import fresh_copy
+from desim.config.shared_state import StateWarning
+from desim.config.traits import name_of
+from desim.kernel.core.events import Watcher
+from desim.kernel.core.trace_file import line_of
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result
+from desim.simulation.watchdog import TimedOut, within
+from desim.testing.pursuits import watched
+
+ERRORS = 5.0
+"""Standard errors by which a mean or a share may be off: 1 in 2 million by chance."""
+DISTANCE = 2.7
+"""Scaled Kolmogorov-Smirnov distance of two samples of one distribution: exceeded 1 time in a million by chance."""
+SEED = 7
+"""Seed of the runs; the check of an unchanged model always gives the same result."""
+
+
+class WrongModel(AssertionError):
+    """A model breaks the contract of its kind; the text names the call, the input and what is expected."""
+
+
+class Subject(NamedTuple):
+    """A model that is being checked."""
+
+    model: Any
+    name: str
+
+    def fail(self, text: str) -> NoReturn:
+        """Raise the error that says what is wrong with the model."""
+        raise WrongModel(f"{self.name}: {text}")
+
+    def require(self, truth: object, text: str) -> None:
+        """Raise the error that says what is wrong with the model, unless a condition is true."""
+        if not truth:
+            self.fail(text)
+
+    def blame(self, where: str, error: Exception) -> NoReturn:
+        """Raise the error that says that a call raised another one."""
+        if isinstance(error, WrongModel):
+            raise error
+        if isinstance(error, StateWarning):
+            raise WrongModel(f"{self.name}: {where} depends on an earlier run: {error}") from error
+        notes = " ".join(["", *getattr(error, "__notes__", ())])
+        what = "breaks an invariant" if isinstance(error, AssertionError) else f"raises {type(error).__name__}"
+        raise WrongModel(f"{self.name}: {where} {what}: {error}{notes}") from error
+
+    @contextmanager
+    def fresh(self) -> Iterator[Any]:
+        """Yield the model as a run has it: with the state that it had before the check."""
+        with fresh_copy(self.model) as model:
+            yield model
+
+    @contextmanager
+    def judged(self, where: str, limit: float = 10.0) -> Iterator[None]:
+        """Turn every error of a block into one about the model, and compare the global random generators.
+
+        Args:
+            where: the call or the situation that the block is.
+            limit: the time that the block may take, s of wall time.
+        """
+        before = random.getstate(), _state_of_numpy()
+        try:
+            with warnings.catch_warnings(), within(limit):
+                warnings.simplefilter("error", StateWarning)
+                yield
+        except TimedOut as error:
+            raise WrongModel(f"{self.name}: {where} does not end, or no simulated time passes: {error}") from error
+        except Exception as error:
+            self.blame(where, error)
+        for module, state, now in zip(
+            ("random", "numpy.random"), before, (random.getstate(), _state_of_numpy()), strict=True
+        ):
+            self.require(state == now, f"{where} draws from the global generator of {module}; draw from the one given")
+
+
+def _state_of_numpy() -> tuple[Any, ...]:
+    name, keys, *rest = np.random.get_state()  # noqa: NPY002 - to see whether somebody else uses it
+    return name, keys.tobytes(), *rest
+
+
+def subject(model: Any, family: OneOf, what: str) -> Subject:
+    """Return the model that a user gives to a check, and its name.
+
+    Args:
+        model: an object, a class that needs no parameters, a table with a `kind`, a kind, or "module:name".
+        family: the kinds of the family.
+        what: the noun of the family, for error messages.
+
+    Raises:
+        WrongModel: if a scenario would refuse it, or it cannot be sent to another process.
+    """
+    name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
+    try:
+        made = model() if isinstance(model, type) else model
+        context = {"allow_import": True, "folder": Path.cwd()}
+        made = TypeAdapter(Annotated[Any, family]).validate_python(made, context=context)
+    except ValidationError as error:
+        raise WrongModel(f"{name} is not a {what}: {'; '.join(map(_problem, error.errors()))}") from error
+    except TypeError as error:
+        raise WrongModel(f"{name} needs parameters, so give an object: {error}") from error
+    found = Subject(made, name)
+    try:
+        cloudpickle.loads(cloudpickle.dumps(made))
+    except Exception as error:  # code of an object may raise anything
+        raise WrongModel(f"{name} cannot be pickled, which the workers of a sweep need: {error}") from error
+    return found
+
+
+def _problem(error: Any) -> str:
+    place = ".".join(map(str, error["loc"]))
+    return f"{place}: {text_of(error)}" if place else text_of(error)
+
+
+def twice(
+    tested: Subject, where: str, scenario: Callable[[], Scenario], *, limit: float = 10.0, watchers: Sequence[Any] = ()
+) -> Result:
+    """Run a scenario twice with all invariants watched; return the second result.
+
+    Args:
+        tested: the model that the scenario contains.
+        where: what the scenario is, for error messages.
+        scenario: returns the scenario.
+        limit: the time that each run may take, s of wall time.
+        watchers: functions without arguments that each create a watcher of one run.
+
+    Raises:
+        WrongModel: if a run raises an error, breaks an invariant or does not end, or if the second run differs.
+    """
+    lines: list[list[str]] = []
+    for _ in range(2):
+        with tested.judged(where, limit):
+            own: list[Watcher] = [create() for create in watchers]
+            result = watched(scenario(), SEED, *own)
+            lines.append(list(map(line_of, result.trace)))
+    for first, second in zip_longest(*lines, fillvalue="the end of the trace"):
+        if first != second:
+            tested.fail(
+                f"{where}: two runs of one scenario and seed differ, first {first.strip()} and then {second.strip()}:"
+                " every draw should be from the generator that it is given, and nothing from the clock of the computer,"
+                " the order of a set, a global variable or a class"
+            )
+    return result
+
+
+def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:
+    """Return whether two samples, (n,) and (m,), are of different distributions (Kolmogorov and Smirnov)."""
+    values = np.sort(np.concatenate((first, second)))
+    shares = [np.searchsorted(np.sort(sample), values, "right") / len(sample) for sample in (first, second)]
+    # Equal values that are computed in two ways differ by rounding, which is no difference of distributions.
+    if np.allclose(np.sort(first), np.sort(second)[: len(first)]) and len(first) == len(second):
+        return False
+    scale = sqrt(len(first) * len(second) / (len(first) + len(second)))
+    return bool(np.abs(shares[0] - shares[1]).max() * scale > DISTANCE)
+
+
+def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
+    """Return whether the mean of a sample is more than 5 standard errors, and a tolerance, from a value."""
+    error = float(sample.std(ddof=1)) / sqrt(len(sample))
+    return not abs(float(sample.mean()) - mean) <= ERRORS * error + tolerance
