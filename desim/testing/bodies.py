@@ -2,6 +2,7 @@
 
 from cmath import phase, rect
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from math import inf, pi
 from typing import Any, NamedTuple
@@ -272,7 +273,7 @@ def check_body(body: Any, *, limit: float = 10.0) -> None:
         limit: the time that each part may take, s of wall time.
 
     Raises:
-        WrongModel: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
     """
     tested = subject(body, DYNAMICS, "body")
     with tested.judged("body(position, course, command)", limit), tested.fresh() as model:
@@ -291,7 +292,7 @@ def check_body(body: Any, *, limit: float = 10.0) -> None:
         ("a run of pursuers with it", {"team": Team(count=4, speeds=3.0, dynamics=tested.model)}),
         ("a run of an evader with it", {"evader": Evader(dynamics=tested.model), "team": Team(count=4)}),
     ):
-        twice(tested, where, lambda parts=parts: Scenario(horizon=2.0, **parts), limit=limit)  # type: ignore[misc]
+        twice(tested, where, partial(Scenario, horizon=1.0, **parts), limit=limit)
 
 
 def _check_simple(body: _Body) -> None:

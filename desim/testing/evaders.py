@@ -3,6 +3,7 @@
 from cmath import rect
 from collections.abc import Iterator
 from itertools import product
+from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
         limit: the time that each part may take, s of wall time.
 
     Raises:
-        WrongModel: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
     """
     tested = subject(strategy, STRATEGIES, "strategy of an evader")
     with tested.judged("strategy(state, rng)", limit):
@@ -93,8 +94,8 @@ def _check(tested: Subject, case: _Case) -> None:
     again = _heading(tested, case)
     tested.require(
         heading == again,
-        f"{case} returns {heading} and, for an equal state and rng, {again}: draw from rng only; the heading before, and"
-        " since when, are state.heading and state.elapsed",
+        f"{case} returns {heading} and, for an equal state and rng, {again}: draw from rng only; the heading before is"
+        " state.heading, and the time since then state.elapsed",
     )
     if not StrategyTraits.of(tested.model).listens:
         other = _heading(tested, case._replace(handover=not case.handover))
@@ -111,12 +112,12 @@ def _heading(tested: Subject, case: _Case) -> complex:
     except Exception as error:
         tested.blame(str(case), error)
     for name, value in vars(untouched).items():
-        same = np.array_equal(getattr(state, name, None), value)
-        tested.require(same, f"{case} changes state.{name} from {value} to {getattr(state, name, None)}; copy it")
-    if type(heading) is bool or not isinstance(heading, int | float | complex | np.number):
+        after: Any = getattr(state, name, None)
+        tested.require(np.array_equal(after, value), f"{case} changes state.{name} from {value} to {after}; copy it")
+    if isinstance(heading, bool) or not isinstance(heading, int | float | complex | np.number):
         tested.fail(f"{case} returns {heading!r}, expected a heading: a complex number x + 1j * y of length at most 1")
-    length = abs(heading)
-    tested.require(length == length, f"{case} returns {heading}, expected a finite complex number")  # noqa: PLR0124
+    length = float(np.abs(heading))
+    tested.require(not isnan(length), f"{case} returns {heading}, expected a finite complex number")
     tested.require(
         length <= 1.0 + ROUNDING,
         f"{case} returns {heading} of length {length:.4g}, expected at most 1: the velocity is the heading times the"

@@ -19,7 +19,6 @@ from desim.config.error_texts import text_of
 from desim.config.fresh import fresh_copy
 from desim.config.shared_state import StateWarning
 from desim.config.traits import name_of
-from desim.kernel.core.events import Watcher
 from desim.kernel.core.trace_file import line_of
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
@@ -34,7 +33,7 @@ SEED = 7
 """Seed of the runs; the check of an unchanged model always gives the same result."""
 
 
-class WrongModel(AssertionError):
+class ContractError(AssertionError):
     """A model breaks the contract of its kind; the text names the call, the input and what is expected."""
 
 
@@ -46,7 +45,7 @@ class Subject(NamedTuple):
 
     def fail(self, text: str) -> NoReturn:
         """Raise the error that says what is wrong with the model."""
-        raise WrongModel(f"{self.name}: {text}")
+        raise ContractError(f"{self.name}: {text}")
 
     def require(self, truth: object, text: str) -> None:
         """Raise the error that says what is wrong with the model, unless a condition is true."""
@@ -55,13 +54,13 @@ class Subject(NamedTuple):
 
     def blame(self, where: str, error: Exception) -> NoReturn:
         """Raise the error that says that a call raised another one."""
-        if isinstance(error, WrongModel):
+        if isinstance(error, ContractError):
             raise error
         if isinstance(error, StateWarning):
-            raise WrongModel(f"{self.name}: {where} depends on an earlier run: {error}") from error
+            raise ContractError(f"{self.name}: {where} depends on an earlier run: {error}") from error
         notes = " ".join(["", *getattr(error, "__notes__", ())])
         what = "breaks an invariant" if isinstance(error, AssertionError) else f"raises {type(error).__name__}"
-        raise WrongModel(f"{self.name}: {where} {what}: {error}{notes}") from error
+        raise ContractError(f"{self.name}: {where} {what}: {error}{notes}") from error
 
     @contextmanager
     def fresh(self) -> Iterator[Any]:
@@ -83,7 +82,7 @@ class Subject(NamedTuple):
                 warnings.simplefilter("error", StateWarning)
                 yield
         except TimedOut as error:
-            raise WrongModel(f"{self.name}: {where} does not end, or no simulated time passes: {error}") from error
+            raise ContractError(f"{self.name}: {where} does not end, or no simulated time passes: {error}") from error
         except Exception as error:
             self.blame(where, error)
         for module, state, now in zip(
@@ -93,8 +92,8 @@ class Subject(NamedTuple):
 
 
 def _state_of_numpy() -> tuple[Any, ...]:
-    name, keys, *rest = np.random.get_state()  # noqa: NPY002 - to see whether somebody else uses it
-    return name, keys.tobytes(), *rest
+    state: Any = np.random.get_state()  # noqa: NPY002 - to see whether somebody else uses it
+    return state[0], state[1].tobytes(), *state[2:]
 
 
 def subject(model: Any, family: OneOf, what: str) -> Subject:
@@ -106,7 +105,7 @@ def subject(model: Any, family: OneOf, what: str) -> Subject:
         what: the noun of the family, for error messages.
 
     Raises:
-        WrongModel: if a scenario would refuse it, or it cannot be sent to another process.
+        ContractError: if a scenario would refuse it, or it cannot be sent to another process.
     """
     name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
     try:
@@ -114,14 +113,14 @@ def subject(model: Any, family: OneOf, what: str) -> Subject:
         context = {"allow_import": True, "folder": Path.cwd()}
         made = TypeAdapter(Annotated[Any, family]).validate_python(made, context=context)
     except ValidationError as error:
-        raise WrongModel(f"{name} is not a {what}: {'; '.join(map(_problem, error.errors()))}") from error
+        raise ContractError(f"{name} is not a {what}: {'; '.join(map(_problem, error.errors()))}") from error
     except TypeError as error:
-        raise WrongModel(f"{name} needs parameters, so give an object: {error}") from error
+        raise ContractError(f"{name} needs parameters, so give an object: {error}") from error
     found = Subject(made, name)
     try:
         cloudpickle.loads(cloudpickle.dumps(made))
     except Exception as error:  # code of an object may raise anything
-        raise WrongModel(f"{name} cannot be pickled, which the workers of a sweep need: {error}") from error
+        raise ContractError(f"{name} cannot be pickled, which the workers of a sweep need: {error}") from error
     return found
 
 
@@ -143,12 +142,12 @@ def twice(
         watchers: functions without arguments that each create a watcher of one run.
 
     Raises:
-        WrongModel: if a run raises an error, breaks an invariant or does not end, or if the second run differs.
+        ContractError: if a run raises an error, breaks an invariant or does not end, or if the second run differs.
     """
     lines: list[list[str]] = []
     for _ in range(2):
         with tested.judged(where, limit):
-            own: list[Watcher] = [create() for create in watchers]
+            own = [create() for create in watchers]
             result = watched(scenario(), SEED, *own)
             lines.append(list(map(line_of, result.trace)))
     for first, second in zip_longest(*lines, fillvalue="the end of the trace"):

@@ -285,7 +285,7 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
             transmissions needs more.
 
     Raises:
-        WrongModel: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
     """
     tested = subject(latency, LATENCIES, "latency")
     links = _Latencies(tested, nodes, "latency")
@@ -315,7 +315,7 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
         share: the expected share of lost messages, in [0, 1], between nodes on a circle of radius 5 m; None: any.
 
     Raises:
-        WrongModel: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
     """
     tested = subject(loss, LOSSES, "loss")
     links = _Losses(tested, nodes, "loss")

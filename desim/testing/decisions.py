@@ -1,0 +1,249 @@
+"""Checks of protocols and schedules: `check_protocol` and `check_schedule`."""
+
+import os
+import subprocess
+import sys
+from functools import cached_property, partial
+from math import inf
+from types import FrameType
+from typing import Any
+
+import cloudpickle
+
+from desim.kernel.core.events import Broadcast, Event, Queued, Sent
+from desim.kernel.core.units import seconds
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.core.traits import ProtocolTraits
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.announcements import Announcements
+from desim.scenario.players import Evader, Team
+from desim.scenario.scenario import PROTOCOLS, Recording, Scenario
+from desim.simulation.restartable import RestartableProcess
+from desim.simulation.run import run
+from desim.testing.judging import SEED, Subject, subject, twice
+from protocols.best_response import BestResponse
+from protocols.rule import SCHEDULES
+from protocols.schedules.periodic import slot_length
+
+HORIZON = 1.0
+"""Length of a run, s; the pursuers capture no evader before."""
+SITUATIONS: dict[str, dict[str, Any]] = {
+    "a run of one pursuer": {"team": Team(count=1, speeds=2.0)},
+    "a run of two pursuers": {"team": Team(count=2, speeds=2.0)},
+    "a run of two evaders": {"evader": Evader(count=2)},
+    "a run in which no message arrives": {"network": Links(loss=1.0)},
+    "a run in which messages arrive late and out of order": {"network": Links(latency=Uniform(low=0.0, high=1.0))},
+    "a run in which every message arrives twice": {"network": Links(latency=0.01, duplicate=1.0)},
+    "a run in which a pursuer crashes": {"fault": (Crash(node=1, start=0.2, end=0.5),)},
+    "a run in which a pursuer crashes and loses its memory": {
+        "fault": (Crash(node=0, start=0.2, end=0.5, memory=False),)
+    },
+    "a run in which pursuers see 3 m": {"sensing": Sensing(radius=3.0)},
+    "a run in which positions are announced": {"announce": Announcements(payload="state")},
+}
+"""Scenarios of five pursuers that differ from the default in one or two keys."""
+
+
+def _scenario(protocol: Any, parts: dict[str, Any]) -> Scenario:
+    # Without heartbeats, which would announce an action that the protocol does not announce.
+    announce = Announcements(trigger="change")
+    team = Team(count=5, speeds=2.0)
+    usual = {"horizon": HORIZON, "team": team, "announce": announce, "record": Recording(messages=True)}
+    return Scenario(**usual | {"protocol": protocol} | parts)
+
+
+def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = False) -> None:
+    """Check a protocol; if you are unsure whether yours is right, run this.
+
+    It runs small scenarios: with one, two and five pursuers and with two evaders, with messages that are lost, late or
+    doubled, with crashes, with sensors of short range, and with another content of announcements. No run may raise an
+    error, break an invariant of messages or motion (`watched`), or go on without end; and two runs of one scenario and
+    seed are equal. It also checks that the protocol draws from no global random generator; that pursuers decide, each
+    for itself; that they announce what they decide; that the protocol object remembers nothing, since all pursuers
+    share it; and that it can be sent to the workers of a sweep.
+
+    Args:
+        protocol: a function or object, a class that needs no parameters, a kind, or "module:name".
+        limit: the time that each run may take, s of wall time.
+        hash_seeds: whether a run is also repeated in two other processes with different values of `PYTHONHASHSEED`,
+            which takes some seconds; if in doubt, True if the protocol has sets.
+
+    Raises:
+        ContractError: an AssertionError; if the protocol is wrong, with the situation and what is expected.
+    """
+    tested = subject(protocol, PROTOCOLS, "protocol")
+    _check_runs(tested, tested.model, limit)
+    if hash_seeds:
+        _check_hash_seeds(tested, _scenario(tested.model, {}))
+
+
+def check_schedule(schedule: Any, *, limit: float = 10.0) -> None:
+    """Check a schedule; if you are unsure whether yours is right, run this.
+
+    It runs the protocol `best_response` with the schedule as `check_protocol` does, and compares `mean_slot(me)` with
+    the mean time between two turns of the team.
+
+    Args:
+        schedule: an object, a class that needs no parameters, a kind, or "module:name".
+        limit: the time that each run may take, s of wall time.
+
+    Raises:
+        ContractError: an AssertionError; if the schedule is wrong, with the situation and what is expected.
+    """
+    tested = subject(schedule, SCHEDULES, "schedule")
+    _check_slots(tested, limit)
+    _check_runs(tested, BestResponse(schedule=tested.model), limit)
+
+
+def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
+    """Run a protocol in all situations."""
+    watchers: list[_Decisions] = []
+
+    def watcher() -> _Decisions:
+        watchers.append(_Decisions(tested, ProtocolTraits.of(protocol)))
+        return watchers[-1]
+
+    where = "a run of five pursuers"
+    twice(tested, where, partial(_scenario, protocol, {}), limit=limit, watchers=[watcher])
+    watchers[-1].judge(where)
+    decided = watchers[-1].decided
+    for where, parts in SITUATIONS.items():
+        twice(tested, where, partial(_scenario, protocol, parts), limit=limit, watchers=[watcher])
+        watchers[-1].judge(where)
+        decided += watchers[-1].decided
+    tested.require(
+        decided, f"no pursuer decides within {HORIZON:g} s: expected me.assign(action), and then me.announce()"
+    )
+
+
+class _Decisions:
+    """A watcher of the decisions of a run: who makes them, and whether they are announced.
+
+    Attributes:
+        decided: the number of decisions.
+    """
+
+    def __init__(self, tested: Subject, traits: ProtocolTraits):
+        self._tested, self._traits = tested, traits
+        self.decided = 0
+        self._actions: list[int] = []
+        self._untold: dict[int, int] = {}
+        """By pursuer, the time of its last change of action, ns, if it has sent nothing since."""
+        self._protocol: Any = None
+        self._memory: bytes | None = None
+
+    def __call__(self, event: Event) -> None:
+        """Check an event."""
+        if isinstance(event, Started):
+            self._actions = list(event.active)
+        elif isinstance(event, Broadcast | Sent | Queued):
+            self._untold.pop(event.src, None)
+        elif isinstance(event, Decided):
+            self.decided += 1
+            self._check_decision(event)
+
+    def _check_decision(self, event: Decided) -> None:
+        pursuer, protocol = _process()
+        if self._protocol is None and protocol is not None:
+            self._protocol, self._memory = protocol, _memory_of(protocol)
+        if pursuer is not None and pursuer != event.pursuer and not self._traits.omniscient:
+            self._tested.fail(
+                f"pursuer {pursuer} sets the action of pursuer {event.pursuer} at {seconds(event.t):g} s: each decides"
+                " for itself with me.assign(action), unless the protocol has omniscient = True"
+            )
+        if event.active == self._actions[event.pursuer]:
+            return
+        self._actions[event.pursuer] = event.active
+        before = self._untold.get(event.pursuer)
+        if before is not None and before < event.t and self._traits.announces is True and len(self._actions) > 1:
+            self._tested.fail(
+                f"pursuer {event.pursuer} changes its action at {seconds(before):g} s and again at"
+                f" {seconds(event.t):g} s, and sends no message between: call me.announce() after me.assign(action), or"
+                " set announces = False"
+            )
+        self._untold[event.pursuer] = event.t
+
+    def judge(self, where: str) -> None:
+        """Require that the protocol object is as it was at the first decision."""
+        self._tested.require(
+            self._protocol is None or _memory_of(self._protocol) == self._memory,
+            f"{where} changes the attributes of the object, which all pursuers share, so that they know of each other"
+            " without a message: keep what a pursuer remembers in local variables of the generator",
+        )
+
+
+def _process() -> tuple[int | None, Any]:
+    """Return the pursuer whose process is running, and its protocol; None if a function is called at a time."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None and frame.f_code is not RestartableProcess._behave.__code__:
+        frame = frame.f_back
+    return (None, None) if frame is None else (frame.f_locals["agent"].id, frame.f_locals["protocol"])
+
+
+def _memory_of(protocol: Any) -> bytes | None:
+    """Return the attributes of an object, without what is computed once, as bytes; None if it has none."""
+    held = getattr(protocol, "__dict__", {})
+    cached = {name for name in held if isinstance(getattr(type(protocol), name, None), cached_property)}
+    try:
+        return bytes(cloudpickle.dumps({name: value for name, value in held.items() if name not in cached}))
+    except Exception:  # code of an object may raise anything
+        return None
+
+
+def _check_slots(tested: Subject, limit: float) -> None:
+    """Compare the mean slot of a schedule with its turns."""
+    horizon, schedule = 10.0, tested.model
+    turns: list[float] = []
+    slots: list[float] = []
+
+    def counts(me: Agent) -> Process:
+        def revise() -> None:
+            turns.append(me.now)
+            me.assign(me.action)
+
+        slots.append(slot_length(schedule, me))
+        yield from schedule(me, revise)
+
+    with tested.judged("a run of 10 s", limit):
+        run(_scenario(counts, {"horizon": horizon}), SEED)
+    last = max(turns, default=0.0)
+    slot, instants = slots[0] if slots else inf, len(set(turns))
+    expected = last / slot
+    tested.require(turns, f"no pursuer has a turn within {horizon:g} s: call revise() and then me.announce()")
+    tested.require(
+        instants <= 2.0 * expected + 5.0 and len(turns) >= expected / 2.0 - 5.0,
+        f"mean_slot(me) of a team of 5 returns {slot:.4g} s, and it has {len(turns)} turns at {instants} instants in"
+        f" {last:.4g} s: expected the mean time between two turns of the team",
+    )
+
+
+_HASHED = """
+import sys, cloudpickle
+from hashlib import sha256
+scenario, seed = cloudpickle.loads(sys.stdin.buffer.read())
+from desim import run
+from desim.kernel.core.trace_file import line_of
+print(sha256("".join(map(line_of, run(scenario, seed).trace)).encode()).hexdigest())
+"""
+
+
+def _check_hash_seeds(tested: Subject, scenario: Scenario) -> None:
+    """Require that a run is the same in processes with different hash seeds."""
+    request = cloudpickle.dumps((scenario, SEED))
+    digests = set()
+    for hash_seed in ("1", "2"):
+        environment = os.environ | {"PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)}
+        with tested.judged(f"a process with PYTHONHASHSEED={hash_seed}", 120.0):
+            ended = subprocess.run(
+                [sys.executable, "-c", _HASHED], input=request, capture_output=True, env=environment, check=False
+            )
+        tested.require(not ended.returncode, f"a run in another process fails: {ended.stderr.decode()[-300:]}")
+        digests.add(ended.stdout)
+    tested.require(
+        len(digests) == 1,
+        "runs under PYTHONHASHSEED=1 and =2 differ: sort sets before you go through or draw from them",
+    )
