@@ -233,7 +233,9 @@ class _Losses(_Links):
         dst = self.targets(0)[:3]
         together, alone = np.empty((2, draws, 2, len(dst)))
         for run in range(draws):
-            together[run] = list(self.replies([(0, dst)] * 2, run))
+            # In another order the second time, so that a state that belongs to a position is found.
+            first, second = self.replies([(0, dst), (0, dst[::-1])], run)
+            together[run] = first, second[::-1]
             # Pairs of messages at the same times as above, asked link by link.
             replies = np.concatenate(list(self.replies([(0, [node]) for node in dst * 2], run + draws, step=0.01 / 3)))
             alone[run] = replies.reshape(2, len(dst))
@@ -312,7 +314,8 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
         loss: an object, a class that needs no parameters, a kind, or "module:name".
         nodes: the number of nodes.
         draws: the number of runs whose losses are compared, at least 2.
-        share: the expected share of lost messages, in [0, 1], between nodes on a circle of radius 5 m; None: any.
+        share: the expected share of lost messages from node 0 to the others, in [0, 1]; the nodes are on a circle of
+            radius 5 m. None: any share.
 
     Raises:
         ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.

@@ -1,0 +1,90 @@
+"""Every built-in kind passes the check of its family, which is the contract of a user's model, too."""
+
+import subprocess
+import sys
+
+import pytest
+
+import desim.testing
+from desim.analysis.metrics import METRICS
+from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.loss import LOSSES, Bernoulli, ByDistance, FourState, GilbertElliott
+from desim.pursuit.evaders.evasion import STRATEGIES
+from desim.pursuit.motion.dynamics import DYNAMICS
+from desim.scenario.scenario import PROTOCOLS
+from desim.testing import (
+    ContractError,
+    check_body,
+    check_evader,
+    check_latency,
+    check_loss,
+    check_metric,
+    check_protocol,
+    check_schedule,
+)
+from protocols.rule import SCHEDULES
+from tests.test_overrides import PARAMETERS
+
+CHECKS = [
+    (check_latency, LATENCIES),
+    (check_loss, LOSSES),
+    (check_body, DYNAMICS),
+    (check_evader, STRATEGIES),
+    (check_schedule, SCHEDULES),
+    (check_protocol, PROTOCOLS),
+]
+CASES = [(check, kind, model) for check, family in CHECKS for kind, model in family.choices().items()]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("check", "kind", "model"), CASES, ids=[f"{check.__name__}-{kind}" for check, kind, _ in CASES]
+)
+def test_a_built_in_kind_passes_the_check_of_its_family(check, kind, model):
+    check(model(**PARAMETERS.get(model.__name__, {})))
+
+
+@pytest.mark.slow
+def test_every_built_in_metric_passes_the_check_of_metrics():
+    """One at a time would be 90 times the same runs."""
+    check_metric(lambda result: sum(bool(metric(result)) for metric in METRICS.values()))
+
+
+SHARES = {
+    "bernoulli": (Bernoulli(p=0.3), 0.3),
+    "bursts": (GilbertElliott(share=0.2, loss_good=0.1), 0.2 + 0.8 * 0.1),
+    "by_distance": (ByDistance(near=0.4, far=0.4), 0.4),
+    "four_state": (FourState(), 0.06948640483383686),
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", SHARES)
+def test_the_share_of_a_loss_is_compared_with_that_of_the_theory(name):
+    """The control is a share that is 0.05 off.
+
+    Four states: (q + p14) / (1 + q (1 + p32 / p23) + p14) with q = p13 / p31.
+    """
+    model, share = SHARES[name]
+    check_loss(model, share=share)
+    with pytest.raises(ContractError, match=r"of the messages is lost.*expected 0\.\d+ within 5 standard errors"):
+        check_loss(model, share=share + 0.05)
+
+
+def test_a_model_is_given_as_an_object_a_class_a_kind_a_table_or_a_name():
+    for still in ("still", {"kind": "still"}, "desim.pursuit.evaders.evasion:Still", STRATEGIES.choices()["still"]):
+        check_evader(still)
+
+
+@pytest.mark.slow
+def test_a_run_is_the_same_under_every_hash_seed():
+    check_protocol("local_min", hash_seeds=True, limit=60.0)
+
+
+def test_the_checks_cost_nothing_until_they_are_used_and_need_no_pytest():
+    code = "import sys, desim, desim.testing; assert not {'numpy', 'pytest', 'desim.testing.links'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    code = "import sys; from desim.testing import *; assert check_latency and 'pytest' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'check_nothing'"):
+        _ = desim.testing.check_nothing
