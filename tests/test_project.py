@@ -124,4 +124,5 @@ MODULES = [
 
 @pytest.mark.parametrize("path", sorted({*PATHS, *(path for path in MODULES if "/" in path)}))
 def test_every_path_that_the_contribution_guide_and_the_workflow_name_is_there(path):
-    assert (ROOT / path).exists() or "NAME" in path
+    package = path.removesuffix(".py") + "/__main__.py"
+    assert (ROOT / path).exists() or (ROOT / package).exists() or "NAME" in path

@@ -180,7 +180,7 @@ class _Decisions:
 
 def _process() -> tuple[int | None, Any]:
     """Return the pursuer whose process is running, and its protocol; None if a function is called at a time."""
-    frame: "FrameType | None" = sys._getframe(1)
+    frame: FrameType | None = sys._getframe(1)
     while frame is not None and frame.f_code is not RestartableProcess._behave.__code__:
         frame = frame.f_back
     return (None, None) if frame is None else (frame.f_locals["agent"].id, frame.f_locals["protocol"])
