@@ -1,8 +1,12 @@
 """Scenario files: each of them runs, keeps its messages, and survives writing and reading."""
 
+import re
+
 import pytest
 
-from desim import load, summary
+from desim import Scenario, load, summary
+from desim.config.choice import choices_of
+from desim.config.model import Value, fields_of, models_in
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
 from desim.study.sweeps.sweep import SweepPlan
@@ -25,6 +29,36 @@ def test_a_sweep_of_a_scenario_gives_no_warning():
     swept = [scenario for name in FILES if (scenario := load(SCENARIOS / name)).sweep.grid]
     assert swept
     assert [list(SweepPlan.of(scenario).warnings()) for scenario in swept] == [[]] * len(swept)
+
+
+def kinds_within(model, seen):
+    """Yield every class with a kind that a field of a model, or of one within it, may have."""
+    for field in () if model in seen else fields_of(model).values():
+        choices = [kind for choice in choices_of(field) for kind in choice.choices().values()]
+        yield from choices
+        for inner in (*choices, *models_in(field.annotation)):
+            yield from kinds_within(inner, seen | {model})
+
+
+def classes_in(value):
+    """Yield the class of each model in a value."""
+    if isinstance(value, Value):
+        yield type(value)
+        value = dict(value)
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
+        yield from classes_in(inner)
+
+
+@pytest.mark.slow
+def test_every_kind_is_shown_by_a_scenario_file_or_a_study():
+    """A scenario shows what its grid varies, too. A study is read as text."""
+    scenarios = [load(SCENARIOS / name) for name in FILES]
+    swept = [each.scenario for base in scenarios if base.sweep.grid for each in SweepPlan.of(base).configurations]
+    shown = {kind for scenario in (*scenarios, *swept) for kind in classes_in(scenario)}
+    studies = "".join(path.read_text() for path in [*SCENARIOS.glob("*.py"), *SCENARIOS.glob("studies/*.py")])
+    hidden = {kind.__name__ for kind in set(kinds_within(Scenario, frozenset())) - shown}
+    assert {name for name in hidden if not re.search(rf"\b{name}\b", studies)} == set()
+    assert "MaxMin" not in hidden
 
 
 @pytest.mark.slow
