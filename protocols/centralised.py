@@ -2,7 +2,7 @@
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithm 3: the pursuer with the least capture time chases the evader. For several evaders, the optimal assignment
-    (`desim.pursuit.game.assignment`).
+    (`desim.pursuit.game.game`).
 Parameters: slot (time between two decisions).
 Assumes: an omniscient planner whose orders take effect at once. It does not use the network, so it is a benchmark for
     protocols on any network.
@@ -18,8 +18,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from desim.config.model import Period, Value
-from desim.pursuit.game.assignment import optimal_assignment
-from desim.pursuit.game.game import relay_pursuer
+from desim.pursuit.game.game import optimal_assignment, relay_pursuer
 from desim.pursuit.team.agent import Agent, Process
 
 

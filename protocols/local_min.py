@@ -17,7 +17,7 @@ Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 from collections.abc import Iterator
 from typing import ClassVar, Literal
 
-from desim.pursuit.game.assignment import greedy_assignment
+from desim.pursuit.game.game import greedy_assignment
 from desim.pursuit.team.agent import Agent
 from protocols.rule import Rule
 

@@ -6,7 +6,7 @@ import pytest
 from desim import Scenario, run, summary
 from desim.analysis.statistics import wilson
 from desim.pursuit.core.events import Captured, Decided, Ended
-from desim.pursuit.game.assignment import equilibria, gibbs, optimum, profiles, welfare
+from desim.pursuit.game.game import equilibria, gibbs, optimum, profiles, welfare
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording

@@ -8,7 +8,7 @@ the game is Phi(S) = r - mean of phi over S, with Phi(empty) = 0; members of S w
 largest for S = {i*}. Integrals run from 0 to the end of the run.
 
 With several evaders, there is one such game for each evader that is not yet captured. S_j is the set of the pursuers
-that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.game.assignment`). Phi is largest
+that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.game.game`). Phi is largest
 for a profile (the actions of all pursuers) with at most one pursuer on each evader. These are the relay pursuers of the
 evaders if they all differ, otherwise the pursuers that `optimal_assignment` gives.
 
@@ -36,7 +36,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.link_layer.propagation import TYPICAL_SIZE, LinkSampler
 from desim.kernel.models.links import Links
-from desim.pursuit.game.assignment import optimal_assignment
+from desim.pursuit.game.game import optimal_assignment
 from desim.simulation.run import Result, run
 
 NO_PURSUER = -1

@@ -22,7 +22,7 @@ from desim.kernel.core.events import Event, Watcher
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.core.state import lengths
-from desim.pursuit.game.assignment import welfare
+from desim.pursuit.game.game import welfare
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.motion.dynamics import Limited, coasts
 from desim.pursuit.motion.flow import is_uniform
@@ -331,7 +331,7 @@ class PotentialWatcher:
     """A watcher that checks that no decision lowers the potential; use it only under the assumptions below.
 
     The potential is the global utility Phi of the profile (the actions of all pursuers), with the capture times and the
-    time left at the instant of the decision (`desim.pursuit.game.assignment.welfare`). In a static game, the time left
+    time left at the instant of the decision (`desim.pursuit.game.game.welfare`). In a static game, the time left
     is always the whole horizon. With the utility `mean` of the paper, a change of action changes the pursuer's utility
     and Phi by the same amount. So no decision lowers Phi if
 

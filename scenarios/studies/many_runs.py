@@ -13,7 +13,7 @@ from desim.analysis.statistics import estimate, wilson
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import portable_sum
 from desim.pursuit.core.events import Captured, Decided, Started
-from desim.pursuit.game.assignment import optimum, welfare
+from desim.pursuit.game.game import optimum, welfare
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team

@@ -19,7 +19,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.game.assignment import welfare
+from desim.pursuit.game.game import welfare
 from desim.pursuit.motion.capture import capture_time
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Scenario

@@ -21,8 +21,7 @@ from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.pursuit.game.assignment import greedy_assignment
-from desim.pursuit.game.game import relay_profile
+from desim.pursuit.game.game import greedy_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment
 from desim.scenario.assumptions import violations

@@ -14,7 +14,7 @@ from desim.kernel.models.graphs import Edges
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided
-from desim.pursuit.game.assignment import greedy_assignment
+from desim.pursuit.game.game import greedy_assignment
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from protocols.cbaa import CBAA

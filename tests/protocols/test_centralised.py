@@ -7,7 +7,7 @@ from desim.kernel.models.faults import ClockSkew, Crash
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided
-from desim.pursuit.game.assignment import greedy_assignment, optimal_assignment
+from desim.pursuit.game.game import greedy_assignment, optimal_assignment
 from desim.scenario.players import Evader, Team
 from protocols.centralised import Centralised
 from tests.many import at_rest, by_evader, chased, times

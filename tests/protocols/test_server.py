@@ -19,8 +19,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
-from desim.pursuit.game.assignment import greedy_assignment, optimal_assignment
-from desim.pursuit.game.game import relay_profile
+from desim.pursuit.game.game import greedy_assignment, optimal_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import Announcements
 from desim.pursuit.team.beliefs import Belief

@@ -16,10 +16,10 @@ from desim.pursuit.game.game import (
     greedy_maximal_independent_set,
     is_equilibrium,
     logit,
-    potential,
     profiles,
     relay_profile,
     relay_pursuer,
+    welfare,
     wonderful_life_utility,
 )
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Minimum
@@ -44,7 +44,7 @@ def test_the_global_utility_is_an_exact_potential(game, data):
     assume(phi[i] < inf)
     other = [a if j != i else not a for j, a in enumerate(active)]
     own = wonderful_life_utility(phi, other, reward, i) - wonderful_life_utility(phi, active, reward, i)
-    everyones = potential(phi, other, reward) - potential(phi, active, reward)
+    everyones = welfare(phi, other, reward) - welfare(phi, active, reward)
     assert isclose(own, everyones, abs_tol=1e-9)
 
 
@@ -83,12 +83,12 @@ def test_the_relay_pursuer_is_the_least_and_first():
 
 def test_a_pursuer_that_cannot_capture_never_gains_and_never_counts():
     assert gain(inf, [], 5.0) == gain(inf, [1.0], 5.0) == -inf
-    assert potential([inf, 2.0], [True, True], 5.0) == potential([inf, 2.0], [False, True], 5.0) == 3.0
+    assert welfare([inf, 2.0], [True, True], 5.0) == welfare([inf, 2.0], [False, True], 5.0) == 3.0
 
 
 def test_a_lone_pursuer_chases_if_it_can_be_in_time():
     assert [gain(own, [], 5.0) for own in (4.0, 5.0, 6.0)] == [1.0, 0.0, -1.0]
-    assert potential([4.0], [False], 5.0) == 0.0
+    assert welfare([4.0], [False], 5.0) == 0.0
 
 
 def test_gibbs_law_of_two_pursuers_by_hand():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.game.game import logit, potential, profiles
+from desim.pursuit.game.game import logit, profiles, welfare
 from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
 
 times = st.floats(0.0, 60.0)
@@ -151,7 +151,7 @@ def of_edge_penalty(phi, active, reward, graph, factor=1.1):
 
 
 def of_mean(phi, active, reward, graph):
-    return potential(phi, active, reward)
+    return welfare(phi, active, reward)
 
 
 EXACT = {

@@ -5,7 +5,7 @@ import pytest
 
 from desim import run
 from desim.pursuit.core.events import Captured, Started
-from desim.pursuit.game.assignment import optimal_assignment, welfare
+from desim.pursuit.game.game import optimal_assignment, welfare
 from scenarios import many
 from scenarios.studies import many_runs
 from tests.scenarios.patching import patch_study

@@ -1,38 +1,69 @@
-"""The pursuit game of Lee & Bakolas: utilities, equilibria and the Gibbs distribution.
+"""The pursuit game of Lee & Bakolas with one or several evaders: utilities, equilibria, assignments.
 
-Each of N pursuers chooses to chase (active) or not (inactive). With S the set of active pursuers, phi_i the capture
-time of pursuer i and r the time left, the global utility is
+Each of N pursuers chooses one of M evaders or is inactive: an action is 0 or the number of an evader, 1 .. M. Let
+phi_ij be the capture time of pursuer i for evader j, and r the time left. The global utility is
 
-    U_E(S) = r - mean of phi_i over S,    U_E(empty) = 0.
+    Phi = sum over the chased evaders j of (r - mean of phi_ij over the pursuers that chase j).
 
-Each pursuer maximises its wonderful-life utility U_i = U_E(S) - U_E(S without i), for which U_E is an exact potential
-(Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"). A pursuer
-with phi_i = inf can only be inactive; it is never part of S.
+With one evader it is U_E(S) = r - mean of phi_i over the set S of active pursuers, and U_E(empty) = 0. Each pursuer
+maximises its wonderful-life utility, its marginal contribution to the term of its evader, for which Phi is an exact
+potential (Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"). A
+pursuer with phi_ij = inf never counts among those that chase j.
+
+If the capture times are distinct, every equilibrium is a matching: if several pursuers chase one evader, the one with
+the greatest capture time gains by becoming inactive. There are often many equilibria; the optimal profile, a
+maximum-weight matching, is one of them.
+
+If the capture times are distinct, every equilibrium has at least a third of the optimal global utility, and this bound
+is tight. Proof: let u_i be the utility of pursuer i in the equilibrium, which is a matching. For each pursuer i that
+the optimal profile assigns to an evader, let w_i be its utility if it chased this evader alone. Pursuer i does not gain
+by deviating to this evader. Hence w_i <= u_i if no other pursuer chases the evader in the equilibrium. If pursuer m
+chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one i only. The sum of all w_i, which is the
+optimal global utility, is therefore at most 3 times the sum of all u_i.
+
+Capture times `phi` are an (N, M) matrix or, with one evader, N numbers; then an action may also be a truth value.
+Functions raise ValueError if they are neither.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import product
 from math import exp, inf
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import portable_sum
 
-Profile = tuple[bool, ...]
-"""Whether each pursuer is active."""
+Profile = tuple[int, ...]
+"""The action of each pursuer: 0 to be inactive, j to chase evader j."""
 
 
-def potential(phi: Sequence[float], active: Sequence[bool], reward: float) -> float:
-    """Return the global utility U_E of a profile, s: `reward` less the mean capture time of the active pursuers."""
-    chasing = [phi_i for phi_i, a in zip(phi, active, strict=True) if a and phi_i < inf]
+def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
+    """Return the global utility Phi of a profile, s.
+
+    Args:
+        phi: (N, M) capture times, s; a pursuer with inf for its evader does not count.
+        actions: (N,) action of each pursuer.
+        reward: the time left, r, s.
+    """
+    teams = ([t for t, a in zip(times, actions, strict=True) if a == j] for j, times in enumerate(_columns(phi), 1))
+    return portable_sum(_term(team, reward) for team in teams)
+
+
+def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
+    """Return the marginal contribution of pursuer i to the global utility, s; only the term of its evader changes."""
+    if not actions[i]:
+        return 0.0
+    times = _columns(phi)[actions[i] - 1]
+    team = [j for j, action in enumerate(actions) if action == actions[i]]
+    return _term([times[j] for j in team], reward) - _term([times[j] for j in team if j != i], reward)
+
+
+def _term(times: Sequence[float], reward: float) -> float:
+    """Return the term of an evader in the global utility, s, given the capture times of those that chase it."""
+    chasing = [time for time in times if time < inf]
     return reward - portable_sum(chasing) / len(chasing) if chasing else 0.0
-
-
-def wonderful_life_utility(phi: Sequence[float], active: Sequence[bool], reward: float, i: int) -> float:
-    """Return the marginal contribution of pursuer i to the global utility, U_E(S) - U_E(S without i), s."""
-    without = [a and j != i for j, a in enumerate(active)]
-    return potential(phi, active, reward) - potential(phi, without, reward)
 
 
 def gain(own: float, others: Sequence[float], reward: float) -> float:
@@ -54,8 +85,8 @@ Hearing = Sequence[Collection[int]]
 
 
 def is_equilibrium(
-    phi: Sequence[float],
-    active: Sequence[bool],
+    phi: ArrayLike,
+    actions: Sequence[int],
     reward: float,
     gain: Gain = gain,
     hearing: Hearing | None = None,
@@ -63,24 +94,35 @@ def is_equilibrium(
     """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
 
     Args:
-        phi: (N,) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
-        active: (N,) profile, whether each pursuer is active.
+        phi: (N, M) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
+        actions: (N,) action of each pursuer.
         reward: the time left, r, s.
         gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.
         hearing: the pursuers whose actions count for each pursuer; all if None.
     """
-    for i, own in enumerate(phi):
-        heard = range(len(phi)) if hearing is None else hearing[i]
-        others = [phi[j] for j in heard if active[j] and j != i and phi[j] < inf]
-        advantage = gain(own, others, reward) if own < inf else -inf
-        if advantage < 0.0 if active[i] else advantage > 0.0:
+    return _is_equilibrium(_columns(phi), actions, reward, gain, hearing)
+
+
+def _is_equilibrium(
+    columns: list[list[float]], actions: Sequence[int], reward: float, gain: Gain, hearing: Hearing | None
+) -> bool:
+    """Do as `is_equilibrium`, given the capture times of all pursuers for each evader."""
+    for i, action in enumerate(actions):
+        heard = range(len(actions)) if hearing is None else hearing[i]
+        gains = [0.0]
+        for evader, times in enumerate(columns, start=1):
+            others = [times[j] for j in heard if actions[j] == evader and j != i and times[j] < inf]
+            gains.append(gain(times[i], others, reward) if times[i] < inf else -inf)
+        if gains[action] < max(gains):
             return False
     return True
 
 
-def equilibria(phi: Sequence[float], reward: float, gain: Gain = gain, hearing: Hearing | None = None) -> list[Profile]:
-    """Return all pure Nash equilibria, by enumeration of the 2^N profiles, for small N; see `is_equilibrium`."""
-    return [profile for profile in profiles(len(phi)) if is_equilibrium(phi, profile, reward, gain, hearing)]
+def equilibria(phi: ArrayLike, reward: float, gain: Gain = gain, hearing: Hearing | None = None) -> list[Profile]:
+    """Return all pure Nash equilibria by enumeration of the (M + 1)^N profiles, for small N; see `is_equilibrium`."""
+    columns = _columns(phi)
+    every = profiles(len(columns[0]), len(columns))
+    return [profile for profile in every if _is_equilibrium(columns, profile, reward, gain, hearing)]
 
 
 def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
@@ -98,23 +140,24 @@ def relay_profile(phi: Sequence[float], reward: float) -> Profile:
     return tuple(i == relay for i in range(len(phi)))
 
 
-def profiles(count: int) -> list[Profile]:
-    """Return all 2^count profiles in lexicographic order, pursuer 0 first."""
-    return list(product((False, True), repeat=count))
+def profiles(pursuers: int, evaders: int = 1) -> list[Profile]:
+    """Return all (M + 1)^N profiles in lexicographic order: the action of the last pursuer changes fastest."""
+    return list(product(range(evaders + 1), repeat=pursuers))
 
 
-def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
-    """Return the (2^N,) stationary distribution of log-linear learning at the temperature tau, s.
+def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
+    """Return the ((M + 1)^N,) stationary distribution of log-linear learning at the temperature tau, s.
 
-    The profiles are in the order of `profiles`. P(profile) is proportional to exp(U_E(profile) / tau): Blume 1993, "The
+    The profiles are in the order of `profiles`. P(profile) is proportional to exp(Phi(profile) / tau): Blume 1993, "The
     Statistical Mechanics of Strategic Interaction".
 
     Raises:
-        ValueError: if not all phi are finite.
+        ValueError: if not all capture times are finite.
     """
-    if not np.isfinite(phi).all():
-        raise ValueError(f"all capture times should be finite, got {list(phi)}")
-    heights = [potential(phi, profile, reward) for profile in profiles(len(phi))]
+    columns = _columns(phi)
+    if not np.isfinite(columns).all():
+        raise ValueError(f"all capture times should be finite, got {np.asarray(phi).tolist()}")
+    heights = [welfare(phi, actions, reward) for actions in profiles(len(columns[0]), len(columns))]
     return np.array(logit(heights, 1.0 / tau))
 
 
@@ -142,3 +185,64 @@ def greedy_maximal_independent_set(phi: Sequence[float], reward: float, hearing:
     for i in sorted(range(len(phi)), key=phi.__getitem__):
         active[i] = phi[i] < reward and not any(active[j] for j in hearing[i])
     return tuple(active)
+
+
+def optimal_assignment(phi: ArrayLike, reward: float) -> dict[int, int]:
+    """Return the assignment of pursuers to evaders with the greatest global utility.
+
+    Args:
+        phi: (N, M) capture times, s; inf or nan excludes a pair.
+        reward: the time left, r, s; pairs with phi >= r are excluded.
+
+    Returns:
+        The evader, 1 .. M, of each assigned pursuer, pursuers ascending.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    worth = _worth(phi, reward)
+    pairs = zip(*linear_sum_assignment(worth, maximize=True), strict=True)
+    return {int(i): int(j) + 1 for i, j in pairs if worth[i, j] > 0.0}
+
+
+def optimum(phi: ArrayLike, reward: float) -> float:
+    """Return the greatest global utility over all profiles, s; see `optimal_assignment`."""
+    worth = _worth(phi, reward)
+    return float(portable_sum(worth[i, j - 1] for i, j in optimal_assignment(phi, reward).items()))
+
+
+def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:
+    """Return the greedy assignment: it takes each pair, in order of (phi, pursuer, evader), if both are still free.
+
+    Args:
+        phi: the capture times, s, by evader and then by pursuer; nan if unknown.
+        reward: the time left, s; pairs with phi >= reward are excluded.
+
+    Returns:
+        The evader of each assigned pursuer.
+    """
+    pairs = sorted((t, i, j) for j, times in phi.items() for i, t in times.items() if t < reward)
+    chased: dict[int, int] = {}
+    for _, pursuer, evader in pairs:
+        if pursuer not in chased and evader not in chased.values():
+            chased[pursuer] = evader
+    return chased
+
+
+def _times(phi: ArrayLike) -> Floats:
+    """Return the (N, M) capture times, s; ValueError if they are neither a matrix nor N numbers."""
+    times = np.asarray(phi, dtype=float)
+    if times.ndim not in {1, 2}:
+        raise ValueError(f"capture times should be an (N, M) matrix, or N numbers, got shape {times.shape}")
+    return times.reshape(len(times), -1)
+
+
+def _columns(phi: ArrayLike) -> list[list[float]]:
+    """Return the capture times of all pursuers for each evader, s."""
+    columns: list[list[float]] = _times(phi).T.tolist()
+    return columns
+
+
+def _worth(phi: ArrayLike, reward: float) -> Floats:
+    """Return the (N, M) utilities, s, of each pursuer if it alone chased each evader; 0 if phi >= reward or nan."""
+    times = _times(phi)
+    return np.asarray(np.where(times < reward, reward - times, 0.0))
