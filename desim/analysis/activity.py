@@ -4,6 +4,9 @@ The action of a pursuer is the number of the evader that it chases, or 0; a purs
 number of active pursuers. Integrals, written "int", run from 0 to the end of the run. With several evaders n_j(t) is
 the number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders at large (not yet
 captured), so the integral of an n_j ends at the capture of j.
+
+Kept equal to a loop over the trace by
+`tests/analysis/test_metrics.py::test_energy_and_handovers_equal_those_of_a_plain_loop_over_the_trace`.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -3,6 +3,9 @@
 A record is a state, such as an action, that a pursuer has announced (`desim.kernel.core.records`). This pursuer is its
 source; a reader receives the record directly or over several hops. Of the records of one source that have arrived, a
 reader keeps the one with the highest sequence number. An older record that arrives later is ignored.
+
+Kept equal to a loop over the trace by
+`tests/analysis/test_age.py::test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace`.
 """
 
 from collections.abc import Sequence

@@ -212,6 +212,9 @@ class Network(ReceivingNodes):
         The cost is O(1) in a complete graph with a constant latency, without a range, losses, active faults, a trace
         and listeners. Otherwise the cost grows with the number of nodes linked to `src`.
 
+        Kept equal to an event per record and receiver by
+        `tests/kernel/test_network.py::test_publish_is_observationally_equal_to_one_event_per_record`.
+
         Args:
             src: the node that publishes.
             body: its state. Each receiver gets a copy, unless the body is immutable; later changes by the sender have

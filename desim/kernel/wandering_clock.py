@@ -28,6 +28,9 @@ BLOCK = 256
 class ClockWalk:
     """The random part of the error of a clock at multiples of `TICK`, drawn as it is needed.
 
+    Kept equal to states drawn one by one by
+    `tests/kernel/test_wandering_clock.py::test_a_walk_drawn_ahead_is_that_drawn_state_by_state`.
+
     Args:
         offset_walk: a, s per sqrt(s).
         drift_walk: b, 1 per sqrt(s).

@@ -1,4 +1,8 @@
-"""Steering: the velocities of all players, set at each motion step and when an action changes within a step."""
+"""Steering: the velocities of all players, set at each motion step and when an action changes within a step.
+
+Kept equal to a team led at once by
+`tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
+"""
 
 import numpy as np
 from numpy.typing import NDArray

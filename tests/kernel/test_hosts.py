@@ -65,6 +65,20 @@ def test_without_a_queue_a_constant_delay_is_a_part_of_the_latency():
     assert (sent.t, sent.arrival, trace.of(Queued)) == (0, (500 * MS,), [])
 
 
+@pytest.mark.parametrize("medium", [*MEDIA, CONTENDING])
+def test_a_constant_delay_is_that_of_a_model_that_always_draws_it(medium):
+    """Not drawn, or a part of the latency, it leads to the same arrivals as one that is drawn for each message."""
+
+    def arrivals(sender):
+        clock, net, trace = network(medium, sender)
+        for _ in range(5):
+            net.publish(0, None, size=100)
+        clock.run()
+        return [(sent.created, sent.arrival) for sent in trace.of(Broadcast)]
+
+    assert arrivals(0.5) == arrivals(Uniform(low=0.5, high=0.5))
+
+
 def test_the_delays_have_the_distribution_of_the_model():
     """Moments of 4000 messages of as many senders, and the typical latency; the control is 5 % off."""
     clock, net, trace = network(Unlimited(), ShiftedExponential(offset=0.01, mean=0.02), nx.cycle_graph(4000))

@@ -2,6 +2,9 @@
 
 Without such times, messages that several nodes create at one instant, as in rounds, start on the air at the same
 nanosecond. No carrier sensing avoids their collision, and no team of robots is that synchronous.
+
+Kept equal to draws of a constant delay by
+`tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
 """
 
 from collections import deque

@@ -54,6 +54,9 @@ class Transmitter(Generic[Item]):
     A transmission waits while its channel is busy, and then occupies the channel for its airtime. If a node has more
     than `queue_limit` waiting transmissions, its oldest is dropped.
 
+    Kept equal to a channel for which nobody else contends by
+    `tests/kernel/test_access.py::test_a_node_that_transmits_alone_contends_as_it_transmits`.
+
     Args:
         env: the clock of the simulation.
         medium: the model of the medium.

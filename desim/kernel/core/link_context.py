@@ -1,4 +1,8 @@
-"""The context of one transmission: the inputs of a latency or loss model."""
+"""The context of one transmission: the inputs of a latency or loss model.
+
+Kept equal to numbers computed at each use by
+`tests/kernel/test_topology.py::test_pair_uniforms_are_the_same_with_and_without_caching`.
+"""
 
 from dataclasses import dataclass
 

@@ -1,6 +1,9 @@
 """Trace files: one line of JSON per event, with times in seconds instead of integer nanoseconds.
 
 Numbers that are not finite are written as in Python's `json`: Infinity, -Infinity and NaN.
+
+Kept equal to the fields of each event by
+`tests/kernel/test_trace_file.py::test_a_line_equals_the_fields_of_its_event`.
 """
 
 import json

@@ -9,6 +9,9 @@ is decided. With 40 nodes and lognormal latencies, a simulation with a range che
 with an event per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each
 loss at its time, if there may be faults that are not planned, or if the source of the positions does not know past
 positions (`PositionSource.looks_back`).
+
+Kept equal to one event per arrival by
+`tests/kernel/test_contract.py::test_arrivals_decided_together_are_observationally_equal_to_one_event_each`.
 """
 
 from collections import defaultdict
@@ -168,7 +171,11 @@ class Arrivals:
         self._with_events += len(nodes)
 
     def lose_at(self, transmission: Transmission, nodes: list[int], arrival: Arrival) -> None:
-        """Lose a transmission at some nodes that will still be down at its arrival times (ns); count each loss then."""
+        """Lose a transmission at some nodes that will still be down at its arrival times (ns); count each loss then.
+
+        Kept equal to losses at their times by
+        `tests/kernel/test_faults.py::test_a_crash_on_the_air_is_the_same_with_a_trace_and_if_another_node_is_down`.
+        """
         if not nodes:
             return
         if self._at_once:

@@ -6,6 +6,9 @@ is not certain if a fault, a range check on arrival or half duplex can still pre
 
 With planned faults, an arrival at a node that is up is certain if it is due before the next fault begins or ends. The
 exception is a jamming disc: nodes may move into it.
+
+Kept equal to decisions on arrival by
+`tests/kernel/test_contract.py::test_planned_faults_are_observationally_equal_to_decisions_on_arrival`.
 """
 
 from collections.abc import Callable, Collection, Mapping

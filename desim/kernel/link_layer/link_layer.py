@@ -186,6 +186,9 @@ class LinkLayer:
         """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`.
 
         If nodes contend, its arrivals are scheduled when its frame ends.
+
+        Kept equal to deliveries by events by
+        `tests/kernel/test_contract.py::test_delivery_by_events_is_observationally_equal_to_delivery_without_events`.
         """
         now, receivers = self._env.now, transmission.receivers
         if not self._contends:

@@ -2,6 +2,9 @@
 
 A model whose draws are independent of the link is sampled in blocks: a broadcast then takes a slice of a list instead
 of calling numpy.
+
+Kept equal to draws link by link by
+`tests/kernel/test_propagation.py::test_losses_are_those_of_a_plain_model_that_draws_link_by_link`.
 """
 
 from itertools import compress

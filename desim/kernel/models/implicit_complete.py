@@ -1,4 +1,8 @@
-"""Implicit complete graphs: networkx graphs whose nodes and edges are computed on access instead of stored."""
+"""Implicit complete graphs: networkx graphs whose nodes and edges are computed on access instead of stored.
+
+Kept equal to a complete graph of networkx by
+`tests/kernel/test_implicit_complete.py::test_networkx_functions_give_the_same_results_as_for_its_own_complete_graph`.
+"""
 
 from collections.abc import Iterator, Mapping
 from itertools import chain

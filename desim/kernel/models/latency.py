@@ -291,7 +291,11 @@ def _check_quantiles(base: Any) -> None:
 
 
 class _Pairs:
-    """`PerPair` in one run; it caches the base latencies of each sender, at most `ROOM` numbers in all."""
+    """`PerPair` in one run; it caches the base latencies of each sender, at most `ROOM` numbers in all.
+
+    Kept equal to base latencies computed at each use by
+    `tests/kernel/test_latency.py::test_a_run_caches_the_latency_of_each_pair`.
+    """
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)

@@ -1,4 +1,8 @@
-"""The draws of link models: their validation, their conversion to nanoseconds and booleans, and their buffers."""
+"""The draws of link models: their validation, their conversion to nanoseconds and booleans, and their buffers.
+
+Kept equal to a draw for each transmission by
+`tests/kernel/test_propagation.py::test_latencies_are_exactly_the_draws_that_their_stream_gives`.
+"""
 
 from math import inf
 from typing import TYPE_CHECKING, Any

@@ -112,6 +112,9 @@ class Links(Value):
         """Whether transmissions start after the processing delay of their sender, which is drawn or precedes a queue.
 
         Else the delay is constant, and added to that of the receiver.
+
+        Kept equal to a delay before the queue by
+        `tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
         """
         sender = self.processing.sender
         if type(sender) is not Constant:

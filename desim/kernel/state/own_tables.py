@@ -16,6 +16,9 @@ class OwnTables:
     Lists of unread records are flat: arrival, record, arrival, record ... The tuples (arrival, record) are created only
     on insertion into a table, so that the tuples of one table are adjacent in memory.
 
+    Kept equal to a comparison of each record with the one before by
+    `tests/kernel/test_records.py::test_each_node_reads_what_a_plain_model_delivers_one_by_one`.
+
     Args:
         size: number of nodes.
         predicate: selects, by their bodies, the records of `matching`; None: none.

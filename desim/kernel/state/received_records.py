@@ -177,6 +177,9 @@ class SharedTable:
     table has a newer record of its source. A node that the record does not reach keeps the record that it had before,
     as an exception.
 
+    Kept equal to a record stored at each node by
+    `tests/kernel/test_records.py::test_each_node_reads_what_a_plain_model_delivers_one_by_one`.
+
     Attributes:
         waiting: the waiting records, ordered by arrival.
         table: the newest record of each source at the last `apply_arrived`.

@@ -1,4 +1,8 @@
-"""The range check: which messages reach their receivers, given the distances between sender and receiver."""
+"""The range check: which messages reach their receivers, given the distances between sender and receiver.
+
+Kept equal to a comparison of each distance with the range by
+`tests/kernel/test_topology.py::test_a_disk_holds_just_those_whose_distance_is_at_most_the_range`.
+"""
 
 import numpy as np
 

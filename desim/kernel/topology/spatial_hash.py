@@ -2,6 +2,9 @@
 
 The side of a cell is the radius of the search plus a Verlet skin. As long as no node has moved by more than half the
 skin since it was hashed, all nodes within the radius of a node were hashed to its cell or to the eight cells around it.
+
+Kept equal to distances between all nodes by
+`tests/kernel/test_spatial_hash.py::test_all_near_nodes_are_found_with_arbitrary_jumps`.
 """
 
 from collections.abc import Callable, Iterable

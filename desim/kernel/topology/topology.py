@@ -28,6 +28,9 @@ class Topology:
     positions. In a large complete graph, if reception has a maximum distance, a query uses a cell list and computes
     only the distances of nearby nodes.
 
+    Kept equal to a search among all nodes by
+    `tests/kernel/test_topology.py::test_queries_with_many_nodes_equal_those_with_few`.
+
     Args:
         graph: the communication graph.
         range: the communication range of every node, m; inf: there is no range.

@@ -24,6 +24,9 @@ from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
 class EvaderController:
     """The perception and the decisions of one evader in one run.
 
+    Kept equal to an observation for the strategy by
+    `tests/pursuit/test_perception.py::test_full_and_immediate_perception_gives_exactly_the_heading_of_the_strategy`.
+
     Args:
         strategy: the evasion strategy, which chooses the heading.
         rng: random stream of the evader's decisions, used by nothing else.

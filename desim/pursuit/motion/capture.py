@@ -41,7 +41,11 @@ NO_SPEED = 1e-12
 
 
 class RadialTime:
-    """The (N,) capture times of one team as a function of its (N,) distances to the evader; see `capture_time`."""
+    """The (N,) capture times of one team as a function of its (N,) distances to the evader; see `capture_time`.
+
+    Kept equal to the capture times of all by
+    `tests/pursuit/test_capture.py::test_the_time_of_one_is_that_of_all_to_the_last_bit`.
+    """
 
     def __init__(self, speeds: Floats, evader_speed: float, radius: float):
         closing = speeds - evader_speed
@@ -108,6 +112,9 @@ def least_capture_time(distance: float, radius: float, top_speed: float, evader_
 
     It bounds the capture times that a pursuer can truthfully announce: (d - eps) / (v_max - v_e), inf if no pursuer is
     faster than the evader, and 0 within the capture radius.
+
+    Kept equal to the capture time of the fastest by
+    `tests/pursuit/test_capture.py::test_the_least_time_is_that_of_the_fastest_to_the_last_bit`.
 
     Args:
         distance: the distance d, m.

@@ -7,6 +7,9 @@ that has observed the evader can therefore retrace the path of a teammate.
 This is exact for simple motion. A teammate with inertia follows, up to the end of the motion step, the command that it
 was given at the start of the step or as its action changed. From an announcement at any other instant, the command is
 computed anew, which is a small error.
+
+Kept equal to a path from its beginning by
+`tests/pursuit/test_dead_reckoning.py::test_an_incremental_query_equals_a_fresh_one`.
 """
 
 from bisect import bisect_left, bisect_right

@@ -123,7 +123,11 @@ def guided_velocities(
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
-    """Return the velocity, m/s, that a law gives for one pursuer; see `guided_velocities`."""
+    """Return the velocity, m/s, that a law gives for one pursuer; see `guided_velocities`.
+
+    Kept equal to the velocities of all by
+    `tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
+    """
     if type(law) is PurePursuit:  # the same result, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
     return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])

@@ -25,6 +25,9 @@ CaptureTest = Literal["segment", "sample"]
 class Kinematics:
     """The positions and velocities of K players with simple motion, which take commanded velocities at once.
 
+    Kept equal to motion with inertia of players that are all simple by
+    `tests/pursuit/test_inertia.py::test_players_that_are_all_simple_move_as_without_inertia`.
+
     Args:
         env: the clock of the simulation.
         start: (K,) initial positions, m.

@@ -95,7 +95,11 @@ class View:
         return body.capture_times_at(estimate.position, places, estimate.distances(places))
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
-        """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
+        """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few.
+
+        Kept equal to the capture times of all by
+        `tests/pursuit/test_kinematics.py::test_times_of_capture_of_some_are_those_of_all`.
+        """
         state = self.state
         if self.unlimited or self.sees(evader):
             now = state.now

@@ -2,6 +2,9 @@
 
 A value takes 9 bytes: a double, and a code for its type. A value that no double can hold (a table, a large integer) is
 kept as JSON text; equal texts of a column are kept once.
+
+Kept equal to a list of rows by
+`tests/study/test_run_table.py::test_a_table_equals_the_list_of_its_rows`.
 """
 
 import json
