@@ -138,9 +138,9 @@ class Value(BaseModel):
     """For keys of older versions: the part of the error message that says what replaces them."""
 
     @property
-    def unused_fields(self) -> frozenset[str]:
-        """The names of the fields that have no effect beside the values of the others."""
-        return frozenset()
+    def unused_fields(self) -> Mapping[str, str]:
+        """By name of each field without effect: the value of another field because of which it has none."""
+        return MappingProxyType({})
 
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod

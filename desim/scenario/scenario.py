@@ -26,23 +26,18 @@ from desim.config.model import (
     Value,
 )
 from desim.config.traits import kind_of
-from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, TwoWay, Unsynchronised
-from desim.kernel.core.units import nanoseconds, seconds
-from desim.kernel.graph_files.node_names import shortened
-from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import nodes_of
+from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import Radio, airtime_of
-from desim.kernel.models.own_links import link_misfits
-from desim.kernel.topology.topology import Topology
+from desim.kernel.models.medium import airtime_of
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
-from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, UtilityTraits
+from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits
 from desim.pursuit.motion.dynamics import Dynamics, Simple
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Behaviour
 from desim.pursuit.team.announcements import Announcements
+from desim.scenario.misfits import misfits
 from desim.scenario.named_metrics import MetricName
 from desim.scenario.overrides import Source
 from desim.scenario.players import Evader, Team
@@ -241,7 +236,7 @@ class Scenario(Value):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._number_by_names()
-        found = list(self._misfits())
+        found = list(misfits(self))
         if found:
             text = "; ".join(f"{'.'.join(map(str, place))}: {why}" for place, why in found)
             raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": found})
@@ -253,112 +248,6 @@ class Scenario(Value):
         names = names or self.team.names or self.network.node_names
         self.__dict__["network"] = self.network.numbered(names)
         self.__dict__["team"] = self.team.numbered(names)
-
-    def _misfits(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """Yield the key and the text of each inconsistency between tables."""
-        count = self.team.count
-        no_pursuer = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
-        graph = None
-        try:
-            made = self.network.make_graph(count)
-            Topology(made)
-            graph = made
-        except (ValueError, TypeError, AttributeError) as error:
-            yield ("network", "graph"), str(error)
-        seen: dict[tuple[int, int], int] = {}
-        for k, link in enumerate(self.network.link):
-            unknown = {end: node for end, node in (("src", link.src), ("dst", link.dst)) if node >= count}
-            yield from ((("network", "link", k, end), no_pursuer.format(node)) for end, node in unknown.items())
-            twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
-            for src, dst in twice[:1]:
-                yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
-            for src, dst in link.ways() if not unknown else ():
-                if graph is not None and not graph.has_edge(src, dst):
-                    yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
-        if graph is not None:
-            yield from ((("network", *place), why) for place, why in link_misfits(self.network, graph))
-        try:
-            airtime_of(self.network.medium, self.announcement_size)
-        except ValueError as error:
-            yield ("network", "medium"), str(error)
-        else:
-            yield from _channel_misfits(self)
-        names = self.network.graph.names if isinstance(self.network.graph, Edges) else ()
-        if names and self.team.names and names != self.team.names:
-            yield (
-                ("team", "positions"),
-                f"the nodes of the file are {shortened(self.team.names)}, and those of the graph {shortened(names)}:"
-                " nodes should be in the order of the graph, or absent if both have the same names",
-            )
-        yield from _motion_misfits(self)
-        if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
-            yield (
-                ("capture", "captures_to_end"),
-                f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
-            )
-        protocol = self.protocol_traits
-        if protocol.host is not None and protocol.host >= count:
-            yield ("protocol", "host"), no_pursuer.format(protocol.host)
-        if isinstance(self.clocks.sync, TwoWay) and self.clocks.sync.reference >= count:
-            yield ("clocks", "sync", "reference"), no_pursuer.format(self.clocks.sync.reference)
-        for part, traits, value in (
-            ("schedule", ScheduleTraits, protocol.schedule),
-            ("utility", UtilityTraits, protocol.utility),
-        ):
-            try:
-                traits.check(value)
-            except ValueError as error:
-                yield ("protocol", part), str(error)
-        for k, fault in enumerate(self.fault):
-            for key, nodes in nodes_of(fault).items():
-                yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes if node >= count)
-
-
-def _motion_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the key and the text of each model that does not allow for the flow or for inertia."""
-    environment = scenario.environment
-    if scenario.team.has_inertia and not environment.keeps_distances:
-        yield (
-            ("team", "dynamics"),
-            "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
-            ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
-        )
-    if scenario.sensing.estimate == "worst_case" and not environment.is_still:
-        yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
-    if scenario.sensing.estimate == "worst_case" and scenario.team.has_inertia:
-        yield ("sensing", "estimate"), "the bound of worst_case does not allow for inertia (`team.dynamics`)"
-
-
-def _channel_misfits(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
-    medium, count = scenario.network.medium, scenario.team.count
-    if not isinstance(medium, Radio):
-        return
-    access = medium.access
-    try:
-        medium.check(count)
-        if not isinstance(access, Tdma):
-            return
-        access.owners(count)
-    except ValueError as error:
-        key, _, why = str(error).partition(": ")
-        yield tuple(key.split(".")), why
-        return
-    sizes = {"an announcement": scenario.announcement_size} if scenario.announces else {}
-    if (message_size := scenario.schedule_traits.message_size) is not None:
-        sizes["a message of the schedule"] = message_size(count, scenario.announcement_size)
-    if not sizes:
-        return
-    what, size = max(sizes.items(), key=lambda each: each[1])
-    airtime, guard = nanoseconds(airtime_of(medium, size)), nanoseconds(access.guard)
-    free = nanoseconds(access.slot) - guard
-    if airtime > free:
-        least = -(-(airtime + guard) // 1000) / 1e6
-        yield (
-            ("network", "medium", "access", "slot"),
-            f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
-            f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
-        )
 
 
 def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:

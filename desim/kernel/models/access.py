@@ -78,6 +78,12 @@ class Csma(CarrierSensing):
     slot: Period = 0.001
     """Time until a p-persistent node that did not transmit senses the channel again, s."""
 
+    @property
+    def unused_fields(self) -> dict[str, str]:
+        """The fields of the other persistence."""
+        others = ("p", "slot") if self.persistence == "nonpersistent" else ("backoff", "attempts")
+        return dict.fromkeys(others, f"persistence {self.persistence!r}")
+
 
 class CsmaCa(CarrierSensing):
     """The distributed coordination function of IEEE 802.11 (Bianchi 2000; for broadcast, Ma & Chen 2007).

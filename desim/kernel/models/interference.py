@@ -136,9 +136,10 @@ class Faded(Value):
     """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
 
     @property
-    def unused_fields(self) -> frozenset[str]:
-        """The names of the shapes of the other kinds of fading."""
-        return frozenset(name for name, fading in (("m", "nakagami"), ("k", "rice")) if fading != self.fading)
+    def unused_fields(self) -> dict[str, str]:
+        """The shapes of the other kinds of fading."""
+        shapes = (("m", "nakagami"), ("k", "rice"))
+        return {name: f"fading {self.fading!r}" for name, fading in shapes if fading != self.fading}
 
     def gains(self, uniforms: Floats) -> Floats:
         """Return the (k,) factors by which (k,) powers fade, given uniform draws in (0, 1)."""

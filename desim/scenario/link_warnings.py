@@ -1,0 +1,160 @@
+"""Warnings about a network that can be simulated and is probably not meant: its links, transports and channel."""
+
+from collections.abc import Iterator
+from math import inf
+from typing import Any
+
+from desim.config.model import RESOLUTION
+from desim.config.traits import inherits
+from desim.kernel.clock_sync import Unsynchronised
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.graph_files.graph_attributes import unread_attributes
+from desim.kernel.measured.base import LinkTrace
+from desim.kernel.models.access import SlottedAloha, Tdma
+from desim.kernel.models.faults import ClockSkew, Fault
+from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
+from desim.kernel.models.interference import Collision
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import LoRa, Radio
+from desim.kernel.models.presets import PRESETS
+from desim.kernel.models.reception import Disk
+from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.pursuit.byzantine.lies import (
+    ByzantineFault,
+)
+from desim.scenario.scenario import Scenario
+from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
+
+ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
+
+
+def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about the network, announcements and faults."""
+    network, announce = scenario.network, scenario.announce
+    yield from _graph_warnings(scenario)
+    if network.preset is not None:
+        values, preset = dict(network), dict(Links(preset=network.preset))
+        for key in PRESETS[network.preset]:
+            if values[key] != preset[key]:
+                yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
+    if network.range == inf and network.reception != Disk():
+        yield "network.reception", "it has no effect while the range is inf"
+    is_mute = announce.trigger == "never" and not announces_start(scenario)
+    if is_mute and sends_announcements(scenario) and is_built_in(scenario):
+        yield "announce.dissemination", "it has no effect, because nothing is ever announced"
+    yield from _transport_warnings(scenario)
+    if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
+        yield "clocks.sync", "it costs messages, and all clocks are right (`fault.kind` clock_skew makes them wrong)"
+    for k, fault in enumerate(scenario.fault):
+        if isinstance(fault, Fault | ByzantineFault) and fault.start >= scenario.horizon:
+            yield f"fault.{k}.start", "the fault starts after the horizon"
+    yield from _trace_warnings(scenario)
+    yield from _channel_warnings(scenario)
+    size, airtime = scenario.announcement_size, scenario.announcement_airtime
+    if 0.0 < airtime <= RESOLUTION / 2:
+        yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
+    contend = isinstance(network.medium, Radio) and network.medium.contends
+    all_hear_all = network.range == inf and inherits(network.graph, Complete)
+    is_one_channel = network.medium.shared or (contend and all_hear_all)
+    load = airtime / announce.heartbeat * (scenario.team.count if is_one_channel else 1)
+    if has_heartbeats(scenario) and load > 1.0:
+        yield (
+            "announce.heartbeat",
+            f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
+            f" bound, or messages {'collide or ' if contend else ''}are dropped",
+        )
+
+
+def _graph_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about attributes of a graph that are not read, and about shifted numbers of nodes."""
+    model, count = scenario.network.graph, scenario.team.count
+    notes = model.notes if isinstance(model, Edges) else unread_attributes(scenario.network.make_graph(count))
+    yield from (("network.graph", note) for note in notes)
+
+
+def edge_attributes(scenario: Scenario) -> Iterator[dict[str, Any]]:
+    """Yield the attributes of each link of the graph that has some."""
+    yield from (own for _, _, own in links_with_attributes(scenario.network.make_graph(scenario.team.count)))
+
+
+def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about transports without an effect, and windows that are never full."""
+    announce, transport = scenario.announce, scenario.network.transport
+    for key, model in (("network.transport", transport), ("announce.dissemination", announce.dissemination)):
+        if isinstance(model, Reliable) and model.history == "keep_last" and model.depth < model.window:
+            yield (
+                f"{key}.window",
+                f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
+            )
+    sends = scenario.schedule_traits.spreads_to is not None or not scenario.sensing.is_perfect
+    sends = sends or announce.trust.period is not None  # accusations
+    if transport != BestEffort() and scenario.announces and not sends and is_built_in(scenario):
+        if isinstance(announce.dissemination, Reliable | Coded):
+            yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"
+        elif not sends_announcements(scenario):
+            yield (
+                "network.transport",
+                "it has no effect on announcements, which are published as state; the kinds 'reliable' and 'coded' of"
+                " `announce.dissemination` send them as messages",
+            )
+
+
+def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
+    owners = [("network", dict(scenario.network)), *(("network.graph", own) for own in edge_attributes(scenario))]
+    owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
+    numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
+    spans: dict[str, float] = {}
+    for key, owner in owners:
+        for name in ("latency", "loss"):
+            model = owner.get(name)
+            if not isinstance(model, LinkTrace):
+                continue
+            if (named := model.named_nodes) is not None:
+                place = key if key == "network.graph" else f"{key}.{name}.nodes"
+                numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
+            if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
+                place = key if key == "network.graph" else f"{key}.{name}.after"
+                spans[place] = min(model.span, spans.get(place, inf))
+    yield from numbers
+    for place, span in spans.items():
+        yield (
+            place,
+            f"a message that is sent later than {span:g} s ends the run with an error, and the horizon is"
+            f" {scenario.horizon:g} s",
+        )
+
+
+def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about access to a channel and interference."""
+    medium = scenario.network.medium
+    if not isinstance(medium, Radio):
+        return
+    if not medium.contends:
+        if medium.reception != Collision():
+            yield "network.medium.reception", "it has no effect, because no frames overlap with access.kind 'ideal'"
+        return
+    if isinstance(medium, LoRa) and medium.gateways is not None and not medium.is_tuned:
+        yield (
+            "network.medium.gateways",
+            "it has no effect: without `spreading_factors` and `frequencies` all nodes are tuned to each other",
+        )
+    if medium.half_duplex:
+        yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
+    access, airtime = medium.access, scenario.announcement_airtime
+    size, heartbeat = scenario.announcement_size, scenario.announce.heartbeat
+    is_delayed = medium.duty_cycle is not None or isinstance(access, Tdma)
+    interval = medium.interval(size, scenario.team.count)
+    if has_heartbeats(scenario) and is_delayed and interval > heartbeat:
+        why = "its duty cycle" if medium.duty_cycle is not None else "the slots of the TDMA"
+        yield (
+            "announce.heartbeat",
+            f"a heartbeat of {heartbeat:g} s is shorter than the time for which {size} bytes keep a pursuer from"
+            f" sending again, {interval:.3g} s, because of {why}: heartbeats are delayed or dropped",
+        )
+    if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
+        yield (
+            "network.medium.access.slot",
+            f"an announcement of {scenario.announcement_size} bytes takes {airtime:g} s on the air, longer than a slot"
+            f" of {access.slot:g} s: frames of neighbouring slots overlap",
+        )

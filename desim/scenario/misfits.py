@@ -1,0 +1,155 @@
+"""Errors about values of several tables of a scenario that cannot be simulated together.
+
+A value that is wrong whatever the others are is refused by its own class, and so are values of one table that do not
+fit together. What the models of links say of the links that use them (`check_links`) is collected by
+`desim.kernel.models.own_links.link_misfits`, because a network without a scenario refuses it, too.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from desim.kernel.clock_sync import TwoWay
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.graph_files.node_names import shortened
+from desim.kernel.models.access import Tdma
+from desim.kernel.models.faults import nodes_of
+from desim.kernel.models.graphs import Edges
+from desim.kernel.models.medium import Radio, airtime_of
+from desim.kernel.models.own_links import link_misfits
+from desim.kernel.topology.topology import Topology
+from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
+
+if TYPE_CHECKING:
+    from desim.scenario.scenario import Scenario
+
+Misfit = tuple[tuple[str | int, ...], str]
+"""The key of a value, in parts, and why it does not fit."""
+
+
+def misfits(scenario: "Scenario") -> Iterator[Misfit]:
+    """Yield the key and the text of each inconsistency between the tables of a scenario."""
+    no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
+    yield from _graph_misfits(scenario, no_pursuer)
+    try:
+        airtime_of(scenario.network.medium, scenario.announcement_size)
+    except ValueError as error:
+        yield ("network", "medium"), str(error)
+    else:
+        yield from _channel_misfits(scenario)
+    yield from _name_misfits(scenario)
+    yield from _motion_misfits(scenario)
+    if (needed := scenario.capture.captures_to_end) is not None and needed > (number := len(scenario.evaders)):
+        yield (
+            ("capture", "captures_to_end"),
+            f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
+        )
+    yield from _protocol_misfits(scenario, no_pursuer)
+    yield from _fault_misfits(scenario, no_pursuer)
+
+
+def _graph_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+    """Yield the key and the text of each error of the graph, and of each link that is not in it or does not fit it."""
+    count = scenario.team.count
+    graph = None
+    try:
+        made = scenario.network.make_graph(count)
+        Topology(made)
+        graph = made
+    except (ValueError, TypeError, AttributeError) as error:
+        yield ("network", "graph"), str(error)
+    seen: dict[tuple[int, int], int] = {}
+    for k, link in enumerate(scenario.network.link):
+        unknown = {end: node for end, node in (("src", link.src), ("dst", link.dst)) if node >= count}
+        yield from ((("network", "link", k, end), no_pursuer.format(node)) for end, node in unknown.items())
+        twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
+        for src, dst in twice[:1]:
+            yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
+        for src, dst in link.ways() if not unknown else ():
+            if graph is not None and not graph.has_edge(src, dst):
+                yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
+    if graph is not None:
+        yield from ((("network", *place), why) for place, why in link_misfits(scenario.network, graph))
+
+
+def _name_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+    """Yield the key and the text of positions whose nodes have other names than those of the graph."""
+    names = scenario.network.graph.names if isinstance(scenario.network.graph, Edges) else ()
+    if names and scenario.team.names and names != scenario.team.names:
+        yield (
+            ("team", "positions"),
+            f"the nodes of the file are {shortened(scenario.team.names)}, and those of the graph {shortened(names)}:"
+            " nodes should be in the order of the graph, or absent if both have the same names",
+        )
+
+
+def _protocol_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+    """Yield the key and the text of each part of the protocol that does not suit the team or its role."""
+    count = scenario.team.count
+    protocol = scenario.protocol_traits
+    if protocol.host is not None and protocol.host >= count:
+        yield ("protocol", "host"), no_pursuer.format(protocol.host)
+    if isinstance(scenario.clocks.sync, TwoWay) and scenario.clocks.sync.reference >= count:
+        yield ("clocks", "sync", "reference"), no_pursuer.format(scenario.clocks.sync.reference)
+    for part, traits, value in (
+        ("schedule", ScheduleTraits, protocol.schedule),
+        ("utility", UtilityTraits, protocol.utility),
+    ):
+        try:
+            traits.check(value)
+        except ValueError as error:
+            yield ("protocol", part), str(error)
+
+
+def _fault_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+    """Yield the key and the text of each pursuer that a fault names and that does not exist."""
+    count = scenario.team.count
+    for k, fault in enumerate(scenario.fault):
+        for key, nodes in nodes_of(fault).items():
+            yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes if node >= count)
+
+
+def _motion_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+    """Yield the key and the text of each model that does not allow for the flow or for inertia."""
+    environment = scenario.environment
+    if scenario.team.has_inertia and not environment.keeps_distances:
+        yield (
+            ("team", "dynamics"),
+            "capture times of pursuers with inertia are known in a flow that carries all players alike only:"
+            ' `environment.flow` none, uniform, harmonic or recorded, and `environment.on` "all"',
+        )
+    if scenario.sensing.estimate == "worst_case" and not environment.is_still:
+        yield ("sensing", "estimate"), "the bound of worst_case does not allow for a flow (`environment.flow`)"
+    if scenario.sensing.estimate == "worst_case" and scenario.team.has_inertia:
+        yield ("sensing", "estimate"), "the bound of worst_case does not allow for inertia (`team.dynamics`)"
+
+
+def _channel_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+    """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
+    medium, count = scenario.network.medium, scenario.team.count
+    if not isinstance(medium, Radio):
+        return
+    access = medium.access
+    try:
+        medium.check(count)
+        if not isinstance(access, Tdma):
+            return
+        access.owners(count)
+    except ValueError as error:
+        key, _, why = str(error).partition(": ")
+        yield tuple(key.split(".")), why
+        return
+    sizes = {"an announcement": scenario.announcement_size} if scenario.announces else {}
+    if (message_size := scenario.schedule_traits.message_size) is not None:
+        sizes["a message of the schedule"] = message_size(count, scenario.announcement_size)
+    if not sizes:
+        return
+    what, size = max(sizes.items(), key=lambda each: each[1])
+    airtime, guard = nanoseconds(airtime_of(medium, size)), nanoseconds(access.guard)
+    free = nanoseconds(access.slot) - guard
+    if airtime > free:
+        least = -(-(airtime + guard) // 1000) / 1e6
+        yield (
+            ("network", "medium", "access", "slot"),
+            f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
+            f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
+        )

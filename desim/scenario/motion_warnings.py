@@ -1,0 +1,139 @@
+"""Warnings about players that can be simulated and are probably not meant: their motion, and what they see."""
+
+from collections.abc import Iterator, Sequence
+from math import sqrt
+from typing import Any
+
+from desim.config.traits import inherits
+from desim.pursuit.motion.guidance import PurePursuit
+from desim.pursuit.sensing.sensing import Sensing
+from desim.pursuit.sensing.tracking import Estimator
+from desim.scenario.scenario import Scenario
+
+RARE_TURNS = 10.0
+"""The time between two turns of an evader, s, beyond which a filter that expects it gives a warning.
+
+Turns in random directions at a rate 1 / T change each component of a velocity v as a diffusion v / sqrt(T) does. In
+scenarios/noisy.toml with the fusion by_stamp, the mean normalised squared error of positions, 2 if the filter is as
+sure as it should be, is 5.3 +- 1.8, 3.2 +- .7, 1.9 +- .2 and 1.5 +- .1 for T = 320, 81, 8 and 0.8 s (8 seeds; the
+errors are standard errors).
+"""
+
+
+def motion_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about players: what moves, how fast, and what is seen of it."""
+    fastest = max(scenario.team.all_speeds())
+    evader_speeds = [evader.speed for evader in scenario.evaders]
+    if fastest <= max(evader_speeds):
+        yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
+    yield from _inertia_warnings(scenario)
+    yield from _record_warnings(scenario)
+    yield from _flow_warnings(scenario)
+    yield from _estimates_warnings(scenario)
+    yield from _sensing_warnings(scenario)
+    stride = scenario.motion.step * max(fastest, *evader_speeds)
+    if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
+        yield (
+            "motion.step",
+            f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+            f" than 2 x radius = {2 * scenario.capture.radius:g} m",
+        )
+
+
+def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:
+    """Return the warning that no pursuer is faster than some evaders.
+
+    Args:
+        fastest: greatest speed of the pursuers, m/s.
+        evader_speeds: speeds of the evaders, m/s.
+        pruned: whether pursuers are barred from chasing an evader that they cannot capture.
+    """
+    quick = [speed for speed in evader_speeds if speed >= fastest]
+    which, they, whose, whom = (
+        ("the evader", "the evader", "", "")
+        if len(evader_speeds) == 1
+        else (f"{len(quick)} of the {len(evader_speeds)} evaders", "the slowest of these", " of theirs", " them")
+    )
+    return (
+        f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
+        f" capture time{whose} is inf{f' and no pursuer will chase{whom}' if pruned else ''}"
+    )
+
+
+def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about pursuers with inertia: what has no effect, or is not announced."""
+    team = scenario.team
+    if team.has_inertia and scenario.motion.static:
+        yield "team.dynamics", "capture times follow simple motion, because nothing moves (`motion.static`)"
+    if team.has_inertia and scenario.announce.payload == "state" and scenario.announces:
+        yield (
+            "announce.payload",
+            "announcements have no velocity and heading, so the motion of a teammate with inertia is extrapolated as if"
+            ' it were simple ("course" contains them)',
+        )
+
+
+def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about recorded motion whose file has heights."""
+    evaders = scenario.evader if isinstance(scenario.evader, tuple) else (scenario.evader,)
+    keys = [f"evader.{k}.strategy" if evaders is scenario.evader else "evader.strategy" for k in range(len(evaders))]
+    records: list[tuple[str, Any]] = [
+        *((key, evader.record) for key, evader in zip(keys, evaders, strict=True)),
+        *((f"team.relay.{k}.motion", relay.motion) for k, relay in enumerate(scenario.team.relay)),
+        ("team.positions", scenario.team),
+    ]
+    for key, record in records:
+        if getattr(record, "has_heights", False):
+            yield key, "the heights in the file are dropped: motion is in the plane, and so are all distances"
+
+
+def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about a flow without an effect, and about a guidance that does not allow for it."""
+    environment = scenario.environment
+    if environment.is_still and environment.on != "all":
+        yield "environment.on", "it has no effect without a flow"
+    if not environment.is_still and scenario.motion.static:
+        yield "environment.flow", "it has no effect, because nothing moves (`motion.static`)"
+    elif not environment.is_still and environment.on == "pursuers" and inherits(scenario.team.guidance, PurePursuit):
+        yield (
+            "team.guidance",
+            "the wind carries a pursuer aside that heads for where the evader is, so it comes later than its capture"
+            " time says (by 5 to 19 % in examples): constant_bearing allows for the wind",
+        )
+
+
+def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about estimates that are to be recorded and cannot be."""
+    if not scenario.record.estimates:
+        return
+    if not scenario.sensing.has_covariances or scenario.protocol_traits.omniscient:
+        yield "record.estimates", "no estimate has a covariance (`sensing.estimator` kalman), so none is recorded"
+    elif not scenario.record.trajectory:
+        yield "record.estimates", "estimates are recorded with the positions, and these are not (`record.trajectory`)"
+
+
+def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about keys of sensing without effect, and about a sensing radius within the capture radius."""
+    sensing = scenario.sensing
+    if sensing.is_perfect:
+        default = dict(Sensing())
+        others = [key for key, value in sensing if value != default[key]]
+        yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
+        return
+    if isinstance(sensing.estimator, Estimator):
+        diffusion = sensing.estimator.velocity_diffusion
+        speed = max((evader.speed for evader in scenario.evaders if evader.turns_at_once), default=0.0)
+        if (time := (speed / diffusion) ** 2) > RARE_TURNS:
+            yield (
+                "sensing.estimator.velocity_diffusion",
+                f"an evader that turns at once may change its velocity by 2 v_e = {2 * speed:g} m/s between two"
+                f" sightings, where the filter expects {diffusion * sqrt(sensing.interval):.2g} m/s: it suits an evader"
+                f" that turns once in {time:.3g} s, and is too sure of itself after each turn"
+                f" (v_e / sqrt({RARE_TURNS:g} s) = {speed / sqrt(RARE_TURNS):.2g} suits one that turns more often)",
+            )
+    if sensing.radius <= scenario.capture.radius:
+        yield (
+            "sensing.radius",
+            f"no pursuer sees an evader before it captures it: the sensing radius of {sensing.radius:g} m is not"
+            f" greater than the capture radius of {scenario.capture.radius:g} m",
+        )

@@ -1,0 +1,44 @@
+"""What pursuers tell each other in a scenario, as far as that is known before a run; warnings ask for it."""
+
+from typing import Any
+
+from desim.config.choice import choices_of
+from desim.kernel.models.transport import Coded, Reliable
+from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.team.announcements import DISSEMINATIONS
+from desim.scenario.scenario import PROTOCOLS, Scenario
+
+
+def is_built_in(scenario: Scenario) -> bool:
+    """Return whether protocol, schedule and dissemination are built in, so that it is known what they send."""
+    protocol: Any = scenario.protocol
+    if not (PROTOCOLS.holds(protocol) and DISSEMINATIONS.holds(scenario.announce.dissemination)):
+        return False
+    fields = type(protocol).model_fields
+    return (
+        all(kinds.holds(protocol.schedule) for kinds in choices_of(fields["schedule"]))
+        if "schedule" in fields
+        else True
+    )
+
+
+def tells_nothing(scenario: Scenario) -> bool:
+    """Return whether no message has the action or the state of a pursuer: no announcement, report or token."""
+    tells = scenario.announces or scenario.protocol_traits.reckons or scenario.schedule_traits.spreads_to is not None
+    return is_built_in(scenario) and not tells
+
+
+def announces_start(scenario: Scenario) -> bool:
+    """Return whether several pursuers announce their first actions at the start."""
+    return scenario.announces and scenario.announce.start == "announced" and scenario.team.count > 1
+
+
+def sends_announcements(scenario: Scenario) -> bool:
+    """Return whether announcements are sent as messages, not published."""
+    dissemination = scenario.announce.dissemination
+    return isinstance(dissemination, Reliable | Coded) or DisseminationTraits.of(dissemination).relays
+
+
+def has_heartbeats(scenario: Scenario) -> bool:
+    """Return whether pursuers announce their actions periodically."""
+    return scenario.announces and scenario.announce.has_heartbeats
