@@ -53,12 +53,12 @@ if TYPE_CHECKING:
     from desim.kernel.models.latency import Constant as Constant
     from desim.kernel.models.latency import Empirical as Empirical
     from desim.kernel.models.latency import Gamma as Gamma
-    from desim.kernel.models.latency import LatencyMatrix as LatencyMatrix
     from desim.kernel.models.latency import Lognormal as Lognormal
-    from desim.kernel.models.latency import PerPair as PerPair
     from desim.kernel.models.latency import Propagation as Propagation
     from desim.kernel.models.latency import ShiftedExponential as ShiftedExponential
     from desim.kernel.models.latency import Uniform as Uniform
+    from desim.kernel.models.latency_by_link import LatencyMatrix as LatencyMatrix
+    from desim.kernel.models.latency_by_link import PerPair as PerPair
     from desim.kernel.models.links import Links as Links
     from desim.kernel.models.loss import Bernoulli as Bernoulli
     from desim.kernel.models.loss import ByDistance as ByDistance

@@ -71,6 +71,7 @@ FORBIDDEN = {
     "desim.kernel.models.implicit_complete": {"simpy"},
     "desim.kernel.core.link_context": {"simpy", "networkx"},
     "desim.kernel.models.latency": {"simpy", "networkx"},
+    "desim.kernel.models.latency_by_link": {"simpy", "networkx"},
     "desim.kernel.models.loss": {"simpy", "networkx"},
     "desim.kernel.models.reception": {"simpy", "networkx"},
     "desim.kernel.models.medium": {"simpy", "networkx"},

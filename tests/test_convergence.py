@@ -11,7 +11,8 @@ import pytest
 
 from desim import Scenario, run
 from desim.kernel.models.graphs import Edges
-from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
+from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, ShiftedExponential, Uniform
+from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.pursuit.core.events import Decided, Started

@@ -34,7 +34,8 @@ from desim.kernel.models.access import Aloha
 from desim.kernel.models.faults import FAULTS, Crash
 from desim.kernel.models.graphs import GRAPHS, Edges, Link
 from desim.kernel.models.interference import INTERFERENCES
-from desim.kernel.models.latency import BASES, JITTERS, LATENCIES, LatencyMatrix, Lognormal, PerPair, mean_latency
+from desim.kernel.models.latency import BASES, JITTERS, Lognormal, mean_latency
+from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix, PerPair
 from desim.kernel.models.loss import LOSSES, GilbertElliott
 from desim.kernel.models.medium import MEDIA, LoRa
 from desim.kernel.models.reception import RECEPTION_MODELS

@@ -20,7 +20,8 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.models.graphs import Edges
-from desim.kernel.models.latency import Empirical, LatencyMatrix
+from desim.kernel.models.latency import Empirical
+from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
 from desim.pursuit.evaders.recorded import RecordedMotion, RecordedPositions
 from desim.pursuit.motion.flow import RecordedFlow

@@ -37,7 +37,7 @@ EVIL = """
 from pathlib import Path
 from typing import Annotated, Any
 
-from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.config.model import Value
 
 Path({mark!r}).touch()

@@ -12,7 +12,7 @@ from hypothesis import settings
 from desim import Scenario, summary
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.graphs import GRAPHS
-from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES
 from desim.kernel.models.medium import MEDIA
 from desim.kernel.models.reception import RECEPTION_MODELS

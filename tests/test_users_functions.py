@@ -15,7 +15,7 @@ from desim import Announcements, Links, Scenario, Sensing, Team, run, summary, s
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost
 from desim.kernel.models.faults import Jamming, Partition
-from desim.kernel.models.latency import PerPair
+from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import Liar

@@ -6,7 +6,7 @@ fit together. What the models of links say of the links that use them (`check_li
 """
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Any
 
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds
@@ -19,14 +19,13 @@ from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
 
-if TYPE_CHECKING:
-    from desim.scenario.scenario import Scenario
-
+AnyScenario = Any
+"""A `desim.scenario.scenario.Scenario`, whose module imports this one."""
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
 
 
-def misfits(scenario: "Scenario") -> Iterator[Misfit]:
+def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of each inconsistency between the tables of a scenario."""
     no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
     yield from _graph_misfits(scenario, no_pursuer)
@@ -47,7 +46,7 @@ def misfits(scenario: "Scenario") -> Iterator[Misfit]:
     yield from _fault_misfits(scenario, no_pursuer)
 
 
-def _graph_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
     """Yield the key and the text of each error of the graph, and of each link that is not in it or does not fit it."""
     count = scenario.team.count
     graph = None
@@ -71,7 +70,7 @@ def _graph_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
         yield from ((("network", *place), why) for place, why in link_misfits(scenario.network, graph))
 
 
-def _name_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+def _name_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of positions whose nodes have other names than those of the graph."""
     names = scenario.network.graph.names if isinstance(scenario.network.graph, Edges) else ()
     if names and scenario.team.names and names != scenario.team.names:
@@ -82,7 +81,7 @@ def _name_misfits(scenario: "Scenario") -> Iterator[Misfit]:
         )
 
 
-def _protocol_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+def _protocol_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
     """Yield the key and the text of each part of the protocol that does not suit the team or its role."""
     count = scenario.team.count
     protocol = scenario.protocol_traits
@@ -100,7 +99,7 @@ def _protocol_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]
             yield ("protocol", part), str(error)
 
 
-def _fault_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
+def _fault_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
     """Yield the key and the text of each pursuer that a fault names and that does not exist."""
     count = scenario.team.count
     for k, fault in enumerate(scenario.fault):
@@ -108,7 +107,7 @@ def _fault_misfits(scenario: "Scenario", no_pursuer: str) -> Iterator[Misfit]:
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes if node >= count)
 
 
-def _motion_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+def _motion_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of each model that does not allow for the flow or for inertia."""
     environment = scenario.environment
     if scenario.team.has_inertia and not environment.keeps_distances:
@@ -123,7 +122,7 @@ def _motion_misfits(scenario: "Scenario") -> Iterator[Misfit]:
         yield ("sensing", "estimate"), "the bound of worst_case does not allow for inertia (`team.dynamics`)"
 
 
-def _channel_misfits(scenario: "Scenario") -> Iterator[Misfit]:
+def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of each inconsistency between the team and the channel for which it contends."""
     medium, count = scenario.network.medium, scenario.team.count
     if not isinstance(medium, Radio):

@@ -14,16 +14,8 @@ import numpy as np
 import pytest
 
 from desim.kernel.measured.models import LatencyTrace, LossTrace
-from desim.kernel.models.latency import (
-    Constant,
-    Empirical,
-    Gamma,
-    Lognormal,
-    PerPair,
-    Propagation,
-    ShiftedExponential,
-    Uniform,
-)
+from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, Propagation, ShiftedExponential, Uniform
+from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk

@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.model import Value
 from desim.config.python_numbers import as_python, real, whole
-from desim.kernel.models.latency import LatencyMatrix
+from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario

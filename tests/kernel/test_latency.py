@@ -15,14 +15,13 @@ from desim.kernel.models.latency import (
     Constant,
     Empirical,
     Gamma,
-    LatencyMatrix,
     Lognormal,
-    PerPair,
     Propagation,
     ShiftedExponential,
     Uniform,
     mean_latency,
 )
+from desim.kernel.models.latency_by_link import LatencyMatrix, PerPair
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem import Netem
 from desim.kernel.models.traits import LinkTraits
@@ -277,7 +276,7 @@ def test_the_jitter_is_drawn_independently_for_every_message():
 @pytest.mark.parametrize("room", [2**22, 60, 0])
 def test_a_run_caches_the_latency_of_each_pair(symmetric, room, monkeypatch):
     """Draw by draw, in any order of senders and receivers and with any cache size; the control is another seed."""
-    monkeypatch.setattr("desim.kernel.models.latency.ROOM", room)
+    monkeypatch.setattr("desim.kernel.models.latency_by_link.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.start_run(30), np.random.default_rng(2), np.random.default_rng(2)
     contexts = [

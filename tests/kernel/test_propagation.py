@@ -16,16 +16,8 @@ from desim.kernel.core.units import SECOND
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.correlation import LinkMemory
 from desim.kernel.models.graphs import Edge, Edges, Link
-from desim.kernel.models.latency import (
-    Constant,
-    Empirical,
-    Gamma,
-    Lognormal,
-    PerPair,
-    Propagation,
-    ShiftedExponential,
-    Uniform,
-)
+from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, Propagation, ShiftedExponential, Uniform
+from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.link_draws import BLOCK
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from desim.kernel.models.access import Csma
 from desim.kernel.models.graphs import Edges, Link, Ring
-from desim.kernel.models.latency import Constant, Empirical, Lognormal, PerPair, Propagation, Uniform
+from desim.kernel.models.latency import Constant, Empirical, Lognormal, Propagation, Uniform
+from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
 from desim.kernel.models.medium import Bitrate, LoRa

@@ -13,7 +13,7 @@ from desim import Scenario
 from desim.config.model import fields_of
 from desim.kernel.models.access import Aloha
 from desim.kernel.models.interference import INTERFERENCES
-from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import LOSSES
 from desim.kernel.models.medium import Bitrate

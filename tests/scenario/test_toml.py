@@ -584,7 +584,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 
 from desim.config.model import Positive, Probability, Value
-from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES
 from protocols.rule import LearningRule
 
 

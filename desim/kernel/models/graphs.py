@@ -15,7 +15,8 @@ from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.graph_files.graph_file import read_graph
 from desim.kernel.graph_files.node_names import numbered
 from desim.kernel.models.implicit_complete import complete_graph, is_implicit
-from desim.kernel.models.latency import LATENCIES, Constant, Latency
+from desim.kernel.models.latency import Constant, Latency
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
 
 if TYPE_CHECKING:

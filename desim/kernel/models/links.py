@@ -12,7 +12,8 @@ from desim.config.model import Extent, Time, Value
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.graphs import GRAPHS, Complete, Edge, Edges, GraphModel, Link, Order, graph_of, is_networkx
-from desim.kernel.models.latency import JITTERS, LATENCIES, Constant, Latency
+from desim.kernel.models.latency import JITTERS, Constant, Latency
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.models.medium import MEDIA, Medium, Unlimited
 from desim.kernel.models.presets import PRESETS
