@@ -8,6 +8,7 @@ fit together. What the models of links say of the links that use them (`check_li
 from collections.abc import Iterator
 from typing import Any
 
+from desim.config.errors import KeyedError
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.node_names import shortened
@@ -128,14 +129,15 @@ def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     if not isinstance(medium, Radio):
         return
     access = medium.access
+    place: tuple[str, ...] = "network", "medium"
     try:
         medium.check(count)
         if not isinstance(access, Tdma):
             return
+        place = *place, "access"
         access.owners(count)
-    except ValueError as error:
-        key, _, why = str(error).partition(": ")
-        yield tuple(key.split(".")), why
+    except KeyedError as error:
+        yield from (((*place, *problem.key.split(".")), problem.reason) for problem in error.problems)
         return
     sizes = {"an announcement": scenario.announcement_size} if scenario.announces else {}
     if (message_size := scenario.schedule_traits.message_size) is not None:

@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.error_texts import text_of
+from desim.config.errors import KeyedError, Problem, problems_of
 from desim.config.model import Value, fields_of, models_in
 from desim.config.python_numbers import as_python
 from desim.kernel.models.presets import PRESETS
@@ -19,8 +20,8 @@ from desim.scenario.override_texts import key_and_value, key_and_values
 from desim.scenario.toml_lines import KeyPath
 
 
-class ScenarioError(ValueError):
-    """A scenario is not valid; the text has one line per error."""
+class ScenarioError(KeyedError):
+    """A scenario is not valid; the text has one line per problem, and `problems` has them as fields."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class Source:
                 raise ValueError(f"a dotted key is for instance network.latency.value (got {name!r})")
             self.set(name, as_python(value), origin)
         except ValueError as error:
-            raise ScenarioError(f"{origin}: {error}") from error
+            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from error
 
     def _set_as_text(self, option: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
         """Set a key, which is put after `above`, to a value, given the text of an option."""
@@ -160,7 +161,7 @@ class Source:
             name, value = parse(text)
             self.set(above + name, value, origin)
         except ValueError as error:
-            raise ScenarioError(f"{origin}: {error}") from error
+            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from error
 
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
@@ -182,7 +183,7 @@ class Source:
             key = _key(part, node)
             default = default.get(key) if isinstance(default, dict) else None
             if isinstance(default, tuple) and not holds(node, key):
-                raise ScenarioError(f"{name}: the list {'.'.join(map(str, (*place, key)))} is empty")
+                raise ScenarioError(Problem(f"the list {'.'.join(map(str, (*place, key)))} is empty", name))
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
             if holds(node, key) and isinstance(node[key], Value):
@@ -299,7 +300,7 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
         return model.model_copy(update={name: _replaced(getattr(model, name), rest, value) if rest else value})
     except ValidationError as error:
         why = "; ".join(text_of(each) for each in error.errors())
-        raise ScenarioError(f"{name}: {why}") from error
+        raise ScenarioError(Problem(why, name)) from error
 
 
 def _copied(tables: Any) -> Any:

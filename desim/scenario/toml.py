@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from desim.config.errors import Problem
 from desim.config.own_modules import CodeName
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.overrides import ScenarioError, Source
@@ -71,19 +72,21 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         where, given = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
         yield source
         if not isinstance(given, str):
-            raise ScenarioError(f"{where}: should be the path of a scenario file (got {given!r})")
+            raise ScenarioError(Problem(f"should be the path of a scenario file (got {given!r})", where=where))
         try:
             base = path_in(file.parent, given, is_trusted=allow_import)
             source = _parsed(base, allow_import)
             source = replace(source, tables=_in_folder(source.tables, base.parent))
         except OSError as error:
-            raise ScenarioError(f"{where}: {error.filename} cannot be read: {error.strerror}") from error
+            raise ScenarioError(Problem(f"{error.filename} cannot be read: {error.strerror}", where=where)) from error
         except ScenarioError:
             raise
         except ValueError as error:
-            raise ScenarioError(f"{where}: {error}") from error
+            raise ScenarioError(Problem(str(error), where=where)) from error
         if base.resolve() in seen:
-            raise ScenarioError(f"{where}: {file} and {base} are bases of each other, directly or through others")
+            raise ScenarioError(
+                Problem(f"{file} and {base} are bases of each other, directly or through others", where=where)
+            )
         seen.add(base.resolve())
         file = base
     yield source

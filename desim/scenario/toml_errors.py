@@ -10,6 +10,7 @@ from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
+from desim.config.errors import Problem
 from desim.config.model import Value, fields_of, markers_of
 from desim.config.suggestion import close_to
 from desim.scenario.key_index import homes_of
@@ -21,8 +22,6 @@ BASE = "base"
 """The key of a scenario file that names its base; it is no field of a scenario."""
 MAX_HOMES = 3
 """The largest number of tables that an error message suggests for a key."""
-Problem = tuple[tuple[int, str], str]
-"""An error in a file: its sort key (line and place), and its text."""
 
 
 def validated(source: Source, model: type[Model]) -> Model:
@@ -32,7 +31,7 @@ def validated(source: Source, model: type[Model]) -> Model:
         return model.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
     except ValidationError as error:
         problems = [problem for each in error.errors() for problem in explain(each, source, model, ())]
-        raise ScenarioError("\n".join(text for _, text in sorted(problems))) from error
+        raise ScenarioError(*sorted(problems, key=lambda each: (each.line, each.where, str(each)))) from error
 
 
 def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPath) -> Iterator[Problem]:
@@ -60,9 +59,8 @@ def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPat
 
 
 def _problem(source: Source, place: KeyPath, what: str) -> Problem:
-    where = source.where(place)
-    name = ".".join(map(str, place)) or "the file"
-    return (source.line(place), where), f"{where}: {name}: {what}"
+    reason = what if place else f"the file: {what}"
+    return Problem(reason, ".".join(map(str, place)), source.where(place), source.line(place))
 
 
 def _locate(

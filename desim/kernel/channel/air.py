@@ -6,6 +6,7 @@ At the end of a frame all frames that overlap it are known, and the model of int
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
+from desim.config.errors import KeyedError, Problem
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionSource, distances
@@ -44,7 +45,7 @@ class Air:
         self._busy = self._busy_since = 0
         medium.check(topology.size)
         if medium.reception.needs_positions and positions is None:
-            raise ValueError("network.medium.reception: reception by power needs positions")
+            raise KeyedError(Problem("reception by power needs positions", "medium.reception"))
 
     def add(self, frame: Frame) -> None:
         """Put a frame on the air now, or one that begins in a known time."""
@@ -131,5 +132,5 @@ class Air:
     def _distances(self, frame: Frame, nodes: Integers) -> Floats:
         """Return the (k,) distances of nodes from the sender of a frame, m."""
         if self._positions is None:
-            raise ValueError("network.medium.reception: reception by power needs positions")
+            raise KeyedError(Problem("reception by power needs positions", "medium.reception"))
         return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from desim.config.arrays import Bools, Integers
+from desim.config.errors import KeyedError, Problem
 from desim.kernel.channel.access_methods import AccessMethod, Contenders
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.positions import PositionSource, distances
@@ -50,7 +51,7 @@ class CarrierSense:
         self._known: dict[int, Integers] = {}
         """The listeners of each node, if there is no range; up to `ROOM` numbers."""
         if self._range is not None and positions is None:
-            raise ValueError("network.medium.access: a sensing range needs positions")
+            raise KeyedError(Problem("a sensing range needs positions", "medium.access"))
 
     def listeners(self, node: int) -> Integers:
         """Return the nodes that sense the frames of a node.

@@ -14,6 +14,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
+from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, Extent, FirstError, Limit, NotEmpty, Period, Time, Value
 from desim.kernel.core.units import nanoseconds
 
@@ -175,16 +176,14 @@ class Tdma(Value):
         """Return the owners of the slots of a round for `size` nodes.
 
         Raises:
-            ValueError: if a node has no slot, or an owner is no node.
+            KeyedError: if a node has no slot, or an owner is no node.
         """
         if self.slots is None:
             return range(size)
         if idle := sorted({*range(size)}.difference(self.slots)):
-            raise ValueError(f"network.medium.access.slots: node {idle[0]} of 0 .. {size - 1} has no slot")
+            raise KeyedError(Problem(f"node {idle[0]} of 0 .. {size - 1} has no slot", "slots"))
         if unknown := sorted({*self.slots}.difference(range(size))):
-            raise ValueError(
-                f"network.medium.access.slots: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}"
-            )
+            raise KeyedError(Problem(f"there is no node {unknown[0]}: the nodes are 0 .. {size - 1}", "slots"))
         return self.slots
 
 

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
+from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
@@ -95,7 +96,7 @@ class Radio(Value):
         return duty_cycle
 
     def check(self, size: int) -> None:
-        """Raise ValueError if the medium is not for a network of `size` nodes."""
+        """Raise KeyedError if the medium is not for a network of `size` nodes."""
 
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
@@ -191,13 +192,13 @@ class LoRa(Radio):
         return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
 
     def check(self, size: int) -> None:
-        """Raise ValueError if the medium is not for a network of `size` nodes."""
+        """Raise KeyedError if the medium is not for a network of `size` nodes."""
         for name in ("spreading_factors", "frequencies"):
             if (given := vars(self)[name]) is not None and len(given) != size:
-                raise ValueError(f"network.medium.{name}: should have one for each of {size} nodes (got {len(given)})")
+                raise KeyedError(Problem(f"should have one for each of {size} nodes (got {len(given)})", name))
 
         if unknown := sorted({*(self.gateways or ())}.difference(range(size))):
-            raise ValueError(f"network.medium.gateways: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
+            raise KeyedError(Problem(f"there is no node {unknown[0]}: the nodes are 0 .. {size - 1}", "gateways"))
 
     @property
     def is_tuned(self) -> bool:

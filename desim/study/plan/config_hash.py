@@ -34,6 +34,7 @@ from pydantic import BaseModel
 
 from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
+from desim.config.errors import Problem
 from desim.config.own_modules import plain_name
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
@@ -94,9 +95,9 @@ def identify(scenario: Scenario) -> Identity:
         try:
             pickler.dump((key, each))
         except DataFileError as error:
-            raise ScenarioError(f"{key}: {error}") from error
+            raise ScenarioError(Problem(str(error), key)) from error
         except Exception as error:  # code of the object may raise anything
-            raise ScenarioError(f"{key}: has no stable hash: {error}; {ADVICE}") from error
+            raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
     files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.user.files.items())]
     whole = [tables(scenario), pickler.digest(), pickler.user.code, files]
     sources = {f"the code of {name}": each for name, each in pickler.user.code.items()}

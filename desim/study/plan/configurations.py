@@ -1,7 +1,6 @@
 """The configurations of a sweep: all combinations of the values of a grid, all valid and distinct."""
 
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -12,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.data_files import in_short
+from desim.config.errors import Problem
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
@@ -68,27 +68,29 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
         source = _with_grid(source, grid)
     grid = validate(source).sweep.grid
     if not grid:
-        raise ScenarioError(
-            f"{source.where(('sweep', 'grid'))}: sweep.grid: should have at least one key of the scenario, and a list"
-            ' of values for it, "network.latency.value" = [0.0, 0.1] for instance'
+        why = (
+            "should have at least one key of the scenario, and a list of values for it,"
+            ' "network.latency.value" = [0.0, 0.1] for instance'
         )
+        raise ScenarioError(_about_grid(source, why))
     if (size := prod(map(len, grid.values()))) > MAX_CONFIGURATIONS:
-        where = source.where(("sweep", "grid"))
         most = f"{MAX_CONFIGURATIONS:,} configurations"
-        raise ScenarioError(f"{where}: sweep.grid: should have at most {most}, has {size:,}")
+        raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
     found: list[Configuration] = []
-    errors: dict[str, list[Settings]] = {}
+    errors: dict[Problem, list[Settings]] = {}
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
             found.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
-            for line in str(error).splitlines():
-                errors.setdefault(line, []).append(settings)
+            for problem in error.problems:
+                errors.setdefault(problem, []).append(settings)
     if errors:
-        lines = sorted((_with_cause(line, among, grid) for line, among in errors.items()), key=_line_number)
+        lines = sorted(
+            (_with_cause(*error, source, grid) for error in errors.items()), key=lambda problem: problem.line
+        )
         more = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
-        raise ScenarioError("\n".join([*lines[:MAX_ERRORS], *more]))
+        raise ScenarioError(*lines[:MAX_ERRORS], *more)
     _check_distinct(found, source, grid)
     return found
 
@@ -114,19 +116,25 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
             else f"several configurations have the name '{configuration}': functions in a grid should have distinct"
             " names (__name__)"
         )
-        raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
+        raise ScenarioError(_about_grid(source, why, (differing or repeated)[0]))
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return a copy of an error whose text begins with the place where its key is set or swept, see `Source.where`.
+    """Return a copy of an error that says where its key is set or swept, see `Source.where`.
 
-    The text of the given error begins with its dotted key and a colon. `settings` holds the keys of the grid.
+    `settings` holds the keys of the grid.
     """
-    key = str(error).partition(":")[0]
-    above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
-    swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
-    place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
-    return ScenarioError(f"{(swept or [source.where(place)])[0]}: {error}")
+    (problem,) = error.problems
+    if swept := _swept_above(problem.key, settings):
+        where = source.where(("sweep", "grid", swept))
+        return ScenarioError(problem._replace(key="sweep.grid", reason=str(problem), where=where))
+    place = tuple(int(part) if part.isdigit() else part for part in problem.key.split("."))
+    return ScenarioError(problem._replace(where=source.where(place)))
+
+
+def _swept_above(key: str, settings: Iterable[str]) -> str | None:
+    """Return the key of a grid that is a dotted key, or a table that contains it; None if there is none."""
+    return next((each for each in settings if f"{key}.".startswith(f"{each}.")), None)
 
 
 def _with_grid(source: Source, grid: SweepGrid) -> Source:
@@ -137,8 +145,10 @@ def _with_grid(source: Source, grid: SweepGrid) -> Source:
     return changed
 
 
-def _where(source: Source, key: str) -> str:
-    return f"{source.where(('sweep', 'grid', key))}: sweep.grid: {key}"
+def _about_grid(source: Source, reason: str, *keys: str) -> Problem:
+    """Return a problem with the grid of a sweep, or with one of its keys."""
+    place = "sweep", "grid", *keys
+    return Problem(": ".join([*keys, reason]), "sweep.grid", source.where(place), source.line(place))
 
 
 def _scenario_with(source: Source, settings: Settings) -> Scenario:
@@ -149,22 +159,22 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
     """
     changed = source.copy()
     changed.tables.pop("sweep", None)
-    errors: list[str] = []
+    errors: list[Problem] = []
     for key, value in settings.items():
-        where = _where(source, key)
         if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
-            errors.append(f"{where}: cannot be swept; {why}")
+            errors.append(_about_grid(source, f"cannot be swept; {why}", key))
             continue
         try:
-            changed.set(key, value, where.removesuffix(f": {key}"))
+            changed.set(key, value, f"{source.where(('sweep', 'grid', key))}: sweep.grid")
         except ScenarioError as error:
-            errors.append(f"{where}: {str(error).removeprefix(f'{key}: ')}")
+            found = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
+            errors += [_about_grid(source, reason, key) for reason in found]
     try:
         scenario = validate(changed)
     except ScenarioError as error:
-        errors += str(error).splitlines()
+        errors += error.problems
     if errors:
-        raise ScenarioError("\n".join(errors))
+        raise ScenarioError(*errors)
     return without_metrics(scenario)
 
 
@@ -175,26 +185,24 @@ def without_metrics(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
 
 
-def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
-    """Return the line of a validation error followed by the settings that cause it.
+def _with_cause(problem: Problem, among: Sequence[Settings], source: Source, grid: SweepGrid) -> Problem:
+    """Return a problem whose reason also names the settings that cause it.
 
-    `among` holds the settings of all configurations with this error. A setting is a cause if another value of its key
-    does not give this error. If there is no cause, the line is followed by all settings of the first configuration. A
-    line about `sweep.grid`, which names its key, is returned alone if there is at most one cause.
+    `among` holds the settings of all configurations with this problem. A setting is a cause if another value of its key
+    does not give this problem. If there is no cause, all settings of the first configuration are named. A problem with
+    a key of the grid is returned unchanged if there is at most one cause.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
-    if re.search(": sweep.grid: ", line) and len(taken) < 2:
-        return line
-    return f"{line} (with {in_words(taken or among[0])})"
+    swept = _swept_above(problem.key, grid)
+    if swept is not None:
+        problem = problem._replace(line=source.line(("sweep", "grid", swept)))
+    if len(taken) < 2 and (problem.key == "sweep.grid" or swept is not None):
+        return problem
+    return problem._replace(reason=f"{problem.reason} (with {in_words(taken or among[0])})")
 
 
 def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
     return any(each not in values for each in all_values)
-
-
-def _line_number(error: str) -> int:
-    found = re.match(r".*?:(\d+): ", error)
-    return int(found[1]) if found else 0
 
 
 def in_words(settings: Settings) -> str:

@@ -5,7 +5,6 @@ The page of `desim play` (`desim.view.pages.play_server`) and the widget of note
 what the functions here return. Each answer to a request of a page is a JSON object.
 """
 
-import re
 import shlex
 import traceback
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -120,7 +119,7 @@ class Playground:
         try:
             scenario = self.scenario(now)
         except ScenarioError as error:
-            return _json({"errors": _by_key(str(error), now), "controls": self.controls(now)})
+            return _json({"errors": _by_key(error, now), "controls": self.controls(now)})
         shown = {"controls": [asdict(each) for each in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
@@ -433,16 +432,14 @@ def _formatted(value: Any, sign: str = "") -> str:
     return f"{value:{sign},.{3 if abs(value) < 100.0 else 1}f}"
 
 
-def _by_key(text: str, changes: Changes) -> dict[str, str]:
-    """Return the message of each key in the lines of a ScenarioError; under "" the lines that name no key."""
-    found: dict[str, list[str]] = {}
-    for line in text.splitlines():
-        change = next((each for each in changes if line.startswith(f"--set {each}: ")), None)
-        said = line if change is None else line.removeprefix(f"--set {change}: ")
-        place = re.fullmatch(r"(?:.*?:\d+: |the scenario: )?([a-z_][\w.-]*): (.*)", said)
-        key, message = (place[1], place[2]) if place else ((change or "").partition("=")[0], said)
-        found.setdefault(key, []).append(message)
-    return {key: "\n".join(messages) for key, messages in found.items()}
+def _by_key(error: ScenarioError, changes: Changes) -> dict[str, str]:
+    """Return the reasons of each key in the problems of an error; under "" those that belong to no key."""
+    keys = {f"--set {change}": change.partition("=")[0] for change in changes}
+    reasons: dict[str, list[str]] = {}
+    for problem in error.problems:
+        key = problem.key or keys.get(problem.where, "")
+        reasons.setdefault(key, []).append(problem.reason if key else str(problem))
+    return {key: "\n".join(texts) for key, texts in reasons.items()}
 
 
 def _reason(error: BaseException) -> str:

@@ -1,0 +1,49 @@
+"""Errors about keys: where a key was set, which key is wrong, and why, as fields. Nobody has to parse a message."""
+
+from typing import NamedTuple
+
+
+class Problem(NamedTuple):
+    """What is wrong with a key; as text "where: key: reason", without the parts that are empty."""
+
+    reason: str
+    key: str = ""
+    """The dotted key, relative to the model that raises the error; "" if the problem belongs to no key."""
+    where: str = ""
+    """The file and the line, or a description of the override that set the key."""
+    line: int = 0
+    """The line in the file; 0 if there is none."""
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (self.where, self.key, self.reason) if part)
+
+    def below(self, above: str) -> "Problem":
+        """Return the problem with its key relative to the table that contains the model at the key `above`."""
+        return self._replace(key=f"{above}.{self.key}" if self.key else above)
+
+
+class KeyedError(ValueError):
+    """One or several problems with keys: its arguments, each a `Problem` or a text without a key."""
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """The problems, in order."""
+        return tuple(each if isinstance(each, Problem) else Problem(str(each)) for each in self.args)
+
+    @property
+    def key(self) -> str:
+        """The key of the first problem."""
+        return self.problems[0].key
+
+    @property
+    def reason(self) -> str:
+        """The reason of the first problem."""
+        return self.problems[0].reason
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.args))
+
+
+def problems_of(error: ValueError) -> tuple[Problem, ...]:
+    """Return the problems of an error; the text of an error without fields is a problem without a key."""
+    return error.problems if isinstance(error, KeyedError) else (Problem(str(error)),)
