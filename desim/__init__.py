@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from desim.kernel.models.access import Tdma as Tdma
     from desim.kernel.models.faults import ClockSkew as ClockSkew
     from desim.kernel.models.faults import Crash as Crash
+    from desim.kernel.models.faults import Fault as Fault
     from desim.kernel.models.faults import Jamming as Jamming
     from desim.kernel.models.faults import Partition as Partition
     from desim.kernel.models.faults import RandomCrashes as RandomCrashes
@@ -129,6 +130,7 @@ if TYPE_CHECKING:
     from desim.study.ablation.explain import explain as explain
     from desim.study.sweeps.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweeps.sweep import sweep as sweep
+    from desim.view.formats.export import export as export
     from desim.view.pages.replay import replay as replay
     from desim.view.pages.widget import play as play
     from desim.view.pictures.run_figure import plot as plot

@@ -73,6 +73,7 @@ class OneOf:
         traits: the class that declares and checks the optional attributes of a model or callable object.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
             {kind = "constant", value = 0.1}. A bare string always stands for a kind.
+        called: the name of the method by which models are called, if it is not `__call__`.
         is_closed: whether a callable object must derive from one of `models`, because these are not called.
     """
 
@@ -84,6 +85,7 @@ class OneOf:
         takes: tuple[str, ...] = (),
         traits: type[Traits] = Traits,
         number: tuple[str, str] | None = None,
+        called: str = "__call__",
         is_closed: bool = False,
     ):
         self.models = models
@@ -92,6 +94,7 @@ class OneOf:
         self.takes = takes
         self.traits = traits
         self.number = number
+        self.called = called
         self.is_closed = is_closed
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
@@ -166,19 +169,24 @@ class OneOf:
             value = self._imported(value, info)
         if not isinstance(value, dict):
             self._check_base(value)
-        if not callable(value):
+        if not callable(self._function(value)):
             return self._from_table(value, info)
         self.check(value)
         return value
 
     def check(self, value: Any) -> None:
         """Raise ValueError if a value cannot be called as a model is, or has invalid traits."""
-        if not callable(value):
-            raise ValueError(f"should be a model, which can be called (got {value!r})")
+        if not callable(self._function(value)):
+            how = "can be called" if self.called == "__call__" else f"has a method {self.called}"
+            raise ValueError(f"should be a model, which {how} (got {value!r})")
         if missing := [name for name in self.needs if name not in attributes(value, self.needs)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
-        self._check_called(value, value)
+        self._check_called(self._function(value), value)
         self.traits.check(value)
+
+    def _function(self, value: Any) -> Any:
+        """Return what is called of a model: the model itself, or a method of it; None if it has none."""
+        return value if self.called == "__call__" else getattr(value, self.called, None)
 
     def _check_base(self, value: Any) -> None:
         """Raise ValueError if a value defines a method that is never called.
@@ -237,9 +245,10 @@ class OneOf:
             if parameters:
                 raise ValueError(f"{kind!r} is not a class and takes no parameters, got {', '.join(parameters)}")
             return found
-        calls = next((vars(base)["__call__"] for base in found.__mro__ if "__call__" in vars(base)), None)
+        calls = next((vars(base)[self.called] for base in found.__mro__ if self.called in vars(base)), None)
         if calls is None:
-            raise ValueError(f"{kind!r} is not a model: its instances should be callable")
+            what = "be callable" if self.called == "__call__" else f"have a method {self.called}"
+            raise ValueError(f"{kind!r} is not a model: its instances should {what}")
         if isinstance(calls, FunctionType):
             self._check_called(calls, found, None)
         return _constructed(found, kind, parameters, info.context)

@@ -11,7 +11,7 @@ from desim.kernel.core.units import nanoseconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma
-from desim.kernel.models.faults import ClockSkew, Fault
+from desim.kernel.models.faults import Window, is_skewed
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.links import Links
@@ -19,9 +19,6 @@ from desim.kernel.models.medium import LoRa, Radio
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
-from desim.pursuit.byzantine.lies import (
-    ByzantineFault,
-)
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
 
@@ -43,10 +40,10 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if is_mute and sends_announcements(scenario) and is_built_in(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     yield from _transport_warnings(scenario)
-    if scenario.clocks.sync != Unsynchronised() and not any(isinstance(each, ClockSkew) for each in scenario.fault):
+    if scenario.clocks.sync != Unsynchronised() and not is_skewed(scenario.fault):
         yield "clocks.sync", "it costs messages, and all clocks are right (`fault.kind` clock_skew makes them wrong)"
     for k, fault in enumerate(scenario.fault):
-        if isinstance(fault, Fault | ByzantineFault) and fault.start >= scenario.horizon:
+        if isinstance(fault, Window) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
     yield from _trace_warnings(scenario)
     yield from _channel_warnings(scenario)

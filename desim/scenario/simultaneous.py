@@ -15,7 +15,7 @@ from desim.config.arrays import Floats
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.models.access import Aloha, CarrierSensing, Csma, Ideal, SlottedAloha
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.faults import Crash, drawn_skews
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.medium import Medium, Radio
 from desim.kernel.models.traits import LinkTraits
@@ -169,7 +169,7 @@ def _drawn(model: Any, rng: np.random.Generator) -> Floats:
 
 def _clock_error(scenario: Scenario) -> float:
     """Return the standard deviation of the clocks of all pursuers in the middle of a run, s."""
-    skews = [fault for fault in scenario.fault if isinstance(fault, ClockSkew) and fault.node is None]
+    skews = drawn_skews(scenario.fault)
     return hypot(*(part for each in skews for part in (each.offset, each.drift * scenario.horizon / 2.0)))
 
 

@@ -440,6 +440,16 @@ MIN_FAULT_DURATION = 1e-6
 FAULTS = OneOf(*BUILT_IN, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
 
 
+def is_skewed(faults: Iterable[object]) -> bool:
+    """Return whether a fault makes a clock wrong."""
+    return any(isinstance(fault, ClockSkew) for fault in faults)
+
+
+def drawn_skews(faults: Iterable[object]) -> list[ClockSkew]:
+    """Return the clock errors in `faults` that are drawn for each node."""
+    return [fault for fault in faults if isinstance(fault, ClockSkew) and fault.node is None]
+
+
 def clock_skews(faults: Iterable[object], node: int) -> list[ClockSkew]:
     """Return the clock errors in `faults` that concern a node."""
     return [skew for skew in faults if isinstance(skew, ClockSkew) and skew.node in (None, node)]

@@ -238,7 +238,12 @@ class Reputation(_Observing):
         return _Rating(witness, self.radius, self.threshold, self.decay_time)
 
 
-TRUSTS = OneOf(Credulous, Trimmed, Plausible, Accusations, Reputation, needs=("judge", "period"))
+TRUSTS = OneOf(
+    *(Credulous, Trimmed, Plausible, Accusations, Reputation),
+    needs=("judge", "period"),
+    takes=("witness",),
+    called="judge",
+)
 
 
 def tolerated_liars(size: int) -> int:

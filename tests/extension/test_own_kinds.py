@@ -1,0 +1,246 @@
+"""Kinds of users, one of each family, from a single module outside of desim: in files, pages, reports and errors."""
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+import desim
+from desim import Evader, Links, Scenario, Team, explain, run, summary
+from desim.kernel.core.events import Lost
+from desim.kernel.models.faults import CustomFault, FaultEnded, FaultStarted
+from desim.pursuit.motion.flow import Environment
+from desim.pursuit.team.announcements import Announcements
+from desim.results import run_folder
+from desim.scenario.scenario import Recording
+from desim.scenario.toml import load
+from desim.testing.messages import Conservation
+from desim.view.formats.perfetto import perfetto
+from desim.view.pages.replay import replay_page
+from protocols import SpatialAdaptivePlay
+from tests.command import accepted, refused
+
+MODULE = Path(__file__).parent / "own_kinds.py"
+IN_FLOW = """
+horizon = 3.0
+protocol = "own_kinds:Eager"
+team.count = 4
+evader.strategy = "own_kinds:feint"
+network.latency = { kind = "own_kinds:Sawtooth", step = 0.02 }
+network.loss = { kind = "own_kinds:Fog", p = 0.25 }
+announce.trust = { kind = "own_kinds:Sceptic", limit = 2 }
+environment.flow = { kind = "own_kinds:Wind", speed = 0.2 }
+record = { messages = true, trajectory = 0.1, metrics = ["own_kinds:events_per_second"] }
+
+[[fault]]
+kind = "own_kinds:LinkDown"
+start = 0.5
+end = 1.5
+ends = [0, 1]
+
+[[fault]]
+kind = "own_kinds:storm"
+"""
+WITH_INERTIA = """
+horizon = 2.0
+protocol = { kind = "sap", schedule = "own_kinds:Staggered" }
+team = { count = 3, dynamics = "own_kinds:Lag" }
+record.messages = true
+"""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """Return the folder of the module and of two scenario files; scripts import the module from there."""
+    folder = tmp_path_factory.mktemp("own")
+    shutil.copy(MODULE, folder)
+    (folder / "flow.toml").write_text(IN_FLOW)
+    (folder / "inertia.toml").write_text(WITH_INERTIA)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        yield folder
+        sys.modules.pop("own_kinds", None)
+
+
+@pytest.fixture(scope="module")
+def result(own):
+    """Return a run of the first file, watched."""
+    return run(load(own / "flow.toml", allow_import=True), 1, Conservation())
+
+
+def in_python():
+    """Return both scenarios of the files as a script constructs them."""
+    import own_kinds as kinds
+
+    flow = Scenario(
+        horizon=3.0,
+        protocol=kinds.Eager(),
+        team=Team(count=4),
+        evader=Evader(strategy=kinds.feint),
+        network=Links(latency=kinds.Sawtooth(step=0.02), loss=kinds.Fog(p=0.25)),
+        announce=Announcements(trust=kinds.Sceptic(limit=2)),
+        environment=Environment(flow=kinds.Wind(speed=0.2)),
+        record=Recording(messages=True, trajectory=0.1, metrics=(kinds.events_per_second,)),
+        fault=(kinds.LinkDown(start=0.5, end=1.5, ends=(0, 1)), kinds.storm),
+    )
+    inertia = Scenario(
+        horizon=2.0,
+        protocol=SpatialAdaptivePlay(schedule=kinds.Staggered()),
+        team=Team(count=3, dynamics=kinds.Lag()),
+        record=Recording(messages=True),
+    )
+    return {"flow": flow, "inertia": inertia}
+
+
+@pytest.mark.parametrize("name", ["flow", "inertia"])
+def test_a_file_and_a_script_give_the_same_run(own, name):
+    of_file = run(load(own / f"{name}.toml", allow_import=True), 1)
+    of_script = run(in_python()[name], 1)
+    assert list(map(repr, of_file.trace)) == list(map(repr, of_script.trace))
+    assert len(of_file.trace) > 20
+
+
+def test_a_fault_of_a_user_has_a_cause_a_record_and_a_sketch(result):
+    started, ended = result.trace.of(FaultStarted), result.trace.of(FaultEnded)
+    assert {type(event.fault) for event in started} == {CustomFault}
+    assert {event.fault.model.rpartition(":")[2] for event in started} == {"LinkDown"}
+    assert [event.fault.nodes for event in started if event.t == 500_000_000] == [(0, 1)]
+    assert len(started) == len(ended) == 2
+    assert {event.cause for event in result.trace.of(Lost)} == {"fog", "cable"}
+    for event in result.trace.of(Lost):
+        if event.cause == "cable":
+            assert {event.src, event.dst} in ({0, 1}, {0, 3})
+
+
+def test_nothing_passes_a_link_that_is_down(result):
+    for event in result.trace:
+        for dst, arrival in event.fates() if hasattr(event, "transmission") and hasattr(event, "fates") else ():
+            if {event.src, dst} == {0, 1} and arrival >= 0:
+                assert not 500_000_000 <= event.t < 1_500_000_000
+
+
+def test_pages_draw_kinds_of_users(result):
+    data = re.search(r"<script[^>]*application/json[^>]*>(.*?)</script>", replay_page(result), re.DOTALL)
+    page = replay_page(result) if data is None else data[1]
+    assert '"label": "LinkDown"' in page or '"label":"LinkDown"' in page
+    assert "cable" in page
+    assert "LinkDown" in perfetto(result)
+    assert "cable" in str(summary(result))
+
+
+@pytest.mark.slow
+def test_a_recorded_run_is_read_and_shown_without_the_code_of_its_faults(own, result, tmp_path):
+    run_folder.write(result, tmp_path / "out")
+    again = run_folder.read(tmp_path / "out", allow_import=True)
+    assert again.trace.of(FaultStarted) == result.trace.of(FaultStarted)
+    accepted("export", tmp_path / "out", tmp_path / "x.csv")  # nobody allowed an import
+    assert "LinkDown" in (tmp_path / "x.csv").read_text()
+    accepted("plot", tmp_path / "out", "--kind", "spacetime", "--allow-import", "-o", tmp_path / "x.svg")
+
+
+def test_an_exporter_of_a_user_gets_the_result(own, result, tmp_path):
+    import own_kinds as kinds
+
+    count = desim.export(result, tmp_path / "a.edges", kinds.Edges())
+    assert count == len((tmp_path / "a.edges").read_text().splitlines()) == 12
+    assert desim.export(result, tmp_path / "b.edges", {"kind": "own_kinds:Edges", "directed": False}) == 6
+    assert desim.export(result, tmp_path / "f", lambda result, file: file.write_text(result.scenario.name)) > 0
+    with pytest.raises(ValueError, match=r"x\.dot: should end in \.edges"):
+        desim.export(result, tmp_path / "x.dot", kinds.Edges())
+    with pytest.raises(ValueError, match="should write the file"):
+        desim.export(result, tmp_path / "x.edges", lambda result, file: None)
+
+
+@pytest.mark.slow
+def test_an_exporter_is_named_on_the_command_line(own, tmp_path):
+    options = "--exporter", "own_kinds:Edges"
+    said = accepted("export", own / "flow.toml", tmp_path / "x.edges", "--allow-import", *options).stderr
+    assert said == f"wrote 12 edges to {tmp_path / 'x.edges'}\n"
+    assert "names code to be run" in refused("export", own / "flow.toml", tmp_path / "x.edges", *options)
+
+
+WRONG = {
+    "network.latency.step": '{ kind = "own_kinds:Sawtooth", step = -1.0 }',
+    "network.loss.p": '{ kind = "own_kinds:Fog", p = 2.0 }',
+    "announce.trust.limit": '{ kind = "own_kinds:Sceptic", limit = "many" }',
+    "environment.flow.speed": '{ kind = "own_kinds:Wind", speed = "fast" }',
+    "fault.0.ends.1": '{ kind = "own_kinds:LinkDown", start = 0.5, ends = [0] }',
+    "fault.0.end": '{ kind = "own_kinds:LinkDown", start = 0.5, end = 0.1, ends = [0, 1] }',
+    "protocol.tau": '{ kind = "own_kinds:Eager", tau = 1.0 }',
+}
+
+
+@pytest.mark.parametrize("key", WRONG)
+def test_an_error_in_a_field_names_file_line_and_key(own, key):
+    table = key.partition(".0")[0] if key.startswith("fault") else key.rpartition(".")[0]
+    value = f"[{WRONG[key]}]" if key.startswith("fault") else WRONG[key]
+    file = own / "wrong.toml"
+    file.write_text(f"team.count = 4\n{table} = {value}\n")
+    with pytest.raises(ValueError) as error:
+        load(file, allow_import=True)
+    (problem,) = error.value.problems
+    assert (problem.key, problem.where, problem.line) == (key, f"{file}:2", 2)
+    assert str(error.value) == f"{file}:2: {key}: {problem.reason}"
+
+
+def test_a_node_that_does_not_exist_is_reported_at_the_key_of_the_fault(own):
+    import own_kinds as kinds
+
+    with pytest.raises(ValueError, match=r"fault\.0\.ends: there is no pursuer 9"):
+        Scenario(team=Team(count=4), fault=(kinds.LinkDown(start=0.0, ends=(0, 9)),))
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ({"begin": lambda self, site: None}, r"begin\(\) of Bad should return a function without arguments"),
+        ({"begin": lambda self, site: print, "sketch": lambda self: {"at": 1j}}, "should return JSON values"),
+    ],
+)
+def test_a_fault_that_is_written_wrongly_is_told_what_is_wrong(body, why):
+    wrong = type("Bad", (desim.Fault,), {"__module__": __name__, **body})(start=0.1)
+    with pytest.raises(ValueError, match=why):
+        run(Scenario(horizon=1.0, fault=(wrong,)), 1)
+
+
+def test_a_fault_may_begin_others(own):
+    """They are recorded, too: a crash that is a part of a fault is a crash to all pages and metrics."""
+
+    class Brownout(desim.Fault):
+        nodes: tuple[int, ...]
+
+        def named(self):
+            return {"nodes": self.nodes}
+
+        def begin(self, site):
+            ends = [site.begin(desim.Crash(node=node, start=self.start, end=self.end)) for node in self.nodes]
+            return lambda: [end() for end in ends]
+
+    made = run(Scenario(horizon=2.0, fault=(Brownout(start=0.5, end=1.0, nodes=(1, 3)),)), 1, Conservation())
+    plain = run(Scenario(horizon=2.0, fault=tuple(desim.Crash(node=k, start=0.5, end=1.0) for k in (1, 3))), 1)
+    kinds = [event.fault.kind for event in made.trace.of(FaultStarted)]
+    assert kinds == ["custom", "crash", "crash"]
+    rest = [event for event in made.trace if getattr(getattr(event, "fault", None), "kind", "") != "custom"]
+    assert sorted(map(repr, rest)) == sorted(map(repr, plain.trace))
+
+
+@pytest.mark.slow
+def test_a_report_of_a_sweep_names_kinds_of_users(own, tmp_path):
+    grid = "-g", "network.loss.p=0.0,0.5", "--set", "horizon=1.0", "-n", 2
+    accepted("sweep", own / "flow.toml", "--allow-import", *grid, "-o", tmp_path / "sweep")
+    accepted("report", tmp_path / "sweep", "-o", tmp_path / "report.html")
+    report = (tmp_path / "report.html").read_text()
+    assert all(word in report for word in ("own_kinds:LinkDown", "own_kinds:Eager", "events_per_second"))
+
+
+@pytest.mark.slow
+def test_an_explanation_removes_kinds_of_users(own, tmp_path):
+    scenario = load(own / "flow.toml", ["horizon=1.0"], allow_import=True)
+    assert "fault" in str(explain(scenario, runs=2))
+    told = accepted(
+        "explain", own / "flow.toml", "--allow-import", "--set", "horizon=1.0", "-n", 2, "--json", "-o", tmp_path / "e"
+    ).stdout
+    assert json.loads(told)
