@@ -8,7 +8,7 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
 from desim.kernel.models.faults import FaultStarted, Misbehaviour
 from desim.pursuit.core.events import Distrusted
-from desim.pursuit.team.trust import Credulous
+from desim.pursuit.team.trust import may_distrust
 from desim.simulation.run import Result, run
 
 
@@ -23,7 +23,7 @@ def first_lies(result: Result) -> dict[int, int]:
 
 def checks_announcements(result: Result) -> bool:
     """Return whether pursuers may distrust each other: whether `announce.trust` is not "none"."""
-    return not isinstance(result.scenario.announce.trust, Credulous)
+    return may_distrust(result.scenario.announce.trust)
 
 
 def false_accusations(result: Result) -> int:

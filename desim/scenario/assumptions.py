@@ -17,7 +17,7 @@ import networkx as nx
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.access import Tdma
 from desim.kernel.models.implicit_complete import is_complete
-from desim.kernel.models.medium import Medium, Radio
+from desim.kernel.models.medium import Medium, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits, InterferenceTraits
 from desim.kernel.topology.topology import Topology
@@ -215,7 +215,7 @@ def _loses_frames(medium: Medium) -> bool:
 
     Frames of a TDMA overlap only if clocks differ, which is a fault of the scenario.
     """
-    if not (isinstance(medium, Radio) and medium.contends):
+    if not contends(medium):
         return False
     return not isinstance(medium.access, Tdma) or InterferenceTraits.of(medium.reception).has_noise
 

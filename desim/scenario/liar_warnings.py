@@ -12,7 +12,7 @@ from desim.pursuit.byzantine.lies import (
     Slander,
 )
 from desim.pursuit.core.traits import DisseminationTraits
-from desim.pursuit.team.trust import INITIAL_REPUTATION, TRUSTS, Credulous, Reputation, Trimmed, tolerated_liars
+from desim.pursuit.team.trust import INITIAL_REPUTATION, TRUSTS, Reputation, Trimmed, may_distrust, tolerated_liars
 from desim.scenario.assumptions import initial_graph, is_relayed
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import is_built_in, tells_nothing
@@ -49,7 +49,7 @@ def lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about trust without an effect, or with more liars than it can tolerate."""
     trust, count = scenario.announce.trust, scenario.team.count
-    if isinstance(trust, Credulous):
+    if not may_distrust(trust):
         return
     slander = any(isinstance(fault, Slander | RandomLies) for fault in scenario.fault)
     is_accused = slander and trust.period is not None

@@ -15,7 +15,7 @@ from desim.kernel.models.faults import Window, is_skewed
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import LoRa, Radio
+from desim.kernel.models.medium import LoRa, Radio, contends
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
@@ -50,7 +50,7 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
-    contend = isinstance(network.medium, Radio) and network.medium.contends
+    contend = contends(network.medium)
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
     is_one_channel = network.medium.shared or (contend and all_hear_all)
     load = airtime / announce.heartbeat * (scenario.team.count if is_one_channel else 1)

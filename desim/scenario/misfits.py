@@ -14,7 +14,7 @@ from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.node_names import shortened
 from desim.kernel.models.access import Tdma
 from desim.kernel.models.faults import nodes_of
-from desim.kernel.models.graphs import Edges
+from desim.kernel.models.graphs import names_of
 from desim.kernel.models.medium import Radio, airtime_of
 from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
@@ -73,7 +73,7 @@ def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
 
 def _name_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of positions whose nodes have other names than those of the graph."""
-    names = scenario.network.graph.names if isinstance(scenario.network.graph, Edges) else ()
+    names = names_of(scenario.network.graph)
     if names and scenario.team.names and names != scenario.team.names:
         yield (
             ("team", "positions"),

@@ -27,7 +27,7 @@ from desim.config.model import (
 )
 from desim.config.traits import kind_of
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
-from desim.kernel.models.graphs import Edges
+from desim.kernel.models.graphs import names_of
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import airtime_of
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
@@ -244,7 +244,7 @@ class Scenario(Value):
 
     def _number_by_names(self) -> None:
         """Give named nodes one number everywhere: that in the graph, else in the positions, else in the first table."""
-        names = self.network.graph.names if isinstance(self.network.graph, Edges) else ()
+        names = names_of(self.network.graph)
         names = names or self.team.names or self.network.node_names
         self.__dict__["network"] = self.network.numbered(names)
         self.__dict__["team"] = self.team.numbered(names)

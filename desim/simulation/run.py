@@ -16,7 +16,7 @@ from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.models.faults import Crash, draw_faults
-from desim.kernel.models.medium import Radio
+from desim.kernel.models.medium import contends
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
@@ -265,7 +265,7 @@ class _Team:
         It is 0, or random where nodes contend for a channel and announcements have some jitter.
         """
         medium, announce = self._scenario.network.medium, self._scenario.announce
-        if not announce.jitter or not isinstance(medium, Radio) or not medium.contends:
+        if not announce.jitter or not contends(medium):
             return 0.0
         return agent.stream("first announcement").uniform(0.0, announce.jitter * announce.heartbeat)
 

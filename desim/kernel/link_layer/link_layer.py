@@ -21,7 +21,7 @@ from desim.kernel.link_layer.delivery import Delivery
 from desim.kernel.link_layer.departure import Departure
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import Radio, Unlimited
+from desim.kernel.models.medium import Unlimited, contends
 from desim.kernel.state.inbox import Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Transmission
@@ -54,7 +54,7 @@ class LinkLayer:
         medium = links.medium
         wait: Callable[[Transmission], None] = _is_waiting_already if links.delays_start else self._log.queue
         self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
-        if isinstance(medium, Radio) and medium.contends:
+        if contends(medium):
             callbacks = Callbacks(
                 start=self._log.start,
                 leave=self._leave,

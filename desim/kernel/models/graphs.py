@@ -321,4 +321,9 @@ def graph_of(model: GraphModel, size: int) -> "nx.Graph[int]":
     return graph
 
 
+def names_of(graph: Any) -> tuple[str, ...]:
+    """Return the names of the nodes of a model of graphs, in the order of their numbers; empty if they have none."""
+    return graph.names or () if isinstance(graph, Edges) else ()
+
+
 GRAPHS = OneOf(Complete, Ring, Star, Grid, Edges, takes=("size",))

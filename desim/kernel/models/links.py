@@ -11,7 +11,18 @@ from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.base import LinkTrace
-from desim.kernel.models.graphs import GRAPHS, Complete, Edge, Edges, GraphModel, Link, Order, graph_of, is_networkx
+from desim.kernel.models.graphs import (
+    GRAPHS,
+    Complete,
+    Edge,
+    Edges,
+    GraphModel,
+    Link,
+    Order,
+    graph_of,
+    is_networkx,
+    names_of,
+)
 from desim.kernel.models.latency import JITTERS, Constant, Latency
 from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
@@ -125,8 +136,8 @@ class Links(Value):
     @property
     def node_names(self) -> tuple[str, ...]:
         """The names of the nodes, by number: those of the graph, else of the first table of measurements with names."""
-        if isinstance(self.graph, Edges) and self.graph.names:
-            return self.graph.names
+        if names := names_of(self.graph):
+            return names
         orders = (trace.nodes or trace.measurements.names for _, trace in self.traces())
         return next((order for order in orders if order), ())
 
@@ -166,8 +177,8 @@ class Links(Value):
 
     @model_validator(mode="after")
     def _number_by_graph(self) -> Self:
-        if isinstance(self.graph, Edges) and self.graph.names:
-            self.__dict__.update(self.numbered(self.graph.names).__dict__)
+        if names := names_of(self.graph):
+            self.__dict__.update(self.numbered(names).__dict__)
         return self
 
     def make_graph(self, size: int) -> Any:
@@ -189,7 +200,7 @@ class Links(Value):
     def _has_numbers(cls, given: Any, info: ValidationInfo) -> Any:
         """Raise ValueError with the number of a node that is named instead."""
         graph = info.data.get("graph")
-        names = graph.names if isinstance(graph, Edges) else ()
+        names = names_of(graph)
         for k, link in enumerate(given if isinstance(given, list | tuple) else ()):
             for end in ("src", "dst"):
                 node = link.get(end) if isinstance(link, dict) else None

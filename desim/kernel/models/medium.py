@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import ceil, inf
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeGuard
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -121,6 +121,11 @@ class Radio(Value):
     def contends(self) -> bool:
         """Whether nodes contend for one channel."""
         return not isinstance(self.access, Ideal)
+
+
+def contends(medium: Medium) -> TypeGuard[Radio]:
+    """Return whether nodes contend for the channel of a medium; in that of a user they do not, unless it is a Radio."""
+    return isinstance(medium, Radio) and medium.contends
 
 
 class Unlimited(Value):

@@ -8,7 +8,7 @@ from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant, Uniform, mean_of
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, Correlated, FourState, GilbertElliott
-from desim.kernel.models.medium import Bitrate, Medium, Radio, Unlimited
+from desim.kernel.models.medium import Bitrate, Medium, Unlimited, contends
 from desim.kernel.models.netem import Netem
 from desim.kernel.models.netem_tables import TABLES, fit
 from desim.kernel.models.own_links import link_overrides
@@ -182,7 +182,7 @@ def _missing(links: Links) -> Iterator[tuple[str, str]]:
         yield "network.range", "netem does not know positions"
     if not isinstance(medium, Bitrate | Unlimited):
         yield "network.medium", "netem has only a bit rate"
-    if isinstance(medium, Radio) and medium.contends:
+    if contends(medium):
         yield "network.medium.access", "netem has no contention: each device has a channel of its own"
     if type(links.processing.sender) is not Constant:
         yield "network.processing.sender", "netem has one delay: only the mean of this one is added to it"

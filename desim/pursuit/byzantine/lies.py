@@ -10,7 +10,7 @@ from cmath import isfinite
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isnan
-from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from pydantic import model_validator
@@ -105,6 +105,11 @@ class Speaker:
 class ByzantineFault(Window):
     """Base of the Byzantine faults: the pursuers concerned, and how they act."""
 
+    is_silent: ClassVar[bool] = False
+    """Whether a pursuer sends nothing."""
+    reads_history: ClassVar[bool] = False
+    """Whether it needs the `history` of a speaker."""
+
     node: Node | None = None
     """The number of the pursuer; give this or `share`."""
     share: Probability | None = None
@@ -151,6 +156,8 @@ class Silent(ByzantineFault):
     """A pursuer sends nothing, but still receives and decides."""
 
     kind: Literal["silent"] = "silent"
+
+    is_silent: ClassVar[bool] = True
 
 
 class FalseAnnouncements(ByzantineFault):
@@ -256,6 +263,8 @@ class ReplayAttack(ByzantineFault):
     kind: Literal["replay"] = "replay"
     delay: Duration = 5.0
     """Age of the announcements, s; before there is one as old, its first one."""
+
+    reads_history: ClassVar[bool] = True
 
     def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
         """Return the old announcement."""

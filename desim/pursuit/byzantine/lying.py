@@ -24,7 +24,7 @@ from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted, Misbehaviour
 from desim.kernel.models.transport import BestEffort, Transport
 from desim.kernel.network import Network
-from desim.pursuit.byzantine.lies import ByzantineFault, ReplayAttack, Silent, Speaker
+from desim.pursuit.byzantine.lies import ByzantineFault, Speaker
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
@@ -76,7 +76,7 @@ class LyingTeam:
         self._seed, self._set_action = seed, set_action
         self._active: defaultdict[int, list[Lie]] = defaultdict(list)
         self._rng = {one.node: stream(seed, "words", one.node) for one, _ in lies}
-        replaying = {one.node for one, model in lies if isinstance(model, ReplayAttack)}
+        replaying = {one.node for one, model in lies if model.reads_history}
         self._history: dict[int, list[tuple[int, Any]]] = {pursuer: [] for pursuer in replaying}
         for lie in lies:
             self._at(lie[0].start, partial(self._begin, lie))
@@ -208,7 +208,7 @@ class LyingTeam:
             self._history[src].append((self._env.now, as_sent(body)))
 
     def _is_silent(self, pursuer: int) -> bool:
-        return any(isinstance(model, Silent) for _, model in self._active[pursuer])
+        return any(model.is_silent for _, model in self._active[pursuer])
 
     def _stays(self, pursuer: int) -> bool:
         return any(model.acts == "stay" for _, model in self._active[pursuer])

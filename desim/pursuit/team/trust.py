@@ -97,6 +97,11 @@ class Trust(Protocol):
         ...
 
 
+def may_distrust(trust: Trust) -> bool:
+    """Return whether pursuers with a trust may ignore announcements."""
+    return not isinstance(trust, Credulous)
+
+
 def judge_of(trust: Trust, witness: Observer) -> Judge | None:
     """Return the judge of a pursuer, given what it observes; None: it believes everything.
 

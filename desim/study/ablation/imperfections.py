@@ -17,7 +17,7 @@ from desim.kernel.models.interference import Collision
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli
-from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited
+from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.pursuit.byzantine.lies import is_lie
@@ -206,7 +206,7 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
 
 def _contends(medium: Medium) -> TypeGuard[Radio]:
     """Return whether nodes contend for the channel of a medium."""
-    return isinstance(medium, Radio) and medium.contends
+    return contends(medium)
 
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:

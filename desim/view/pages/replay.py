@@ -43,7 +43,7 @@ from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
-from desim.kernel.models.medium import Radio, Unlimited
+from desim.kernel.models.medium import Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted, Estimated
@@ -216,7 +216,7 @@ def conditions(scenario: Scenario) -> str:
         parts.append(f"graph {_model(links.graph)}")
     if type(links.medium) is not Unlimited:
         parts.append(f"medium {_model(links.medium)}")
-    if isinstance(links.medium, Radio) and links.medium.contends:
+    if contends(links.medium):
         parts.append(f"access {_model(links.medium.access)}, interference {_model(links.medium.reception)}")
     if links.link:
         parts.append(f"{len(links.link)} link{'s' if len(links.link) > 1 else ''} with other models")

@@ -1,0 +1,120 @@
+"""A kind brings its own verbs: no module asks whether a model is of a kind of another module's family."""
+
+import ast
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from desim.config.choice import OneOf
+from desim.config.model import markers_of
+from desim.config.traits import is_ours
+
+ROOT = Path(__file__).parent.parent
+RECORDED = "a trace records a crash or a partition as such, also one that is a part of a user's fault"
+ALLOWED = {
+    RECORDED: {
+        "desim.analysis.knowledge": "Crash",
+        "desim.analysis.timeline": "Crash",
+        "desim.testing.messages": "Crash Partition",
+    },
+    "netem has no other link models; what is none of these is reported as missing": {
+        "desim.kernel.tc.writer": "Bernoulli Bitrate Constant Correlated FourState GilbertElliott Netem Uniform Unlimited"
+    },
+    "a contention, an airtime by node, or a tuned radio needs the fields of the base of the built-in media": {
+        "desim.kernel.channel.air": "LoRa",
+        "desim.kernel.link_layer.estimates": "Radio",
+        "desim.kernel.models.medium": "LoRaInterference",
+        "desim.scenario.scenario": "Radio",
+        "desim.scenario.simultaneous": "Radio Reliable Crash",
+        "desim.study.ablation.imperfections": "LoRa Coded Reliable",
+    },
+    "a transport is of a closed family; a dissemination derives from two of its kinds": {
+        "desim.kernel.transport.layer": "Reliable",
+        "desim.kernel.transport.sender": "Coded",
+    },
+    "parameters of one built-in kind, which other tables name": {
+        "desim.kernel.models.links": "Edges LinkTrace",
+        "desim.pursuit.sensing.noisy_sensing": "Noiseless",
+        "desim.pursuit.sensing.sensing": "Noiseless",
+        "desim.scenario.players": "RecordedMotion",
+    },
+    "warnings about the parameters of one built-in kind; a kind of a user has none": {
+        "desim.scenario.checks": "ByzantineFault Coded Edges Faded FalseAnnouncements Liar LinkTrace LoRa Radio RandomLies"
+        " Reliable Reputation Selective Silent Slander Trimmed Window"
+    },
+    "a figure of link traces, one for each unit": {
+        "desim.view.pictures.link_traces": "LatencyTrace LinkTrace SignalTrace"
+    },
+}
+"""The modules that ask for kinds of other modules, by the reason."""
+
+
+def modules():
+    """Return the modules of the product, by path."""
+    found = {}
+    for path in sorted([*ROOT.glob("desim/**/*.py"), *ROOT.glob("protocols/**/*.py")]):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] != "__main__":
+            found[path] = import_module(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    return found
+
+
+def families():
+    """Return all families: the `OneOf` of a module, and those of fields."""
+    found = []
+    for module in modules().values():
+        for value in vars(module).values():
+            if isinstance(value, OneOf):
+                found.append(value)
+            if isinstance(value, type) and issubclass(value, BaseModel):
+                found += [each for info in value.model_fields.values() for each in markers_of(info)]
+    return [each for each in found if isinstance(each, OneOf)]
+
+
+def kinds():
+    """Return the kinds of the open families, with their bases; a user cannot add to a closed one."""
+    found = {kind for family in families() if not family.is_closed for kind in family.choices().values()}
+    bases = {base for kind in found for base in kind.__mro__ if is_ours(base)}
+    return {base for base in bases if not base.__module__.startswith("desim.config")}
+
+
+def asked(tree, module):
+    """Yield the classes of which code asks whether a value is an instance: isinstance, issubclass, and match."""
+    names = dict(vars(module))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and is_ours(type("", (), {"__module__": node.module})):
+            names |= {
+                alias.asname or alias.name: getattr(import_module(node.module), alias.name, None)
+                for alias in node.names
+            }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.MatchClass):
+            parts = [node.cls]
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"isinstance", "issubclass"}:
+            parts = [node.args[1]]
+        else:
+            continue
+        for part in (inner for each in parts for inner in ast.walk(each)):
+            if isinstance(part, ast.Name):
+                value = names.get(part.id)
+                for kind in value if isinstance(value, tuple) else getattr(value, "__args__", (value,)):
+                    if isinstance(kind, type):
+                        yield kind
+
+
+@pytest.mark.slow
+def test_no_module_asks_for_a_kind_of_another_family():
+    """A kind that a user adds is then not forgotten. Give it an attribute or a method with a default instead.
+
+    `type(model) is Kind`, of a fast path, is never true of a kind of a user, which then takes the plain way.
+    """
+    every, found = kinds(), set()
+    for path, module in modules().items():
+        for kind in asked(ast.parse(path.read_text()), module):
+            if kind in every and kind.__module__ != module.__name__:
+                found.add((module.__name__, kind.__name__))
+    allowed = {(module, kind) for each in ALLOWED.values() for module, names in each.items() for kind in names.split()}
+    assert found - allowed == set()
+    assert allowed - found == set(), "no longer needed"
