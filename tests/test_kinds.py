@@ -20,7 +20,8 @@ ALLOWED = {
         "desim.testing.messages": "Crash Partition",
     },
     "netem has no other link models; what is none of these is reported as missing": {
-        "desim.kernel.tc.writer": "Bernoulli Bitrate Constant Correlated FourState GilbertElliott Netem Uniform Unlimited"
+        "desim.kernel.tc.writer": "Bernoulli Bitrate Constant Correlated FourState"
+        " GilbertElliott Netem Uniform Unlimited"
     },
     "a contention, an airtime by node, or a tuned radio needs the fields of the base of the built-in media": {
         "desim.kernel.channel.air": "LoRa",
@@ -41,8 +42,8 @@ ALLOWED = {
         "desim.scenario.players": "RecordedMotion",
     },
     "warnings about the parameters of one built-in kind; a kind of a user has none": {
-        "desim.scenario.checks": "ByzantineFault Coded Edges Faded FalseAnnouncements Liar LinkTrace LoRa Radio RandomLies"
-        " Reliable Reputation Selective Silent Slander Trimmed Window"
+        "desim.scenario.checks": "ByzantineFault Coded Edges Faded FalseAnnouncements Liar LinkTrace LoRa Radio"
+        " RandomLies Reliable Reputation Selective Silent Slander Trimmed Window"
     },
     "a figure of link traces, one for each unit": {
         "desim.view.pictures.link_traces": "LatencyTrace LinkTrace SignalTrace"
