@@ -51,6 +51,7 @@ from desim.pursuit.sensing.noise import NOISES
 from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS
+from desim.view.formats.export import EXPORTERS
 from desim.view.pictures.link_traces import link_traces
 from protocols import BestResponse
 from protocols.rule import SCHEDULES
@@ -394,7 +395,7 @@ def test_an_overridden_call_is_that_of_the_run(name, kind):
 
 
 def test_each_family_that_is_called_is_covered():
-    """`BASES` of per_pair are asked for quantiles; a random plan of lies is compared below."""
+    """`BASES` of per_pair are asked for quantiles; exporters are no part of a run; a plan of lies is compared below."""
     PROTOCOLS.choices(), DISSEMINATIONS.choices()
     found, models = [], [Value]
     for model in models:
@@ -404,7 +405,7 @@ def test_each_family_that_is_called_is_covered():
     called = [each for each in found if any(positions(kind, "__call__") for kind in each.choices().values())]
     known = [family.choice for family in FAMILIES.values()]
     inner = field(protocols.Synchronous, "schedule")  # of which only `mean_slot` is called
-    assert all(any(each is other for other in (*known, BASES, PURSUER_FAULTS, inner)) for each in called)
+    assert all(any(each is other for other in (*known, BASES, EXPORTERS, PURSUER_FAULTS, inner)) for each in called)
 
 
 def test_an_overridden_plan_of_lies_is_that_of_the_run():
