@@ -40,13 +40,14 @@ def new(what: str, name: str) -> None:
     """Write a commented starting file, ready to run, to the working directory.
 
     A scenario is NAME.toml. A protocol, latency model, evasion strategy or metric is NAME.py with a NAME.toml that uses
-    it. Nothing is overwritten.
+    it and a test_NAME.py that checks it. Nothing is overwritten.
     """
     with _writing():
         texts = starting_files(what, name)
         write_new({Path(file): text.encode() for file, text in texts.items()})
     trust = "" if what == "scenario" else " --allow-import"
-    _show([*map(Path, texts)], f"desim run {name}.toml{trust}")
+    check = "" if what == "scenario" else f"\ncheck it: python test_{name}.py"
+    _show([*map(Path, texts)], f"desim run {name}.toml{trust}{check}")
 
 
 @contextmanager

@@ -1,7 +1,7 @@
-"""Commented starting files: a scenario, or a user's own model or metric with a scenario that uses it.
+"""Commented starting files: a scenario, or a user's own model or metric with a test of it and a scenario that uses it.
 
-The template of a protocol is `my_protocol.py` and `my_protocol.toml` in `scenarios/templates`, with the class
-`MyProtocol`. A copy has another name in place of these.
+The template of a protocol is `my_protocol.py`, `test_my_protocol.py` and `my_protocol.toml` in `scenarios/templates`,
+with the class `MyProtocol`. A copy has another name in place of these.
 """
 
 import ast
@@ -29,16 +29,19 @@ def starting_files(template: str, name: str) -> dict[str, str]:
     """
     if not name.isidentifier() or iskeyword(name):
         raise ValueError(f"{name!r} should be an identifier: letters, digits and _, my_{template} for instance")
-    texts = {path.suffix: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob(f"my_{template}.*"))}
-    module = texts.get(".py")
+    files = (f"my_{template}.py", f"test_my_{template}.py", f"my_{template}.toml")
+    texts = {file: (_FOLDER / file).read_text(encoding="utf-8") for file in files if (_FOLDER / file).exists()}
+    module = texts.get(f"my_{template}.py")
     if module and _is_installed(name):
         raise ValueError(f"{name!r} is the name of an installed module, which would hide {name}.py; choose another")
     if module and name in _names_in(module) - {f"my_{template}"}:
         raise ValueError(f"{name!r} is the name of a function or class that {name}.py uses; choose another")
     class_in_template, class_name = f"My{template.title()}", _class_name(name)
     return {
-        name + suffix: text.replace(class_in_template, class_name).replace(f"my_{template}", name)
-        for suffix, text in texts.items()
+        file.replace(f"my_{template}", name): text.replace(class_in_template, class_name).replace(
+            f"my_{template}", name
+        )
+        for file, text in texts.items()
     }
 
 

@@ -19,14 +19,14 @@ from desim.testing.judging import Subject, subject, twice
 ROUNDING = 1e-9
 """Length by which a heading may exceed 1."""
 
-_SITUATIONS: tuple[tuple[str, dict[str, Any], int], ...] = (
-    ("a run with one pursuer", {}, 1),
-    ("a run with five pursuers", {}, 5),
-    ("a run without pursuers in sight", {"sensing_range": 0.0}, 2),
-    ("a run in which it reacts 0.2 s late", {"reaction_delay": 0.2}, 2),
-    ("a run with two evaders", {"count": 2}, 3),
+_SITUATIONS: tuple[tuple[str, dict[str, Any], int, int], ...] = (
+    ("a run with one pursuer", {}, 1, 1),
+    ("a run with five pursuers", {}, 5, 1),
+    ("a run without pursuers in sight", {"sensing_range": 0.0}, 2, 1),
+    ("a run in which it reacts 0.2 s late", {"reaction_delay": 0.2}, 2, 1),
+    ("a run with two evaders", {}, 3, 2),
 )
-"""Situations: what each is, keys of the evader, and the number of pursuers."""
+"""Situations: what each is, keys of the evader, and the numbers of pursuers and evaders."""
 
 
 class _Case(NamedTuple):
@@ -77,13 +77,13 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     with tested.judged("strategy(state, rng)", limit):
         for case in _cases():
             _check(tested, case)
-    for where, evader, team in _SITUATIONS:
-        parts = {"position": (9.0, 8.0)} | evader
-        if hasattr(tested.model, "start"):  # it begins where its record does
-            del parts["position"]
+    # A recorded motion begins where its record does.
+    place = {} if hasattr(tested.model, "start") else {"position": (9.0, 8.0)}
+    for where, keys, pursuers, evaders in _SITUATIONS:
 
-        def scenario(parts: dict[str, Any] = parts, team: int = team) -> Scenario:
-            return Scenario(horizon=1.0, team=Team(count=team), evader=Evader(strategy=tested.model, **parts))
+        def scenario(keys: dict[str, Any] = keys, pursuers: int = pursuers, evaders: int = evaders) -> Scenario:
+            evader = Evader(strategy=tested.model, **place, **keys)
+            return Scenario(horizon=1.0, team=Team(count=pursuers), evader=(evader,) * evaders)
 
         twice(tested, where, scenario, limit=limit)
 

@@ -1,6 +1,7 @@
 """`desim examples` and `desim new`: files to start from, which run as they are."""
 
 import re
+import runpy
 
 import pytest
 
@@ -59,8 +60,12 @@ def test_an_example_that_does_not_exist_is_refused_with_those_that_do(folder):
 
 @pytest.mark.parametrize("what", TEMPLATES)
 def test_a_new_file_runs_with_the_command_that_is_printed(what, folder):
-    *wrote, command = accepted("new", what, f"my_{what}").stdout.splitlines()
-    files = [f"my_{what}.toml"] if what == "scenario" else [f"my_{what}.py", f"my_{what}.toml"]
+    wrote = accepted("new", what, f"my_{what}").stdout.splitlines()
+    files = [f"my_{what}.toml"]
+    if what != "scenario":
+        files = [f"my_{what}.py", f"test_my_{what}.py", *files]
+        assert wrote.pop() == f"check it: python test_my_{what}.py"
+    command = wrote.pop()
     assert wrote == [f"wrote {file}" for file in files]
     words = command.removeprefix("run it: desim ").split()
     assert words == ["run", files[-1], *([] if what == "scenario" else ["--allow-import"])]
@@ -76,6 +81,15 @@ def test_a_new_file_runs_with_the_command_that_is_printed(what, folder):
     text = "".join((folder / file).read_text() for file in files)
     template = "".join((SCENARIOS / "templates" / file).read_text() for file in files)
     assert text == template
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("what", [what for what in TEMPLATES if what != "scenario"])
+def test_a_new_file_passes_the_test_that_comes_with_it(what, folder, monkeypatch, capsys):
+    accepted("new", what, "mine_own")
+    monkeypatch.syspath_prepend(folder)
+    runpy.run_path("test_mine_own.py", run_name="__main__")
+    assert capsys.readouterr().out == f"{'mine_own' if what == 'metric' else 'MineOwn'} passes check_{what}\n"
 
 
 def test_a_new_file_overwrites_nothing(folder):
