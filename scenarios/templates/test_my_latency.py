@@ -5,11 +5,11 @@ from my_latency import MyLatency
 from desim.testing import check_latency
 
 
-def test_MyLatency_is_right():
+def test_my_latency_is_right():
     """If you are unsure whether MyLatency is right, run this: an error says what is wrong with it."""
     check_latency(MyLatency)
 
 
 if __name__ == "__main__":
-    test_MyLatency_is_right()
+    test_my_latency_is_right()
     print("MyLatency passes check_latency")

@@ -5,11 +5,11 @@ from my_protocol import MyProtocol
 from desim.testing import check_protocol
 
 
-def test_MyProtocol_is_right():
+def test_my_protocol_is_right():
     """If you are unsure whether MyProtocol is right, run this: an error says what is wrong with it."""
     check_protocol(MyProtocol)
 
 
 if __name__ == "__main__":
-    test_MyProtocol_is_right()
+    test_my_protocol_is_right()
     print("MyProtocol passes check_protocol")

@@ -36,7 +36,7 @@ CHECKS = [
 CASES = [(check, kind, model) for check, family in CHECKS for kind, model in family.choices().items()]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("check", "kind", "model"), CASES, ids=[f"{check.__name__}-{kind}" for check, kind, _ in CASES]
 )
@@ -58,7 +58,7 @@ SHARES = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHARES)
 def test_the_share_of_a_loss_is_compared_with_that_of_the_theory(name):
     """The control is a share that is 0.05 off.
@@ -71,6 +71,7 @@ def test_the_share_of_a_loss_is_compared_with_that_of_the_theory(name):
         check_loss(model, share=share + 0.05)
 
 
+@pytest.mark.slow
 def test_a_model_is_given_as_an_object_a_class_a_kind_a_table_or_a_name():
     for still in ("still", {"kind": "still"}, "desim.pursuit.evaders.evasion:Still", STRATEGIES.choices()["still"]):
         check_evader(still)
@@ -81,6 +82,7 @@ def test_a_run_is_the_same_under_every_hash_seed():
     check_protocol("local_min", hash_seeds=True, limit=60.0)
 
 
+@pytest.mark.slow
 def test_the_checks_cost_nothing_until_they_are_used_and_need_no_pytest():
     code = "import sys, desim, desim.testing; assert not {'numpy', 'pytest', 'desim.testing.links'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
