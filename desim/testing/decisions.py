@@ -205,7 +205,7 @@ def _check_slots(tested: Subject, limit: float) -> None:
     def counts(me: Agent) -> Process:
         def revise() -> None:
             turns.append(me.now)
-            me.assign(me.action)
+            me.assign(1 - me.action)  # a schedule may depend on it: half of the team is active on average
 
         slots.append(slot_length(schedule, me))
         yield from schedule(me, revise)
