@@ -34,15 +34,47 @@ for package in (desim, protocols):
         import_module(module.name)
 
 
+def pytest_addoption(parser):
+    """Offer all cases of the tests that have several `parametrize`."""
+    parser.addoption("--whole-products", action="store_true", help="all combinations, not each value at least once")
+
+
+def values_of(item):
+    """Return the value of a case on each axis: of each `parametrize` of the test, and of each fixture with cases."""
+    params = item.callspec.params if hasattr(item, "callspec") else {}
+    axes = [mark.args[0] for mark in item.iter_markers("parametrize")]
+    names = [axis.replace(" ", "").split(",") if isinstance(axis, str) else list(axis) for axis in axes]
+    names += [[name] for name in params if not any(name in axis for axis in names)]
+    return {(k, *(id(params[name]) for name in axis if name in params)) for k, axis in enumerate(names)}
+
+
+def covering(cases):
+    """Return some cases of a product, the first among them, in which each value of each axis occurs."""
+    values = {case: values_of(case) for case in cases}
+    missing, chosen = set().union(*values.values()), set()
+    while missing:
+        case = max(cases, key=lambda case: len(values[case] & missing))  # of several the first
+        missing -= values[case]
+        chosen.add(case)
+    return chosen
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Mark as slow all but the first case of each test that is `slow_but_one`."""
-    begun = set()
+def pytest_collection_modifyitems(config, items):
+    """Thin the products, and mark as slow all but the first case of each test that is `slow_but_one`."""
+    tests = {}
     for item in items:
-        if item.get_closest_marker("slow_but_one"):
-            if item.function in begun:
+        tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
+    for cases in tests.values():
+        if cases[0].get_closest_marker("slow_but_one"):
+            for item in cases[1:]:
                 item.add_marker("slow")
-            begun.add(item.function)
+    if config.option.whole_products or any("::" in argument for argument in config.args):
+        return
+    # A test of several `parametrize` asks one question in all corners. Each value is met here, not each combination.
+    kept = set().union(*(covering(cases) if len(values_of(cases[0])) > 1 else cases for cases in tests.values()))
+    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+    items[:] = [item for item in items if item in kept]
 
 
 def pytest_collection_finish():
