@@ -19,7 +19,7 @@ from desim.testing.messages import Conservation
 from scenarios.studies.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new and more ones with --hypothesis-profile=explore.
-settings.register_profile("steady", deadline=None, derandomize=True, max_examples=32)
+settings.register_profile("steady", deadline=None, derandomize=True, max_examples=24)
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"

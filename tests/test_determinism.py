@@ -156,7 +156,7 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
 
 @pytest.mark.slow
 def test_two_runs_share_nothing():
-    scenario = load(RELAY)
+    scenario = load(RELAY, ["horizon=3.0"])
     first = lines(run(scenario, 3))
     run(scenario, 4)
     assert lines(run(scenario, 3)) == first
@@ -172,9 +172,9 @@ def test_the_global_random_generators_are_untouched():
 
 @pytest.mark.slow
 def test_recording_and_watching_change_nothing_that_happens():
-    quiet = load(RELAY, ["record.messages=false", "record.trajectory=0"])
+    quiet = load(RELAY, ["horizon=3.0", "record.messages=false", "record.trajectory=0"])
     unkept = {"Broadcast", "Lost", "Sampled"}
-    events = [event for event in run(load(RELAY), 2).trace if type(event).__name__ not in unkept]
+    events = [event for event in run(load(RELAY, ["horizon=3.0"]), 2).trace if type(event).__name__ not in unkept]
     assert list(run(quiet, 2).trace) == events
     assert list(run(quiet, 2, lambda event: None).trace) == events
 

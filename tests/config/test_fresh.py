@@ -303,10 +303,8 @@ def test_runs_are_equal_whoever_performs_them(make):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pool", "name"),
-    [
-        *((ThreadPoolExecutor, name) for name in ("instance", "nonlocal")),
-        *((ProcessPoolExecutor, name) for name in STRATEGIES),
-    ],
+    # Each way to remember is tried in processes above.
+    [(pool, name) for pool in (ThreadPoolExecutor, ProcessPoolExecutor) for name in ("instance", "nonlocal")],
 )
 def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(pool, name):
     def frame(executor):

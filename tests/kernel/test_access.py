@@ -117,7 +117,7 @@ def throughputs(access, nodes, load, frames, *, graph=None, replications=REPLICA
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("load", "number"), [(0.1, 0.08187), (0.25, 0.15163), (0.5, 0.18394)])
+@pytest.mark.parametrize(("load", "number"), [(0.1, 0.08187), (0.5, 0.18394)])
 def test_the_throughput_of_many_aloha_nodes_is_abramson_s(load, number):
     """S = G e^(-2G), Abramson 1970; the control is the formula of slotted ALOHA.
 
@@ -130,12 +130,12 @@ def test_the_throughput_of_many_aloha_nodes_is_abramson_s(load, number):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "load"), [(10, 0.5), (20, 0.5)])
+@pytest.mark.parametrize(("nodes", "load"), [(10, 0.5)])
 def test_a_few_aloha_nodes_do_not_collide_with_themselves_and_are_deaf_while_they_send(nodes, load):
     """A broadcast is received if no other node is busy when it starts, nor starts while it is on the air.
 
     The queue of each node is an M/D/1 queue of utilisation r = G/N, so this probability is ((1 - r) e^-r)^(N-1),
-    which is e^(-2G(N-1)/N) up to a share of (N-1) r^2/2: 1.1 % and 0.6 %. The controls are the limit of
+    which is e^(-2G(N-1)/N) up to a share of (N-1) r^2/2: 1.1 %. The controls are the limit of
     many nodes and slotted ALOHA. The standard error of 12 replications is 0.6 to 1 %.
     """
     found = throughputs(Aloha(), nodes, load, 1500, replications=12)
@@ -189,7 +189,7 @@ def test_a_slot_begins_by_the_clock_of_its_node():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 16_000), (10, 0.2, 2000), (5, 0.4, 2000)])
+@pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 16_000), (5, 0.4, 2000)])
 def test_saturated_slotted_aloha_succeeds_if_one_node_of_n_transmits(nodes, p, slots):
     """S = N p (1-p)^(N-1), which is 0.38742 with N = 10 and p = 0.1; the controls are e^-1 and p + 0.05.
 
@@ -225,12 +225,12 @@ def persistent(load, a):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("load", "number", "frames"), [(1.0, 0.49255, 1000), (3.0, 0.72234, 1250), (9.44, 0.8151, 2500)]
+    ("load", "number", "frames"), [(1.0, 0.49255, 1000), (3.0, 0.72234, 1250)]
 )
 def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, number, frames):
     """S = G e^(-aG) / (G (1+2a) + e^(-aG)), with a = 0.01; a node that finds the channel busy drops its frame.
 
-    So G is the offered load. The controls are a = 0.02, S(3) = 0.69558 and S(9.44) = 0.7342, and 1-persistent CSMA,
+    So G is the offered load. The controls are a = 0.02, S(3) = 0.69558, and 1-persistent CSMA,
     S(1) = 0.52864 and S(3) = 0.18817. The standard error is about 0.003.
     """
     access = Csma(attempts=1, sensing_delay=1e-5)
@@ -302,24 +302,22 @@ def saturated_broadcast(nodes, seed, *, window=16, duration=0.15):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "number"), [(5, 0.7703), (10, 0.5551), (20, 0.3154)])
+@pytest.mark.parametrize(("nodes", "number"), [(10, 0.5551), (20, 0.3154)])
 def test_saturated_broadcasts_succeed_with_the_share_of_ma_and_chen(nodes, number):
     """A node that has just transmitted can draw 0 and start again after DIFS; all others have at least one slot left.
 
     The standard error of 8 replications of some 1000 busy periods is 0.003 to 0.0045. The controls are the share if
-    tau is 2/(W+1) at all times, 0.5342 and 0.2376 with 10 and 20 nodes; and a window of 20. With 5 nodes the first
-    control, 0.7665, is too near to be told apart.
+    tau is 2/(W+1) at all times, 0.5342 and 0.2376 with 10 and 20 nodes; and a window of 20.
     """
     found = [saturated_broadcast(nodes, seed) for seed in range(REPLICATIONS)]
     assert broadcast_share(nodes, 16) == pytest.approx(number, abs=5e-5)
     assert abs(z_score(found, number)) < 3
     assert z_score(found, broadcast_share(nodes, 20)) < -3
-    if nodes > 5:
-        assert z_score(found, unicast_share(nodes, 16)) > 3
+    assert z_score(found, unicast_share(nodes, 16)) > 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "seed"), [(5, 1), (10, 2), (20, 3)])
+@pytest.mark.parametrize(("nodes", "seed"), [(10, 2), (20, 3)])
 def test_a_monte_carlo_of_the_counters_agrees_with_ma_and_chen(nodes, seed):
     """This checks the reference of the other tests: 60 000 busy periods, the standard error of the share is 0.002."""
     _, alone = monte_carlo(nodes, 16, 0, 60_000, seed, acknowledged=False)
@@ -356,7 +354,7 @@ def saturated_unicast(nodes, seed, *, window=32, duration=8.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("nodes", "number"), [(5, 0.8097), (10, 0.7532), (20, 0.6788)])
+@pytest.mark.parametrize(("nodes", "number"), [(5, 0.8097), (10, 0.7532)])
 def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
     """W = 32, m = 3; the standard error is 0.001 to 0.003. The control is W = 128.
 

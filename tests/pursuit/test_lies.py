@@ -272,7 +272,7 @@ def test_an_equivocating_pursuer_relays_different_records_in_a_body_of_any_type(
         me.send(None, make((me.record(me.announcement()),)), size=10)
         yield me.sleep(1.0)
 
-    result = run(team(Equivocate(node=1, start=0.0), protocol=protocol), 1)
+    result = go(team(Equivocate(node=1, start=0.0), protocol=protocol), 1, 0.5)
     bodies = [event.body for event in result.trace.of(Sent) if event.src == 1]
     actions = [relayed_records(body)[0].body.active for body in bodies]
     assert set(actions) == {0, 1}
@@ -480,15 +480,15 @@ def test_bodies_that_are_no_announcements_are_not_falsified():
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [SpatialAdaptivePlay, LocalMin])
 def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
-    """12 runs of 12 pursuers: all are captured without it; and at most one of 4 with it.
+    """6 runs of 12 pursuers: all are captured without it; and at most one of 4 with it.
 
     The control: a liar that says the truth about its action harms nothing.
     """
     shares = {}
     for name, runs, fault in (
-        ("honest", 12, ()),
+        ("honest", 6, ()),
         ("liar", 4, (Liar(node=0, start=0.0, action="chase", phi=0.0, acts="stay"),)),
-        ("harmless", 12, (Liar(node=0, start=0.0, acts="stay"),)),
+        ("harmless", 6, (Liar(node=0, start=0.0, acts="stay"),)),
     ):
         scenario = Scenario(
             team=Team(count=12, speeds=1.5, active_at_start=0.0),

@@ -123,7 +123,7 @@ def check(tables) -> set[str]:
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
+@settings(max_examples=24)
 @given(tables())
 def test_a_key_that_is_said_to_have_no_effect_has_none(drawn):
     try:

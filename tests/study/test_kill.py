@@ -82,7 +82,6 @@ def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):
     ("jobs", "number", "send", "how"),
     [
         (2, signal.SIGINT, os.killpg, ""),
-        (1, signal.SIGTERM, os.kill, " by SIGTERM"),
         (1, signal.SIGHUP, os.killpg, " by SIGHUP"),
     ],
 )

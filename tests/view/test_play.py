@@ -763,9 +763,9 @@ def test_nothing_is_wider_than_the_window(played, width, height, theme):
 
 @in_chromium
 @pytest.mark.slow
-def test_eight_pages_of_a_browser_run_and_compare_at_the_same_time(browser, address):
+def test_seven_pages_of_a_browser_run_and_compare_at_the_same_time(browser, address):
     """A browser opens at most six connections to a host."""
-    pages = [browser, *(Page(browser.commands, browser.answers) for _ in range(7))]
+    pages = [browser, *(Page(browser.commands, browser.answers) for _ in range(6))]
     for page in pages:
         page.visit(address)
         page.until("window.play && play.runs === 1")
