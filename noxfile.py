@@ -42,9 +42,9 @@ def digests(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def slow(session: nox.Session) -> None:
-    """Run the slow tests."""
+    """Run the slow tests with all combinations of parameters."""
     session.install("-e", ".[test]")
-    session.run("pytest", "-m", "slow", *session.posargs)
+    session.run("pytest", "-m", "slow", "--whole-products", *session.posargs)
 
 
 @nox.session

@@ -231,7 +231,6 @@ def small_disk():
     [
         (("replay",), "a.html"),
         (("plot",), "a.svg"),
-        (("plot",), "a.png"),
         (("plot",), "a.pdf"),
         (("plot", "--kind", "spacetime"), "a.png"),
         (("plot", "--kind", "film"), "a.gif"),

@@ -28,7 +28,7 @@ from desim.kernel.models.traits import LinkTraits
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump
 
-SEEDS = range(5)
+SEEDS = range(3)
 MANY = LinkContext(0, np.arange(1, 100_001))
 LIST = (0.050, 0.010, 0.110, 0.010, 0.020)
 
@@ -100,7 +100,7 @@ def drawn(model, seeds=SEEDS, context=MANY):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", DRAWN)
 def test_mean_and_variance_are_those_of_the_theory(name):
-    """5 seeds x 10^5 draws, each seed and all of them within 5 standard errors; 3 % off are more than 5."""
+    """3 seeds x 10^5 draws, each seed and all of them within 5 standard errors; 3 % off are more than 5."""
     model, mean, variance, off = DRAWN[name]
     draws = drawn(model)
     assert np.abs([errors(each, mean, variance) for each in [*draws, draws.ravel()]]).max() < 5
@@ -189,7 +189,7 @@ def test_propagation_follows_the_positions():
 def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
     """From the middle of a square of side a to anywhere in it: E d = a (sqrt 2 + ln(1 + sqrt 2)) / 6, E d^2 = a^2 / 6.
 
-    5 seeds x 10^5 places within 5 standard errors; the control is the speed of sound 2 % off.
+    3 seeds x 10^5 places within 5 standard errors; the control is the speed of sound 2 % off.
     """
     mean = (sqrt(2) + log(1 + sqrt(2))) / 6
 
@@ -240,7 +240,7 @@ def test_another_seed_gives_every_pair_another_latency():
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
-    """Kolmogorov-Smirnov over 20 000 pairs, 5 seeds: sqrt(n) D < 2.2; the control is a base 5 % off."""
+    """Kolmogorov-Smirnov over 20 000 pairs, 3 seeds: sqrt(n) D < 2.2; the control is a base 5 % off."""
     law, others = DISTRIBUTIONS["gamma"], np.arange(1, 20_001)
 
     def worst(model, pick):
@@ -254,7 +254,7 @@ def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
 def test_the_jitter_is_drawn_independently_for_every_message():
     """Over the pairs, mean and variance are the sums of those of base and jitter; over a pair's messages, the jitter's.
 
-    5 seeds x 10^5, within 5 standard errors; the control is a jitter 5 % off.
+    3 seeds x 10^5, within 5 standard errors; the control is a jitter 5 % off.
     """
     models = [PerPair(base=BASE, jitter=ShiftedExponential(mean=mean)) for mean in (0.03, 0.0315)]
     pairs, off = (

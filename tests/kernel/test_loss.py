@@ -11,7 +11,7 @@ from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
 
-SEEDS = range(5)
+SEEDS = range(3)
 LINKS = 4000
 SHARE, BURST = 0.2, 5.0
 
@@ -36,7 +36,7 @@ def errors(hits, trials, probability):
 
 @pytest.mark.parametrize("p", [0.02, 0.3, 0.95])
 def test_bernoulli_loses_its_share(p):
-    """5 seeds x 10^6 hops, within 5 standard errors; the control, 10 % (of the rarer outcome) off, is not."""
+    """3 seeds x 10^6 hops, within 5 standard errors; the control, 10 % (of the rarer outcome) off, is not."""
 
     def worst(model, pick):
         lost = (model(context(links=10**6), np.random.default_rng(seed)).sum() for seed in SEEDS)
@@ -65,7 +65,7 @@ def test_loss_probabilities_0_and_1_are_certain_and_no_loss_draws_no_random_numb
 def test_a_link_that_advances_by_messages_keeps_its_two_rates():
     """Of bad links 1 / burst recover with a message, of good ones share / (1 - share) / burst fail: p = 0.05, r = 0.2.
 
-    5 seeds x 4000 links x 100 messages, given the state before: binomial, within 5 standard errors. The control is a
+    3 seeds x 4000 links x 100 messages, given the state before: binomial, within 5 standard errors. The control is a
     burst 10 % longer.
     """
     for seed in SEEDS:
@@ -121,7 +121,7 @@ def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
     """With s = 0.3, r = 0.25 and p = r s / (1 - s): the mean is m = 0.3 x 0.7 + 0.7 x 0.1 = 0.28, and both of two
     messages, k apart, are lost with m^2 + s (1 - s) (0.7 - 0.1)^2 c^k, c = 1 - p - r by message, exp(-p - r) in time.
 
-    Binomial over 40 000 links, 5 seeds, within 5 standard errors; the control is another loss while bad.
+    Binomial over 40 000 links, 3 seeds, within 5 standard errors; the control is another loss while bad.
     """
     model = GilbertElliott(share=0.3, burst=4.0, advance=advance, loss_good=0.1, loss_bad=0.7)
     rate = 0.25 / 0.7
@@ -164,7 +164,7 @@ IN_TIME = GilbertElliott(share=SHARE, burst=2.0, advance="time")
 def test_a_link_that_advances_in_time_forgets_exponentially(steps):
     """Sampled every 0.05 s: of the links that are bad, pi + (1 - pi) exp(-(p + r) k dt) are bad k samples later.
 
-    So the autocorrelation at k dt is exp(-(p + r) k dt). Binomial over the bad ones of 40 000 links, 5 seeds, within 5
+    So the autocorrelation at k dt is exp(-(p + r) k dt). Binomial over the bad ones of 40 000 links, 3 seeds, within 5
     standard errors, as is the share pi; also if nothing is asked in between. The control forgets 30 % faster.
     """
     memory, faster = exp(-0.625 * 0.05 * steps), exp(-0.8125 * 0.05 * steps)
@@ -409,7 +409,7 @@ def test_loss_by_distance_rises_from_near_to_far():
 
 @pytest.mark.slow
 def test_losses_by_distance_have_their_probability():
-    """25 000 receivers each at 2, 4, 6 and 8 m, 5 seeds, within 5 standard errors; the control is 5 % off."""
+    """25 000 receivers each at 2, 4, 6 and 8 m, 3 seeds, within 5 standard errors; the control is 5 % off."""
     radius = np.repeat([2.0, 4.0, 6.0, 8.0], 25_000)
     angle = np.random.default_rng(0).uniform(0.0, 7.0, radius.size)
     at = np.vstack([[0.0, 0.0], np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])])

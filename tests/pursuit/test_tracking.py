@@ -122,8 +122,8 @@ def test_a_covariance_of_rank_one_stays_positive_after_a_measurement_of_rank_one
 
 
 @pytest.mark.slow
-def test_ten_thousand_covariances_are_positive():
-    for seed in range(125):
+def test_thousands_of_covariances_are_positive():
+    for seed in range(40):
         updates(seed, 80)
 
 

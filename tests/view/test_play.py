@@ -495,8 +495,7 @@ on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="need
 
 @pytest.mark.slow
 @on_linux
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_no_process_is_left_after_an_interrupt(number, tmp_path):
+def test_no_process_is_left_after_an_interrupt(tmp_path):
     """A page is open, and a comparison is under way."""
     with program(RELAY, *SET_SMALL, cwd=tmp_path) as (process, address), urlopen(f"{address}alive"):
         begun = children(process)
@@ -506,8 +505,8 @@ def test_no_process_is_left_after_an_interrupt(number, tmp_path):
         request = Request(f"{address}seeds", json.dumps(body).encode(), {"Origin": origin})
         with urlopen(request) as answer:
             assert json.loads(answer.readline())["done"] == 1
-            process.send_signal(number)
-        assert process.wait(60) == 128 + number
+            process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 128 + signal.SIGINT
         assert are_gone(begun)
 
 
@@ -792,8 +791,10 @@ def test_all_pages_say_that_the_program_has_ended(browser, tmp_path):
         for page in pages:
             page.visit(found)
             page.until("window.play && play.runs === 1")
+        begun = children(process)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 128 + signal.SIGTERM
+        assert are_gone(begun)
         for page in pages:
             page.until("document.querySelector('.status').textContent === 'ended'")
     pages[1].close()
