@@ -207,7 +207,7 @@ def test_from_python_code_is_code(mark):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("_no_pictures")
+@pytest.mark.usefixtures("_no_pictures", "_undrawn")
 def test_with_the_option_a_file_names_code_everywhere(mark, written, tmp_path):
     file = written(f'network.latency = {CODE}\n[sweep.grid]\n"network.latency" = [{CODE}, {{ kind = "constant" }}]')
     accepted("check", "--allow-import", file)
@@ -573,7 +573,7 @@ GRID = '[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\n'
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("_no_pictures")
+@pytest.mark.usefixtures("_no_pictures", "_undrawn")
 def test_a_link_in_the_folder_of_a_sweep_is_replaced(written, precious, tmp_path):
     out = tmp_path / "out"
     (out / "explain").mkdir(parents=True)
@@ -628,7 +628,7 @@ def test_unprintable_characters_are_escaped_as_in_toml_and_json():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("_no_pictures")
+@pytest.mark.usefixtures("_no_pictures", "_undrawn")
 def test_a_terminal_receives_only_plain_text(written, tmp_path):
     file = written(f"name = {TOML}\n{GRID}")
     for words in (

@@ -99,10 +99,10 @@ ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "p
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
-    """20 random graphs for each schedule (10 for the slowest): settled by the middle of the 10 s, in any order of
+    """8 random graphs for each schedule (5 for the slowest): settled by the middle of the 10 s, in any order of
     decisions.
     """
-    for number in range(10 if clock == "local_mutex" else 20):
+    for number in range(5 if clock == "local_mutex" else 8):
         graph, phi = random_graph(number)
         profile, times = changes_of(run(static_game(LocalMin(schedule=ANY_CLOCK[clock]), graph, phi, number)))
         assert profile == greedy_maximal_independent_set(phi, 10.0, neighbour_lists(graph)), f"graph {number}"
@@ -113,8 +113,8 @@ def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ONE_AT_A_TIME)
 def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set(clock):
-    """30 random graphs for each schedule (15 for the slowest); not always in the greedy one, which is the control."""
-    greedy, graphs = 0, 15 if clock == "local_mutex" else 30
+    """15 random graphs for each schedule (8 for the slowest); not always in the greedy one, which is the control."""
+    greedy, graphs = 0, 8 if clock == "local_mutex" else 15
     for number in range(graphs):
         graph, phi = random_graph(number)
         protocol = BestResponse(utility=EdgePenalty(), schedule=ONE_AT_A_TIME[clock])
@@ -135,10 +135,10 @@ def test_simultaneous_best_responses_to_a_penalty_cycle():
 
 @pytest.mark.slow
 def test_local_min_settles_despite_latency_and_loss_with_heartbeats():
-    """20 random graphs, latency of 0.1 s, three tenths of messages lost, heartbeats every 0.1 s: the greedy set after
+    """8 random graphs, latency of 0.1 s, three tenths of messages lost, heartbeats every 0.1 s: the greedy set after
     20 s.
     """
-    for number in range(20):
+    for number in range(8):
         graph, phi = random_graph(number)
         scenario = static_game(
             LocalMin(schedule=Poisson(rate=5.0)),
@@ -169,18 +169,18 @@ CLOCK = Poisson(rate=5.0)
     ids=["best_response", "sap"],
 )
 def test_on_a_path_of_three_the_local_mean_never_settles(protocol):
-    """20 seeds of 40 s: j chases for ever, i and k change all the time, never 4 s apart.
+    """10 seeds of 40 s: j chases for ever, i and k change all the time, never 4 s apart.
 
     A circle is four changes, each of which waits 1/5 s on the average for the one that makes it: 200 in 40 s.
     """
     counts = []
-    for seed in range(20):
+    for seed in range(10):
         _, times = changes_of(run(static_game(protocol, PATH, PHI, seed, horizon=40.0)))
         assert max(np.diff([0.0, *times, 40.0])) < 4.0
         counts.append(len(times))
     error = np.std(counts, ddof=1) / np.sqrt(len(counts))
     assert np.mean(counts) == pytest.approx(200, abs=4 * error + 2)
-    assert error < 5
+    assert error < 7
 
 
 @pytest.mark.slow
@@ -197,9 +197,9 @@ def test_on_a_path_of_three_the_local_mean_never_settles(protocol):
     ids=["local_min", "best_response", "sap"],
 )
 def test_on_a_path_of_three_local_min_and_the_edge_penalty_settle(protocol, ends):
-    """20 seeds: local_min in {j, k} each time, a penalty on edges in {j, k} or {i}, both of which come up."""
+    """10 seeds: local_min in {j, k} each time, a penalty on edges in {j, k} or {i}, both of which come up."""
     found = set()
-    for seed in range(20):
+    for seed in range(10):
         profile, times = changes_of(run(static_game(protocol, PATH, PHI, seed)))
         found.add(profile)
         assert max(times, default=0.0) < 5.0

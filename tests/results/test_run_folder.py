@@ -485,4 +485,4 @@ def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path, 
         undraw(patch)
         short = record(tmp_path / name, name, f"horizon={1.0 if name == 'faults' else 0.5}", *few)
     monkeypatch.chdir(tmp_path)
-    shown_or_refused(short, tmp_path, range(1000, 1006))
+    shown_or_refused(short, tmp_path, range(1000, 1004))
