@@ -260,7 +260,7 @@ def test_no_invariant_of_motion_is_broken(dynamics, guidance, strategy):
     scenario = Scenario(
         team=Team(count=5, speeds=2.0, dynamics=dynamics, guidance=guidance),
         evader=Evader(dynamics=dynamics, strategy={"kind": strategy} | needed),
-        horizon=12.0,
+        horizon=5.0,
     )
     inertia = InertiaWatcher(scenario)
     watched(scenario, 2, inertia)
@@ -365,8 +365,8 @@ def test_the_capture_times_of_hindsight_are_those_of_the_run(dynamics, environme
 )
 def test_a_flow_on_all_changes_no_decision_and_nothing_in_hindsight(dynamics, flow, error):
     """Courses are relative to the flow; in one that changes, up to its change within a motion step."""
-    still = having(dynamics, horizon=12.0)
-    carried = Scenario(team=still.team, network=still.network, horizon=12.0, environment={"flow": flow})
+    still = having(dynamics, horizon=6.0)
+    carried = Scenario(team=still.team, network=still.network, horizon=6.0, environment={"flow": flow})
     own, other = run(still, 3), run(carried, 3)
     assert decisions(own) == decisions(other)
     assert summary(own).regret == pytest.approx(summary(other).regret, abs=error)

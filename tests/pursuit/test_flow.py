@@ -188,7 +188,7 @@ def decisions(result):
 def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance, order, payload):
     turns = payload == "course"
     scenario = Scenario(
-        team=Team(count=4, guidance=guidance, **({"dynamics": TurnRate(limit=2.0)} if turns else {})),
+        team=Team(count=6, guidance=guidance, **({"dynamics": TurnRate(limit=2.0)} if turns else {})),
         motion=Motion(order=order),
         announce=Announcements(payload=payload),
         network=Links(latency=0.1),
