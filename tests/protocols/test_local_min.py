@@ -113,8 +113,8 @@ def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ONE_AT_A_TIME)
 def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set(clock):
-    """15 random graphs for each schedule (8 for the slowest); not always in the greedy one, which is the control."""
-    greedy, graphs = 0, 8 if clock == "local_mutex" else 15
+    """30 random graphs for each schedule (15 for the slowest); not always in the greedy one, which is the control."""
+    greedy, graphs = 0, 15 if clock == "local_mutex" else 30
     for number in range(graphs):
         graph, phi = random_graph(number)
         protocol = BestResponse(utility=EdgePenalty(), schedule=ONE_AT_A_TIME[clock])
