@@ -224,9 +224,7 @@ def persistent(load, a):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("load", "number", "frames"), [(1.0, 0.49255, 1000), (3.0, 0.72234, 1250)]
-)
+@pytest.mark.parametrize(("load", "number", "frames"), [(1.0, 0.49255, 1000), (3.0, 0.72234, 1250)])
 def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, number, frames):
     """S = G e^(-aG) / (G (1+2a) + e^(-aG)), with a = 0.01; a node that finds the channel busy drops its frame.
 
