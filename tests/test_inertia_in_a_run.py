@@ -260,7 +260,7 @@ def test_no_invariant_of_motion_is_broken(dynamics, guidance, strategy):
     scenario = Scenario(
         team=Team(count=5, speeds=2.0, dynamics=dynamics, guidance=guidance),
         evader=Evader(dynamics=dynamics, strategy={"kind": strategy} | needed),
-        horizon=5.0,
+        horizon=12.0,
     )
     inertia = InertiaWatcher(scenario)
     watched(scenario, 2, inertia)
