@@ -229,7 +229,7 @@ UNSUSPICIOUS = ("none", "trimmed")
 @pytest.mark.parametrize(
     ("payload", "kind"),
     [
-        *product(("action", "time", "state"), [kind for kind in TRUSTS.choices() if kind not in UNSUSPICIOUS]),
+        *zip(("action", "time", "state"), [kind for kind in TRUSTS.choices() if kind not in UNSUSPICIOUS], strict=True),
         *(("state", kind) for kind in UNSUSPICIOUS),
     ],
 )
