@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Floats
 from desim.kernel.core.link_context import LinkContext
-from desim.kernel.models.latency import LATENCIES, mean_latency
+from desim.kernel.models.latency import mean_latency
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import LOSSES
 from desim.kernel.models.traits import LinkTraits, link_trait, model_of_run

@@ -7,7 +7,7 @@ import pytest
 
 import desim.testing
 from desim.analysis.metrics import METRICS
-from desim.kernel.models.latency import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, ByDistance, FourState, GilbertElliott
 from desim.pursuit.evaders.evasion import STRATEGIES
 from desim.pursuit.motion.dynamics import DYNAMICS
