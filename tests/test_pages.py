@@ -179,7 +179,8 @@ def test_every_paper_that_the_code_or_a_page_cites_is_in_the_bibliography():
 
 @pytest.mark.parametrize("page", TEXTS)
 def test_every_path_a_page_names_exists(page):
-    for path in re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", TEXTS[page]):
+    text = re.sub(r"https?://\S+", "", TEXTS[page])
+    for path in re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", text):
         assert (ROOT / path).exists(), path
 
 
