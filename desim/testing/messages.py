@@ -179,7 +179,7 @@ class Conservation:
         return any(isinstance(fault, Crash) and fault.node == node for fault in self._faults)
 
     def _cut(self, src: int, dst: int) -> bool:
-        return any(isinstance(fault, Partition) and _group(fault, src) != _group(fault, dst) for fault in self._faults)
+        return any(isinstance(fault, Partition) and fault.separates(src, dst) for fault in self._faults)
 
 
 class DeliveredOnce:
@@ -309,10 +309,6 @@ class OneFrame:
         for number in ended:
             if self._frames[number][1] <= min(on_air, default=inf):
                 del self._frames[number]
-
-
-def _group(partition: Partition, node: int) -> int:
-    return next((number for number, group in enumerate(partition.groups) if node in group), -1)
 
 
 def _require(truth: bool, invariant: str, event: Event) -> None:
