@@ -245,7 +245,9 @@ def rounded_by_processor(source):
 
 @pytest.mark.slow
 def test_no_last_digit_depends_on_the_processor():
-    found = {name_of(path): rounded_by_processor(path.read_text(encoding="utf-8")) for path in MODULES}
+    """No result depends on the checks in `desim.testing`, which compare within tolerances."""
+    computing = [path for path in MODULES if not name_of(path).startswith("desim.testing")]
+    found = {name_of(path): rounded_by_processor(path.read_text(encoding="utf-8")) for path in computing}
     assert {name: uses for name, uses in found.items() if uses} == {}
 
 

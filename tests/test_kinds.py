@@ -27,7 +27,7 @@ ALLOWED = {
         "desim.kernel.channel.air": "LoRa",
         "desim.kernel.link_layer.estimates": "Radio",
         "desim.kernel.models.medium": "LoRaInterference",
-        "desim.scenario.scenario": "Radio",
+        "desim.scenario.misfits": "Radio",
         "desim.scenario.simultaneous": "Radio Reliable Crash",
         "desim.study.ablation.imperfections": "LoRa Coded Reliable",
     },
@@ -42,8 +42,10 @@ ALLOWED = {
         "desim.scenario.players": "RecordedMotion",
     },
     "warnings about the parameters of one built-in kind; a kind of a user has none": {
-        "desim.scenario.checks": "ByzantineFault Coded Edges Faded FalseAnnouncements Liar LinkTrace LoRa Radio"
-        " RandomLies Reliable Reputation Selective Silent Slander Trimmed Window"
+        "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
+        " Slander Trimmed",
+        "desim.scenario.link_warnings": "Coded Edges LinkTrace LoRa Radio Reliable Window",
+        "desim.scenario.telling": "Coded Reliable",
     },
     "a figure of link traces, one for each unit": {
         "desim.view.pictures.link_traces": "LatencyTrace LinkTrace SignalTrace"

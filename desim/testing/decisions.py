@@ -1,11 +1,12 @@
 """Checks of protocols and schedules: `check_protocol` and `check_schedule`."""
 
+import inspect
 import os
 import subprocess
 import sys
 from functools import cached_property, partial
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cloudpickle
 
@@ -27,9 +28,6 @@ from desim.testing.judging import SEED, Subject, subject, twice
 from protocols.best_response import BestResponse
 from protocols.rule import SCHEDULES
 from protocols.schedules.periodic import slot_length
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 HORIZON = 1.0
 """Length of a run, s; the pursuers capture no evader before."""
@@ -180,7 +178,7 @@ class _Decisions:
 
 def _process() -> tuple[int | None, Any]:
     """Return the pursuer whose process is running, and its protocol; None if a function is called at a time."""
-    frame: FrameType | None = sys._getframe(1)
+    frame = inspect.currentframe()
     while frame is not None and frame.f_code is not RestartableProcess._behave.__code__:
         frame = frame.f_back
     return (None, None) if frame is None else (frame.f_locals["agent"].id, frame.f_locals["protocol"])
