@@ -125,7 +125,7 @@ def _export_sweep(source: Path, file: Path) -> None:
     path, *others = store_files((source,))
     if others:
         fail(f"{source}: has {len(others) + 1} stores: merge them first, or give one of them")
-    with storing(), Store(path, read_only=True, verify=False) as kept:
+    with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
         result.write(file)

@@ -14,7 +14,6 @@ import traceback
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import cache
-from zlib import crc32
 
 import numpy as np
 import pytest
@@ -115,7 +114,7 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
 
 ANOTHER = {
     "desim.study.store.store.FORMAT": "0",
-    "desim.study.store.file.TABLES": module.TABLES.replace("unit TEXT", "scale TEXT"),
+    "desim.study.store.file.TABLES": f"{module.TABLES} CREATE TABLE more (name TEXT);",
 }
 
 
@@ -255,12 +254,6 @@ def test_shards_can_be_merged_in_their_own_folder_twice(tmp_path, file):
         assert made.output == f"12 runs are in {tmp_path / 'out' / 'sweep.sqlite'}\n"
 
 
-@pytest.mark.slow
-@given(st.lists(st.one_of(st.none(), st.text(), st.integers(), st.floats(), st.binary(max_size=5))))
-def test_the_checksum_of_a_row_is_that_of_its_json(row):
-    assert module._checksum(row) == crc32(json.dumps(row, default=repr).encode())
-
-
 RUNS = st.tuples(st.integers(0, 3), st.sampled_from(["ok", "error", "crashed"]), st.sampled_from(["", "a", "b"]))
 
 
@@ -304,14 +297,6 @@ def test_a_store_merged_into_itself_stays_as_it_is(tmp_path, good):
     with Store(path) as store, Store(path, read_only=True) as same:
         store.merge(same)
     assert sweeps.rows(path) == before
-
-
-def test_runs_of_a_store_that_opens_without_verifying_them_are_verified_when_read(tmp_path, good):
-    path = edited(good, tmp_path / "out", "UPDATE runs SET summary = replace(summary, '1', '2')")
-    with Store(path, read_only=True, verify=False) as store:
-        for read in (SweepResult.of, lambda store: list(store.rows("runs"))):
-            with pytest.raises(StoreError, match=f"^{path}: {FIRST_RUN}does not match its checksum"):
-                read(store)
 
 
 def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path, file):
@@ -538,40 +523,27 @@ def test_the_journal_of_a_read_only_store_is_read(tmp_path, file):
 
 
 def edited(good, folder, *statements):
-    """Return a copy of a store in a folder that was changed by SQL; SET_CHECKSUM makes the checksums right again."""
+    """Return a copy of a store in a folder that was changed by SQL."""
     shutil.copytree(good[1], folder)
     path = folder / "sweep.sqlite"
     with closing(sqlite3.connect(path)) as database, database:
         for statement in statements:
             database.execute(statement)
-        for table in module.NAMED_BY if SET_CHECKSUM in statements else ():
-            for number, *row, _ in database.execute(f"SELECT rowid, * FROM {table}").fetchall():
-                values = module._checksum(row), number
-                database.execute(f"UPDATE {table} SET checksum = ? WHERE rowid = ?", values)
     return path
 
 
-SET_CHECKSUM = "SELECT 1"
 FIRST_RUN = "runs: configuration .*, replication 0, root_seed 0, seed 0: "
 EDITS = {
-    "UPDATE runs SET summary = replace(summary, '1', '2')": f"{FIRST_RUN}does not match its checksum",
-    "UPDATE runs SET summary = x'00ff'": f"{FIRST_RUN}does not match its checksum",
-    "UPDATE runs SET traceback = CAST(x'ff' AS TEXT)": f"{FIRST_RUN}does not match its checksum",
-    "UPDATE configurations SET place = 7": "configurations: configuration .*: does not match its checksum",
-    "UPDATE about SET value = '[]' WHERE name = 'grid'": "about: name grid: does not match its checksum",
+    "UPDATE runs SET summary = x'00ff'": f"{FIRST_RUN}summary: ",
+    "UPDATE runs SET traceback = CAST(x'ff' AS TEXT)": "Could not decode to UTF-8 column 'traceback'",
     "DELETE FROM configurations": "is damaged: it has runs of a configuration that is missing",
-    "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END": r"has an unexpected object \(trigger t\)",
-    "CREATE INDEX i ON runs (seed)": r"has an unexpected object \(index i\)",
-    "DROP VIEW results": "was made by another version of desim, or edited: results is missing",
-    "ALTER TABLE runs ADD COLUMN extra TEXT": "was made by another version of desim, or edited: runs is different",
-}
-FORGERIES = {
+    "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END": "was made by another version",
+    "DROP VIEW results": "was made by another version of desim, or edited",
     "UPDATE runs SET root_seed = 1 WHERE rowid = 1": "runs: .*, root_seed 1, seed 0: should have the root seed 0",
     "UPDATE runs SET summary = NULL": f"{FIRST_RUN}should have a summary if its status is ok",
     "UPDATE runs SET summary = '{'": f"{FIRST_RUN}summary: Invalid JSON",
     "UPDATE runs SET summary = json_set(summary, '$.new', 1)": f"{FIRST_RUN}summary.new: is no metric of this store",
-    "UPDATE metrics SET name = 'x y' WHERE name = 'energy'": "metrics: name x y: should be a Python identifier",
-    "UPDATE metrics SET name = 'x' WHERE name = 'energy'": "was made by another version .*: results is different",
+    "UPDATE metrics SET name = 'x' WHERE name = 'energy'": f"{FIRST_RUN}summary.energy: is no metric of this store",
     "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: Input",
     "UPDATE runs SET seed = 'x'": "runs: .*, seed x: seed: String should match pattern",
     "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: Input",
@@ -582,16 +554,9 @@ FORGERIES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("statements", "told"),
-    [
-        *(([each], told) for each, told in EDITS.items()),
-        *(([each, SET_CHECKSUM], told) for each, told in FORGERIES.items()),
-    ],
-    ids=[*EDITS, *FORGERIES],
-)
-def test_a_store_that_was_edited_is_refused_and_the_row_is_named(tmp_path, good, statements, told):
-    path = edited(good, tmp_path / "out", *statements)
+@pytest.mark.parametrize("statement", EDITS)
+def test_a_store_that_was_edited_is_refused_and_the_row_is_named(tmp_path, good, statement):
+    path, told = edited(good, tmp_path / "out", statement), EDITS[statement]
     with pytest.raises(StoreError, match=f"^{path}: {told}"), Store(path, read_only=True) as store:
         SweepResult.of(store)
 
@@ -600,7 +565,7 @@ def test_tables_that_are_views_are_refused_before_they_are_read(tmp_path, good):
     """The recursive query would never end."""
     endless = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k FROM n"
     path = edited(good, tmp_path / "out", "DROP TABLE runs", f"CREATE VIEW runs AS {endless}")
-    with pytest.raises(StoreError, match="was made by another version of desim, or edited: runs is different"):
+    with pytest.raises(StoreError, match="was made by another version of desim, or edited"):
         Store(path)
 
 
@@ -626,9 +591,9 @@ def damaged(rng, whole):
 
 
 @pytest.mark.parametrize("seed", [*range(2), pytest.param(None, marks=pytest.mark.slow)])
-def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(tmp_path, good, seed):
-    """Bits, bytes, a digit, a page or the end are others: what is wrong with them is reported, or they mean nothing."""
-    file, folder, table = good
+def test_a_damaged_store_is_refused_or_read(tmp_path, good, seed):
+    """Bits, bytes, a digit, a page or the end are others: no command ends with a traceback."""
+    file, folder, _ = good
     whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
     for each in range(1000, 1006) if seed is None else [seed]:
         damage, out, merged = damaged(random.Random(each), whole), tmp_path / "out", tmp_path / "merged"
@@ -647,25 +612,7 @@ def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(
             assert made.exit_code in {0, WRONG_INPUT}, (each, words, made.exception)
             if made.exit_code:
                 assert f"{out / 'sweep.sqlite'}: " in made.stderr
-            elif words[0] != "report":
-                assert exported(merged if words[0] == "merge" else out) == table, (each, words)
     assert seed is not None or outcomes == {0, WRONG_INPUT}
-
-
-@pytest.mark.slow
-def test_a_replaced_digit_is_detected_anywhere_in_a_row(tmp_path, good):
-    """Every 7th digit of the rows, as they are stored."""
-    path, whole = tmp_path / "sweep.sqlite", (good[1] / "sweep.sqlite").read_bytes()
-    with closing(sqlite3.connect(good[1] / "sweep.sqlite")) as database:
-        summaries = [text for (text,) in database.execute("SELECT summary FROM runs")]
-    for text in summaries:
-        begin = whole.index(text.encode())
-        for k in [k for k, each in enumerate(text) if each.isdigit()][::7]:
-            found = bytearray(whole)
-            found[begin + k] = ord("0") if text[k] != "0" else ord("1")
-            path.write_bytes(found)
-            with pytest.raises(StoreError, match=f"^{path}: runs: .*does not match its checksum"):
-                Store(path, read_only=True)
 
 
 def test_an_interrupt_while_an_adapter_is_built_is_raised_afterwards():

@@ -32,7 +32,6 @@ def connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
     database = sqlite3.connect(
         ":memory:" if path is None else address_of(path, read_only), timeout=LOCK_TIMEOUT, uri=True
     )
-    database.text_factory = lambda raw: raw.decode(errors="replace")  # the checksum then reveals invalid UTF-8
     try:
         database.execute("PRAGMA trusted_schema = OFF")
     except sqlite3.Error:

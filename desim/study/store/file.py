@@ -1,34 +1,28 @@
 """The SQLite file of a store: its tables, its journal, and the checks of its content.
 
-Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store with a damaged or
-edited row is refused. Deleted runs are not noticed. The checksums detect accidents; they do not protect against
-forgery.
+Opening a file checks that it has the tables of a store, and lets SQLite check its structure. Reading a row checks the
+types of its values. A value that was edited into another of its type is not noticed.
 """
 
-import json
 import sqlite3
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
-from json.encoder import encode_basestring_ascii
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ParamSpec, Self, TypeVar
-from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
 
 from desim.config.interrupts import deferred
 from desim.study.store.connection import connected, use_rollback_journal, use_write_ahead_log
 
-FORMAT = "3"
+FORMAT = "4"
 """The version of the tables below, and of the hashes of configurations."""
 TABLES = """
-CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS configurations (
-    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL,
-    checksum INTEGER NOT NULL
+    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL
 );
 CREATE TABLE IF NOT EXISTS runs (
     configuration TEXT NOT NULL REFERENCES configurations,
@@ -38,22 +32,21 @@ CREATE TABLE IF NOT EXISTS runs (
     status TEXT NOT NULL CHECK (status IN ('ok', 'error', 'crashed')),
     summary TEXT,
     traceback TEXT NOT NULL,
-    checksum INTEGER NOT NULL,
     PRIMARY KEY (configuration, replication, root_seed)
 );
 CREATE TABLE IF NOT EXISTS metrics (
-    name TEXT PRIMARY KEY, unit TEXT NOT NULL, code TEXT NOT NULL, checksum INTEGER NOT NULL
+    name TEXT PRIMARY KEY, unit TEXT NOT NULL, code TEXT NOT NULL
 );
 CREATE TABLE IF NOT EXISTS commands (
-    folder TEXT NOT NULL, argv TEXT NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (folder, argv)
+    folder TEXT NOT NULL, argv TEXT NOT NULL, PRIMARY KEY (folder, argv)
 );
 """
 """The tables of a store. Seeds are texts, because they may have more than 64 bits."""
 NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
 """The number of leading columns of each table that identify a row in an error message."""
 CACHE = 65_536
-"""The largest size of the page cache, kB. The index of 10^6 runs fits; in SQLite's 2 MB their check takes 2.4 times as
-long."""
+"""The largest size of the page cache, kB. The index of 10^6 runs fits; in SQLite's 2 MB their check is
+slower."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 Arguments = ParamSpec("Arguments")
@@ -83,7 +76,6 @@ class StoreFile:
     Args:
         path: the path of the file, which is created if it does not exist; None: in memory.
         read_only: whether the store is only read; the file must then exist, but need not be writable.
-        verify: whether opening verifies the checksums of all runs; otherwise only reading a run does so.
 
     Raises:
         StoreError: if the file cannot be opened, is a symbolic link, is not a store, was made by another version of
@@ -91,13 +83,12 @@ class StoreFile:
         OSError: if its folder cannot be created.
     """
 
-    def __init__(self, path: Path | None = None, *, read_only: bool = False, verify: bool = True):
+    def __init__(self, path: Path | None = None, *, read_only: bool = False):
         self.path: Any = path or "the store in memory"
         if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
         if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
             raise StoreError(f"{path}: is a link, and its target would be written: give the folder of the store itself")
-        self._verify = verify
         self._open(path, read_only)
 
     @naming_the_file
@@ -113,13 +104,7 @@ class StoreFile:
 
     def _prepare(self, path: Path | None, read_only: bool) -> None:
         """Check the content of the store, or create the tables in an empty file."""
-        # One transaction reads the schema and the metrics, because another process may add a metric between two reads;
-        # the view has a column per metric.
-        self.database.execute("BEGIN")
-        if there := _schema(self.database):
-            _check_schema(path, there, self.database)
-        self.database.commit()
-        if there:
+        if _has_tables(path, self.database):
             self.database.execute(f"PRAGMA cache_size = -{CACHE}")
             self._check_content()
         elif read_only:
@@ -145,26 +130,15 @@ class StoreFile:
             )
 
     def _check_content(self) -> None:
-        """Raise StoreError if the file is corrupt, a row does not match its checksum, or a run has no configuration."""
+        """Raise StoreError if the file is corrupt, or a run has no configuration."""
         if (found := self.check()) != "ok":
             raise StoreError(f"{self.path}: is damaged: {found}")
-        # Verifying the checksums of 10^6 runs takes 9 s.
-        for table in NAMED_BY if self._verify else NAMED_BY.keys() - {"runs"}:
-            for _ in self.rows(table):
-                pass
         if self.database.execute("PRAGMA foreign_key_check").fetchone():
             raise StoreError(f"{self.path}: is damaged: it has runs of a configuration that is missing")
 
     def rows(self, table: str, where: str = "", values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a table without their checksums.
-
-        Raises:
-            StoreError: if a row does not match its checksum.
-        """
-        for *row, checksum in self.database.execute(f"SELECT * FROM {table} {where}", values):
-            if checksum != _checksum(row):
-                raise self.error(table, row, "does not match its checksum, so it was damaged or edited")
-            yield tuple(row)
+        """Return the rows of a table, which are read one by one."""
+        return self.database.execute(f"SELECT * FROM {table} {where}", values)
 
     def error(self, table: str, row: Sequence[Any], why: str) -> StoreError:
         """Return an error that names a row of a table."""
@@ -230,76 +204,25 @@ def adapter_of(kind: Any) -> TypeAdapter[Any]:
         return TypeAdapter(kind)
 
 
-def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
-    """Return the type and the SQL of each table, index, view and trigger of a database, by name."""
-    found = database.execute("SELECT name, type, sql FROM sqlite_master")
-    return {name: (kind, sql) for name, kind, sql in found}
-
-
 def view_of(metrics: Sequence[str]) -> str:
     """Return the SQL of the view with a row per run and a column per metric."""
+    if strange := [name for name in metrics if not name.isidentifier()]:
+        raise StoreError(f"metrics: name {strange[0]}: should be a Python identifier")
     columns = [f"json_extract(summary, '$.{name}') AS \"{name}\"" for name in metrics if name != "seed"]
     named = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
     source = "runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication"
     return f"CREATE VIEW IF NOT EXISTS results AS SELECT {named} FROM {source}"
 
 
-@cache
-def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str | None]]:
-    """Return the schema of a store with the given metrics; see `_schema`."""
-    database = sqlite3.connect(":memory:")
-    try:
-        database.executescript(f"{TABLES} {view_of(metrics)}")
-        return MappingProxyType(_schema(database))
-    finally:
-        database.close()
+def _has_tables(path: Path | None, database: sqlite3.Connection) -> bool:
+    """Return whether a database has the tables of a store; False if it is empty.
 
-
-def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]], database: sqlite3.Connection) -> None:
-    """Raise StoreError unless a database has exactly the schema of a store.
-
-    Another schema could contain a trigger, or a view in place of a table, that runs SQL of the file's author.
+    Raises:
+        StoreError: if it has others. They could contain a trigger, or a view that never ends in place of a table.
     """
-    known = _known_schema()
-    if "about" not in there:
+    there = dict(database.execute("SELECT name, type FROM sqlite_master WHERE type <> 'index'"))
+    if there and "about" not in there:
         raise StoreError(f"{path}: is a database, but not the store of a sweep")
-    if strange := sorted(there.keys() - known.keys()):
-        raise StoreError(f"{path}: has an unexpected object ({there[strange[0]][0]} {strange[0]}); {HINT}")
-    _check_same_schema(path, {name: each for name, each in known.items() if each[0] == "table"}, there)
-    metrics = tuple(name for (name,) in database.execute(f"SELECT name FROM metrics {ROWID}"))
-    if strange := [name for name in metrics if not (isinstance(name, str) and name.isidentifier())]:
-        raise StoreError(f"{path}: metrics: name {strange[0]}: should be a Python identifier")
-    _check_same_schema(path, _known_schema(metrics), there)
-
-
-def _check_same_schema(
-    path: Path | None,
-    known: Mapping[str, tuple[str, str | None]],
-    there: Mapping[str, tuple[str, str | None]],
-) -> None:
-    """Raise StoreError if a table or view of the known schema is missing or different in a database."""
-    for name, each in known.items():
-        if each != there.get(name):
-            state = "missing" if name not in there else "different"
-            raise StoreError(f"{path}: was made by another version of desim, or edited: {name} is {state}; {HINT}")
-
-
-def _checksum(row: Sequence[Any]) -> int:
-    """Return the CRC-32 of a row as JSON."""
-    try:
-        # This equals `json.dumps`, which takes twice as long.
-        text = f"[{', '.join([_AS_JSON[type(value)](value) for value in row])}]"
-    except KeyError:
-        text = json.dumps(row, default=repr)
-    return crc32(text.encode())
-
-
-_AS_JSON: Mapping[type, Callable[[Any], str]] = MappingProxyType(
-    {str: encode_basestring_ascii, int: int.__repr__, type(None): lambda _: "null"}
-)
-"""Functions that return the values of most rows as JSON, by type."""
-
-
-def with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
-    """Return a row with its checksum."""
-    return *row, _checksum(row)
+    if there and there != dict.fromkeys(NAMED_BY, "table") | {"results": "view"}:
+        raise StoreError(f"{path}: was made by another version of desim, or edited; {HINT}")
+    return bool(there)

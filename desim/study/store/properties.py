@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Json
 
 from desim.config.data_files import in_short
-from desim.study.store.file import HINT, StoreError, StoreFile, adapter_of, naming_the_file, with_checksum
+from desim.study.store.file import HINT, StoreError, StoreFile, adapter_of, naming_the_file
 
 VERSIONS = "versions"
 """The property with the versions that computed the runs: a list of tables as `environment.computing_versions`."""
@@ -66,8 +66,8 @@ class SweepProperties(StoreFile):
             self.check_versions(versions, what, mix=mix)
             present = self.versions
             whole = present + [each for each in versions if each not in present]
-            row = with_checksum((VERSIONS, json.dumps(whole)))
-            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?, ?)", row)
+            row = (VERSIONS, json.dumps(whole))
+            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", row)
 
     @naming_the_file
     def read_property(self, name: str, kind: Any) -> Any:
@@ -101,7 +101,7 @@ class SweepProperties(StoreFile):
             return
         with self.writing() as database:
             self.check_same(about)
-            database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(with_checksum, about.items()))
+            database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
 
 
 def _differs(name: str, one: Any, other: Any) -> str:

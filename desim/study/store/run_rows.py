@@ -11,14 +11,14 @@ from pydantic import BaseModel, ConfigDict, Field, Json, create_model
 
 from desim.analysis.metrics import METRICS, Summary
 from desim.config.json_numbers import from_json, to_json
-from desim.study.store.file import StoreFile, adapter_of, with_checksum
+from desim.study.store.file import StoreFile, adapter_of
 from desim.study.store.row import Row, Status
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""
 ROOT_SEED, SUMMARY = 2, 5
 """The indices of the columns of `runs` that hold the root seed, and the metrics."""
-RUN_VALUES = "(?, ?, ?, ?, ?, ?, ?, ?)"
+RUN_VALUES = "(?, ?, ?, ?, ?, ?, ?)"
 """The values of a row of `runs` in SQL."""
 
 
@@ -42,7 +42,7 @@ class RunRows(StoreFile):
     def add_run(self, key: str, root: int, row: Row) -> None:
         """Add the run of a configuration (hash) and a root seed; see `desim.study.store.store.Store.add_all`."""
         values = (key, row.replication, str(root), str(row.seed), row.status, None, row.traceback)
-        self._add(with_checksum(_with_numbers(values, row.summary)), lambda: row.summary)
+        self._add(_with_numbers(values, row.summary), lambda: row.summary)
 
     def copy_run(self, other: "RunRows", row: tuple[Any, ...]) -> None:
         """Add the row of a run in another store; a failed run does not replace a stored run that also failed."""
@@ -54,7 +54,7 @@ class RunRows(StoreFile):
         """Add the row of a run; see `add_run` and `copy_run`.
 
         Args:
-            row: the row with its metrics as JSON, and its checksum.
+            row: the row with its metrics as JSON.
             numbers: returns the metrics of the row; called only if the run is stored already.
             keeps_failed: whether a failed run does not replace a stored run that also failed.
         """
@@ -65,7 +65,7 @@ class RunRows(StoreFile):
         known, found = self.numbers(there), numbers()
         if known is None:
             if found is not None or not keeps_failed:
-                self.put_run(row[:-1], found)
+                self.put_run(row, found)
         elif found is not None and not found.keys() <= known.keys():
             self.put_run(there, {**found, **known})
 
@@ -76,8 +76,7 @@ class RunRows(StoreFile):
 
     def put_run(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> None:
         """Write the row of a run with the given metrics, in place of the stored row of this run."""
-        values = with_checksum(_with_numbers(row, numbers))
-        self.database.execute(f"INSERT OR REPLACE INTO runs VALUES {RUN_VALUES}", values)
+        self.database.execute(f"INSERT OR REPLACE INTO runs VALUES {RUN_VALUES}", _with_numbers(row, numbers))
 
     def read_runs(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row]:
         """Yield the runs of a configuration and a root seed, by replication, given the units of all metrics by name."""

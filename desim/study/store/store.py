@@ -19,7 +19,7 @@ from typing import Any
 from pydantic import Json
 
 from desim.study.plan.configurations import Configuration
-from desim.study.store.file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of, with_checksum
+from desim.study.store.file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of
 from desim.study.store.properties import SweepProperties
 from desim.study.store.row import Row
 from desim.study.store.run_rows import RunRows
@@ -32,7 +32,6 @@ class Store(SweepProperties, RunRows):
     Args:
         path: the path of the file, which is created if it does not exist; None: in memory.
         read_only: whether the store is only read; its file must exist and need not be writable.
-        verify: whether opening verifies the checksums of all runs; otherwise only reading a run does so.
 
     Attributes:
         added: number of runs added by `add` since the store was opened, repeated ones included, merged ones not.
@@ -41,8 +40,8 @@ class Store(SweepProperties, RunRows):
         StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
     """
 
-    def __init__(self, path: Path | None = None, *, read_only: bool = False, verify: bool = True):
-        super().__init__(path, read_only=read_only, verify=verify)
+    def __init__(self, path: Path | None = None, *, read_only: bool = False):
+        super().__init__(path, read_only=read_only)
         self.added = 0
         self._codes: dict[str, str] = {}
         try:
@@ -59,9 +58,7 @@ class Store(SweepProperties, RunRows):
             there = {key: tuple(each) for key, _, *each in self.rows("configurations", "ORDER BY place")}
             others = {key: each for key, each in there.items() if key not in entered}
             rows = ((key, place, *each) for place, (key, each) in enumerate((entered | others).items()))
-            database.executemany(
-                "INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?, ?)", map(with_checksum, rows)
-            )
+            database.executemany("INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?)", rows)
 
     @naming_the_file
     def register_metrics(self, metrics: Mapping[str, tuple[str, str]]) -> None:
@@ -74,9 +71,9 @@ class Store(SweepProperties, RunRows):
                 if (numbers := self.numbers(row)) is not None:
                     self.put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
             database.executemany(
-                "INSERT INTO metrics VALUES (?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
-                " code = excluded.code, checksum = excluded.checksum",
-                [with_checksum((name, *each)) for name, each in changed.items()],
+                "INSERT INTO metrics VALUES (?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
+                " code = excluded.code",
+                [(name, *each) for name, each in changed.items()],
             )
             if not changed.keys() <= there.keys():
                 database.execute("DROP VIEW results")
@@ -93,8 +90,7 @@ class Store(SweepProperties, RunRows):
     def note_command(self, folder: str, argv: Sequence[str]) -> None:
         """Record a command that adds runs to the store, and its working folder, unless the pair is recorded already."""
         with self.writing() as database:
-            values = with_checksum((folder, json.dumps(argv)))
-            database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?, ?)", values)
+            database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?)", (folder, json.dumps(argv)))
 
     @property
     @naming_the_file
@@ -186,10 +182,10 @@ class Store(SweepProperties, RunRows):
             self.note_command(folder, argv)
         # Another process may be writing to `other`. In one transaction no run is read without its configuration.
         with other.reading(), self.writing() as database:
-            configurations = map(with_checksum, other.rows("configurations"))
-            database.executemany("INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", configurations)
-            # Opening `other` verified its rows. They are copied with their checksums, which reading verifies again.
-            for row in other.database.execute("SELECT * FROM runs"):
+            database.executemany(
+                "INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?)", other.rows("configurations")
+            )
+            for row in other.rows("runs"):
                 self.copy_run(other, row)
 
 

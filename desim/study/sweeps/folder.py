@@ -33,7 +33,7 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
         raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite; desim.load reads scenarios")
     if path.name == TRACE:
         return run_folder.read(path.parent, allow_import=allow_import)
-    with Store(path, read_only=True, verify=False) as store:
+    with Store(path, read_only=True) as store:
         return SweepResult.of(store)
 
 

@@ -69,7 +69,7 @@ class Study:
             OSError: if a file cannot be read, or the store is missing or damaged (StoreError).
             ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
-        with Store(folder / STORE, read_only=True, verify=False) as kept:
+        with Store(folder / STORE, read_only=True) as kept:
             result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
             commands, versions = kept.commands, kept.versions
         path = folder / provenance.FILE
