@@ -16,7 +16,7 @@ from desim import Scenario
 from desim.analysis.drawing.plots import save, trajectory
 from desim.cli import main
 from desim.config import choice
-from desim.config.trust import escaped, without_symlink
+from desim.config.trust import escaped
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.links import Links
 from desim.results import run_folder
@@ -25,8 +25,6 @@ from desim.scenario.toml import read
 from desim.simulation.run import run
 from desim.study.ablation.explain import explain
 from desim.study.results.figures import waterfall
-from desim.study.store.file import StoreError
-from desim.study.store.store import Store
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
@@ -527,90 +525,9 @@ def test_a_run_json_does_not_choose_the_folder_of_its_files(ran, tmp_path):
     assert "d.txt cannot be read" in refused("run", "--from", ran / "run.json")
 
 
-# Where results go.
-
-
-@pytest.fixture
-def precious(tmp_path):
-    """Return a file that must not change, and a function that puts a link to it in an untrusted folder."""
-    (tmp_path / "precious").write_text("mine")
-    yield tmp_path / "precious"
-    assert (tmp_path / "precious").read_text() == "mine"
-
-
-@pytest.mark.slow
-def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
-    names = ("replay.html", "trace.perfetto.json", "spacetime.svg", "spacetime.png", "film.gif")
-    for name in names:
-        (ran / name).symlink_to(precious)
-    for words in (["replay"], *(["plot", "--kind", kind] for kind in ("perfetto", "spacetime", "film"))):
-        accepted(*words, ran)
-    assert not [name for name in names if (ran / name).is_symlink()]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [[], ["-n", "2"]])
-def test_a_link_in_a_folder_that_is_written_to_is_replaced(written, precious, tmp_path, options):
-    out, home = tmp_path / "out", tmp_path / "home"
-    inside = out / "seed-0" if options else out
-    inside.mkdir(parents=True)
-    home.mkdir()
-    (home / "trace.jsonl").symlink_to(precious)
-    names = ("trace.jsonl", "trace.jsonl.part", "summary.json", "scenario.toml", "run.json", "trajectory.svg")
-    for name in names:
-        (inside / name).symlink_to(precious)
-    (out / ".writable").symlink_to(tmp_path / "made")
-    if options:
-        (out / "run.json").symlink_to(precious)
-        (out / "seed-1").symlink_to(home)
-    accepted("run", written('record.messages = "file"'), "-o", out, *options)
-    assert not [path for path in out.rglob("*") if path.is_symlink()]
-    assert not (tmp_path / "made").exists()
-    assert [each.name for each in home.iterdir()] == ["trace.jsonl"]
-
-
-GRID = '[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\n'
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("_no_pictures", "_undrawn")
-def test_a_link_in_the_folder_of_a_sweep_is_replaced(written, precious, tmp_path):
-    out = tmp_path / "out"
-    (out / "explain").mkdir(parents=True)
-    for name in ("run.json", "sweep.txt", "report.html", "explain/explain.json", "explain/explain.txt"):
-        (out / name).symlink_to(precious)
-    accepted("sweep", written(GRID), "-n", 1, "-o", out)
-    accepted("explain", written(GRID), "-n", 2, "-o", out / "explain")
-    accepted("report", out)
-    assert not [path for path in out.rglob("*") if path.is_symlink()]
-
-
-def test_a_store_is_no_link(written, precious, tmp_path):
-    """To replace it would lose what it leads to, and to follow it would change that."""
-    for target in (precious, tmp_path / "nowhere"):
-        (tmp_path / "sweep.sqlite").symlink_to(target)
-        for words in (
-            ["sweep", written(GRID), "-o", tmp_path],
-            ["report", tmp_path],
-            ["merge", tmp_path, "-o", tmp_path],
-        ):
-            assert f"{tmp_path / 'sweep.sqlite'}: " in refused(*words)
-        with pytest.raises(StoreError, match="is a link"):
-            Store(tmp_path / "sweep.sqlite")
-        assert not (tmp_path / "nowhere").exists()
-        (tmp_path / "sweep.sqlite").unlink()
-
-
-def test_without_symlink_removes_links_and_keeps_files(tmp_path):
-    (tmp_path / "file").write_text("kept")
-    (tmp_path / "link").symlink_to(tmp_path / "file")
-    assert without_symlink(tmp_path / "link") == tmp_path / "link"
-    assert not (tmp_path / "link").is_symlink()
-    assert without_symlink(tmp_path / "file").read_text() == "kept"
-
-
 # Names that strangers give.
 
+GRID = '[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\n'
 WORST = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202egnp.exe\r\x00$\\frac{$ </script><svg onload=x> ' \" _a"
 TOML = json.dumps(WORST)
 

@@ -56,9 +56,6 @@ def export(
     event and receiver or player; .pcapng, one packet per message, for Wireshark; .mcap, for Foxglove; .perfetto.json,
     a timeline for https://ui.perfetto.dev. An installed exporter (entry point of `desim.exporters`) has a suffix of its
     own.
-
-    In CSV, a text that a spreadsheet would take for a formula is prefixed with an apostrophe, and control characters
-    are escaped.
     """
     if _is_run(source):
         _export_run(source, file, kinds, exporter, seed, overrides)

@@ -12,7 +12,7 @@ import click
 
 from desim.cli import completion
 from desim.config.file_names import files, folder_name
-from desim.config.trust import escaped, without_symlink, write_whole
+from desim.config.trust import escaped, write_whole
 from desim.simulation.watchdog import checked_limit, within
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ def make_folder(folder: Path) -> None:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        without_symlink(folder / ".writable").touch()
+        (folder / ".writable").touch()
         (folder / ".writable").unlink()
     except OSError as error:
         fail(f"--out {folder}: cannot be written: {error.strerror}")

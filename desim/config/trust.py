@@ -1,4 +1,4 @@
-"""Handling of untrusted input: escaping for terminals and spreadsheets, links, pipes, existing files, import safety."""
+"""Handling of untrusted input: escaping for terminals, pipes, existing files, import safety."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -26,25 +26,8 @@ def escaped(text: str) -> str:
 
 
 def csv_cell(value: Any) -> Any:
-    """Return a value as a cell of a CSV file that is safe in spreadsheets and terminals; numbers are unchanged.
-
-    A text that begins with = + - @, a tab or a line break is prefixed with an apostrophe (see OWASP, "CSV Injection").
-    """
-    if not isinstance(value, str):
-        return value
-    shown = escaped(value)
-    return f"'{shown}" if shown.startswith(("=", "+", "-", "@", "\t", "\n")) else shown
-
-
-def without_symlink(path: Path) -> Path:
-    """Return a path that is about to be written; if it is a symbolic link, which could point elsewhere, remove it.
-
-    Raises:
-        OSError: if the link cannot be removed.
-    """
-    if path.is_symlink():
-        path.unlink()
-    return path
+    """Return a value as a cell of a CSV file: a text is escaped, so that it can be encoded."""
+    return escaped(value) if isinstance(value, str) else value
 
 
 def write_new(files: Mapping[Path, bytes]) -> None:
@@ -55,7 +38,7 @@ def write_new(files: Mapping[Path, bytes]) -> None:
         OSError: if a file cannot be written.
     """
     for path in files:
-        if path.exists() or path.is_symlink():
+        if path.exists() or path.is_symlink():  # a link to nothing is there, too
             raise FileExistsError(EEXIST, "exists already and is not overwritten", str(path))
     for path, content in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,14 +71,14 @@ def replacing(path: Path) -> Iterator[Path]:
     if path.exists() and not (path.is_file() or path.is_dir()):
         yield path
         return
-    part = without_symlink(path.with_name(f"{path.name}.part"))
+    part = path.with_name(f"{path.name}.part")
     try:
         yield part
         part.replace(path)
     except BaseException as error:
         if part.is_file():
             part.unlink()
-        if isinstance(error, OSError) and error.filename == str(part):
+        if isinstance(error, OSError) and error.filename in {None, str(part)}:
             error.filename = str(path)  # the file that the caller knows
         raise
 

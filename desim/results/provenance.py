@@ -13,7 +13,7 @@ from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.json_numbers import from_json, to_json
-from desim.config.trust import regular_or_missing, without_symlink
+from desim.config.trust import regular_or_missing, write_whole
 from desim.results.environment import environment
 
 if TYPE_CHECKING:
@@ -107,13 +107,7 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
-    part = without_symlink(folder / f"{name}.part")
-    try:
-        part.write_text(text + "\n", encoding="utf-8")
-        part.replace(folder / name)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(folder / name)) from error
+    write_whole(folder / name, f"{text}\n".encode())
 
 
 def read(path: Path) -> Document:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
-from desim.config.trust import regular_or_missing, without_symlink
+from desim.config.trust import regular_or_missing
 from desim.kernel.core.events import (
     LOST,
     MESSAGES,
@@ -102,7 +102,6 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
         return run(scenario, seed)
     with writing():
         folder.mkdir(parents=True, exist_ok=True)
-        without_symlink(folder / f"{TRACE}.part")
     with _RunTrace(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
         clear(folder)  # before `TraceFile` renames its .part, so that a new trace is never beside an old run.json
@@ -111,7 +110,7 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
 
 def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
     """Run a scenario as `simulate` does, in the subfolder `seed-S` of `parent`."""
-    return simulate(_below(parent, seed), scenario, seed)
+    return simulate(parent / f"seed-{seed}", scenario, seed)
 
 
 @writing()
@@ -171,12 +170,7 @@ def write_below(
     parent: Path, result: Result, made: provenance.Document | None = None, *, simulated_there: bool = False
 ) -> Summary:
     """Write a run as `write` does, to the subfolder `seed-S` of `parent`."""
-    return write(result, _below(parent, result.seed), made, simulated_there=simulated_there)
-
-
-@writing()
-def _below(parent: Path, seed: int) -> Path:
-    return without_symlink(parent / f"seed-{seed}")
+    return write(result, parent / f"seed-{result.seed}", made, simulated_there=simulated_there)
 
 
 def read(folder: str | Path, *, allow_import: bool = False) -> Result:

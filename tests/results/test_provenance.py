@@ -107,7 +107,7 @@ def test_values_that_json_cannot_represent_are_not_written(tmp_path):
         write(tmp_path, document("run", seed=0) | {"more": inf})
 
 
-@pytest.mark.parametrize("name", ["write_text", "replace"])
+@pytest.mark.parametrize("name", ["write_bytes", "replace"])
 def test_a_document_that_cannot_be_written_leaves_no_part_of_it(tmp_path, monkeypatch, name):
     """On a full disk the file is opened, and its text fails. The earlier document stays."""
     write(tmp_path, document("run", seed=0))

@@ -138,9 +138,6 @@ class SweepResult(SweepRuns):
     def write(self, file: str | Path) -> None:
         """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`).
 
-        In CSV, control characters of texts are escaped, and a text that a spreadsheet would read as a formula is
-        prefixed with an apostrophe.
-
         Raises:
             ValueError: if the file has another suffix.
             ImportError: if a package for Parquet is not installed.

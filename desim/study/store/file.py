@@ -78,7 +78,7 @@ class StoreFile:
         read_only: whether the store is only read; the file must then exist, but need not be writable.
 
     Raises:
-        StoreError: if the file cannot be opened, is a symbolic link, is not a store, was made by another version of
+        StoreError: if the file cannot be opened, is not a store, was made by another version of
             desim, or is damaged.
         OSError: if its folder cannot be created.
     """
@@ -87,8 +87,6 @@ class StoreFile:
         self.path: Any = path or "the store in memory"
         if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
-        if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
-            raise StoreError(f"{path}: is a link, and its target would be written: give the folder of the store itself")
         self._open(path, read_only)
 
     @naming_the_file

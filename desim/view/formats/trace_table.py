@@ -147,7 +147,7 @@ def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Ro
 
 
 def write_csv(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
-    """Write a table to a CSV file, and return the number of rows; for texts see `csv_cell`."""
+    """Write a table to a CSV file, and return the number of rows."""
     count = 0
     with file.open("w", encoding="utf-8", newline="") as stream:
         columns = columns_of(kinds)

@@ -458,10 +458,8 @@ def _new_folder(parent: Path, name: str) -> Path:
     """Create the folder NAME-1, or the first of NAME-2, NAME-3, ... that does not exist, and return it.
 
     Raises:
-        OSError: if the parent is a symbolic link, or the folder cannot be created.
+        OSError: if the folder cannot be created.
     """
-    if parent.is_symlink():
-        raise OSError(f"{parent}: is a symbolic link, and the run would be written to its target")
     number = 1
     while (folder := parent / f"{name}-{number}").exists():
         number += 1
