@@ -97,7 +97,7 @@ def individual_utilities(result: Result) -> IndividualUtilities:
 def draw_initial(result: Result) -> "Figure":
     """Draw the initial positions of all players, with the ids of the pursuers."""
     from desim.analysis.drawing import palette, plots
-    from desim.view.pictures.labels import label_points
+    from desim.view.pictures.paths import label_points
 
     start = started(result)
     with plots.styled((plots.COLUMN, 3.6), font=7) as figure:
@@ -175,7 +175,7 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: In
     `chain` is the return value of `desim.analysis.activity.relays`.
     """
     from desim.analysis.drawing import palette
-    from desim.view.pictures.labels import label_points
+    from desim.view.pictures.paths import label_points
 
     begin, end = axes.get_xlim()
     rows = [int(np.searchsorted(found.times, t, side="right")) - 1 for t, _ in chain]

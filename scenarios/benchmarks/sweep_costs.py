@@ -19,7 +19,7 @@ from desim.cli import main as command_line
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
 from desim.study.plan.configurations import SweepGrid
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan
 from protocols.sap import SpatialAdaptivePlay

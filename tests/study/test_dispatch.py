@@ -14,7 +14,7 @@ from desim.analysis.metrics import summary
 from desim.scenario.toml import load
 from desim.simulation.run import run
 from desim.simulation.watchdog import OUT_OF_MEMORY
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.workers import dispatch
 from desim.study.workers.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
 from desim.study.workers.workers import InProcess, Workers, workers_for

@@ -40,7 +40,7 @@ from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
 from desim.study.results.figures import draw_waterfall, waterfall
 from desim.study.store.file import StoreError
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, sweep
 from desim.study.workers.batch import seeds_from

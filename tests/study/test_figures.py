@@ -15,7 +15,7 @@ from desim.simulation.run import run
 from desim.study.results.figures import INK, _cell_text, means, multiples, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))

@@ -19,7 +19,7 @@ from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN, Group
 from desim.study.store.file import StoreError
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from tests.command import strict_json
 from tests.summaries import changed

@@ -12,8 +12,7 @@ from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import estimate, paired
 from desim.study.results.runs import Group
 from desim.study.store import run_table
-from desim.study.store.row import Row
-from desim.study.store.run_table import EXACT, Column, RunTable
+from desim.study.store.run_table import EXACT, Column, Row, RunTable
 
 NUMBERS = st.one_of(
     st.none(),

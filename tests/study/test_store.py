@@ -33,7 +33,7 @@ from desim.study.ablation.explain import explain
 from desim.study.results.result import SweepResult
 from desim.study.store import connection as store_connection
 from desim.study.store.file import StoreError
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan, sweep
 from desim.view.pages.report import Study, report

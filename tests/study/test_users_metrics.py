@@ -32,7 +32,7 @@ from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.figures import means
 from desim.study.results.result import SweepResult
 from desim.study.store.file import StoreError
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps import sweep as module
 from desim.study.sweeps.sweep import RunError, SweepPlan

@@ -5,8 +5,7 @@ import pytest
 
 from desim.analysis.drawing.palette import EVADER_MARKS, HUES
 from desim.analysis.drawing.plots import COLUMN, styled
-from desim.view.pictures.labels import label_points
-from desim.view.pictures.paths import EvaderStyle, Paths, draw_pursuit, label_handovers
+from desim.view.pictures.paths import EvaderStyle, Paths, draw_pursuit, label_handovers, label_points
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair

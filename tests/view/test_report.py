@@ -25,7 +25,7 @@ from desim.results import provenance
 from desim.scenario.players import Team
 from desim.study.ablation.explain import Variants
 from desim.study.store.history import shell_lines, wanted
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan
 from desim.study.workers.workers import workers_for

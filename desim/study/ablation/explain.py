@@ -25,7 +25,7 @@ from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.plan.configurations import Configuration, without_metrics
 from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers.workers import Workers, workers_for

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from desim.analysis.metrics import METRICS
 from desim.config.trust import csv_cell, replacing
 from desim.study.results.runs import SweepRuns, text
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 
 if TYPE_CHECKING:
     import pandas as pd

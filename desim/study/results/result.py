@@ -15,7 +15,7 @@ from desim.study.results import export
 from desim.study.results import tables as sweep_tables
 from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name
 from desim.study.store.file import StoreError
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 
 if TYPE_CHECKING:

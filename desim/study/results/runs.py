@@ -13,8 +13,7 @@ from desim.analysis.statistics import Estimate, mean, paired
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
-from desim.study.store.row import Row
-from desim.study.store.run_table import RunTable
+from desim.study.store.run_table import Row, RunTable
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, Json, create_model
 from desim.analysis.metrics import METRICS, Summary
 from desim.config.json_numbers import from_json, to_json
 from desim.study.store.file import StoreFile, adapter_of
-from desim.study.store.row import Row, Status
+from desim.study.store.run_table import Row, Status
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""

@@ -1,5 +1,6 @@
-"""The runs of a configuration, stored by column, which takes a tenth of the memory of an object per value.
+"""Rows, one for each run of a sweep, and the runs of a configuration stored by column.
 
+Columns take a tenth of the memory of an object per value.
 A value takes 9 bytes: a double, and a code for its type. A value that no double can hold (a table, a large integer) is
 kept as JSON text; equal texts of a column are kept once.
 
@@ -11,17 +12,18 @@ import json
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import islice
+from dataclasses import dataclass
+from itertools import islice, takewhile
 from math import nan
 from types import MappingProxyType
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
 from desim.analysis.metrics import Summary, columns_of
 from desim.config.arrays import Floats
-from desim.study.store.row import Row
 
+Status = Literal["ok", "error", "crashed"]
 ABSENT, NONE, BOOL, INT, FLOAT, OBJECT = range(6)
 """The codes of the types of values; a run that was stored before a metric existed has no value, which is ABSENT."""
 EXACT = 2**53
@@ -29,6 +31,40 @@ EXACT = 2**53
 encode = json.JSONEncoder().encode
 CHUNK = 1024
 """The number of rows that are converted to columns at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A run of a sweep."""
+
+    replication: int
+    """The number of the run within its configuration, 0, 1, ..."""
+    seed: int
+    status: Status
+    """ok; error: the run raised an exception; crashed: the run ended its worker process."""
+    summary: Summary | None = None
+    """The metrics, if ok."""
+    traceback: str = ""
+    """The traceback and the exception, if the run failed."""
+
+    def value(self, metric: str) -> Any:
+        """Return a metric of the run; None if it has no value or is missing, or if the run failed."""
+        return None if self.summary is None else self.summary.get(metric)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run ended and was measured."""
+        return self.status == "ok"
+
+    @property
+    def error(self) -> str:
+        """The exception of the run in one line; "" if it did not fail."""
+        whole = self.traceback.strip().splitlines()
+        own = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
+        lines = [line.removeprefix("  | ") for line in own]
+        last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
+        ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
+        return (ends or lines[-1:] or [""])[0]
 
 
 class _Missing:

@@ -21,9 +21,8 @@ from pydantic import Json
 from desim.study.plan.configurations import Configuration
 from desim.study.store.file import FORMAT, HINT, ROWID, StoreError, adapter_of, naming_the_file, view_of
 from desim.study.store.properties import SweepProperties
-from desim.study.store.row import Row
 from desim.study.store.run_rows import RunRows
-from desim.study.store.run_table import RunTable
+from desim.study.store.run_table import Row, RunTable
 
 
 class Store(SweepProperties, RunRows):

@@ -27,7 +27,7 @@ from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
 from desim.study.store.properties import flat
-from desim.study.store.row import Row
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.workers.dispatch import drive_batches, simulation
 from desim.study.workers.progress import progress
