@@ -50,6 +50,10 @@ these, rounded down, must be below a quarter of the largest.
 """
 
 
+Point = tuple[Group, Estimate | None]
+"""A configuration and the estimate of a metric; None instead of the estimate if the configuration is a reference."""
+
+
 def means(
     result: SweepRuns,
     metric: str,
@@ -88,25 +92,12 @@ def means(
         ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
-    values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
-    kinds = Counter(map(kind_of, values))
-    if unknown := [each for each in labels if each not in values and each not in result.keys and kinds[each] != 1]:
-        what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
-        raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
-    of_kinds = {each: labels[kind] for each in values if (kind := kind_of(each)) in labels and kind not in values}
-    labels = {**of_kinds, **labels}
+    labels = _labels_of_values(result, keys, labels)
     abscissa = _abscissa(result, x, keys)
-    rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
-    panels: dict[str, list[Point]] = {}
-    for group, found in _points(result, metric, against):
-        own = in_words({key: group.settings[key] for key in rest})
-        panels.setdefault(own, []).append((group, found))
+    panels = _panels(result, _points(result, metric, against), abscissa, keys)
     columns = min(MAX_ABREAST, len(panels))
     rows = -(-len(panels) // columns)
-    each_high = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
-    usual = (6.4, each_high) if len(panels) == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
-    width, height = (usual[0], None) if size is None else size_of(size)
-    height = height or (usual[1] if size is None or abscissa is None else width * FLAT * rows / columns**0.5)
+    width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
     named = keys or [key for key in result.keys if key != abscissa]
     with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
@@ -121,14 +112,7 @@ def means(
             if against is not None:
                 (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
             axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
-        for k, axes in enumerate(shared.flat):
-            _label(axes, xlabel, ylabel)
-            if k % columns:
-                axes.set_ylabel("")
-            if k + columns < len(panels):
-                axes.set_xlabel("")
-            axes.tick_params(labelbottom=k + columns >= len(panels))
-            axes.set_axis_on() if k < len(panels) else axes.set_axis_off()
+        _label_outer(shared, len(panels), xlabel, ylabel)
         if size is None:
             what = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
@@ -138,13 +122,66 @@ def means(
     return figure
 
 
+def _labels_of_values(result: SweepRuns, keys: Sequence[str], labels: Mapping[str, str]) -> dict[str, str]:
+    """Return labels by the value of a key, also those that were given for a kind; see `means`.
+
+    Raises:
+        ValueError: if a label belongs to no value, or to a kind that several values have.
+    """
+    values = {text(value) for key in (*result.keys, *keys) for value in result.values(key)}
+    kinds = Counter(map(kind_of, values))
+    if unknown := [name for name in labels if name not in values and name not in result.keys and kinds[name] != 1]:
+        what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
+        raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+    of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
+    return {**of_kinds, **labels}
+
+
+def _panels(
+    result: SweepRuns, points: Sequence[Point], abscissa: str | None, keys: Sequence[str]
+) -> dict[str, list[Point]]:
+    """Return the points of each panel by its title, which names the values of the keys that have no other place."""
+    rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
+    panels: dict[str, list[Point]] = {}
+    for group, estimate in points:
+        title = in_words({key: group.settings[key] for key in rest})
+        panels.setdefault(title, []).append((group, estimate))
+    return panels
+
+
+def _inches(size: str | None, rows: int, columns: int, listed: int | None) -> tuple[float, float]:
+    """Return the width and the height of a figure, inches.
+
+    Args:
+        size: the size that was asked for; see `means`.
+        rows: the number of rows of panels.
+        columns: the number of panels abreast.
+        listed: the number of configurations if each has a row of its own, else None.
+    """
+    one_high = 4.0 if listed is None else 1.2 + 0.3 * listed
+    usual = (6.4, one_high) if rows * columns == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
+    if size is None:
+        return usual
+    width, height = size_of(size)
+    return width, height or (width * FLAT * rows / columns**0.5 if listed is None else usual[1])
+
+
+def _label_outer(shared: NDArray[Any], panels: int, xlabel: str | None, ylabel: str | None) -> None:
+    """Label the axes at the left and at the bottom only, and hide those without a panel."""
+    columns = shared.shape[1]
+    for k, axes in enumerate(shared.flat):
+        _label(axes, xlabel, ylabel)
+        if k % columns:
+            axes.set_ylabel("")
+        if k + columns < panels:
+            axes.set_xlabel("")
+        axes.tick_params(labelbottom=k + columns >= panels)
+        axes.set_axis_on() if k < panels else axes.set_axis_off()
+
+
 def file_name(kind: str, metric: str | None = None, against: Mapping[str, Any] | None = None) -> str:
     """Return the name of the file of a figure, without a suffix; figures of different metrics have different names."""
     return f"{kind if against is None else 'differences'}-{metric or SHOWN[0]}"
-
-
-Point = tuple[Group, Estimate | None]
-"""A configuration and the estimate of a metric; None instead of the estimate if the configuration is a reference."""
 
 
 def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
