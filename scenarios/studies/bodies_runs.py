@@ -106,7 +106,7 @@ def pursuit(rule: str, motion: str, latency: float) -> Scenario:
         capture=Capture(radius=0.3),
         motion=Motion(step=0.05),
         protocol=RULES[rule],
-        announce=Announcements(payload="course", start="known", heartbeat=PERIOD),
+        announce=Announcements(payload="course", heartbeat=PERIOD),
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )

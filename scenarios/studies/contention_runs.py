@@ -197,21 +197,18 @@ def measure_ages(options: Options) -> list[Age]:
 
 def measure_lora(options: Options) -> list[LoRaPursuits]:
     """Measure how many pursuits end before a pursuer of a LoRa network may announce a second time."""
-    scenarios = [
-        _scenario(
-            PROTOCOLS["local_min"],
-            Announcements(start="known", heartbeat=1.0, jitter=JITTER),
-            Links(preset=f"lora_sf{sf}"),
-        )
-        for sf in SPREADING_FACTORS
-    ]
-    found = []
-    runs = options.measure(scenarios, "LoRa", end_time)
-    for sf, scenario, times in zip(SPREADING_FACTORS, scenarios, runs, strict=True):
-        medium = scenario.network.medium
-        assert isinstance(medium, LoRa)
-        assert medium.duty_cycle is not None
-        interval = scenario.announcement_airtime / medium.duty_cycle
-        over = sum(time < interval for time in times) / len(times)
-        found.append(LoRaPursuits(sf, scenario.announcement_airtime, interval, estimate(times), over))
-    return found
+    return [lora_pursuits(spreading_factor, options) for spreading_factor in SPREADING_FACTORS]
+
+
+def lora_pursuits(spreading_factor: int, options: Options) -> LoRaPursuits:
+    """Measure the pursuits over a LoRa network of one spreading factor."""
+    links = Links(preset=f"lora_sf{spreading_factor}")
+    announce = Announcements(start="known", heartbeat=1.0, jitter=JITTER)
+    scenario = _scenario(PROTOCOLS["local_min"], announce, links)
+    (times,) = options.measure([scenario], "LoRa", end_time)
+    medium = scenario.network.medium
+    assert isinstance(medium, LoRa)
+    assert medium.duty_cycle is not None
+    interval = scenario.announcement_airtime / medium.duty_cycle
+    over = sum(time < interval for time in times) / len(times)
+    return LoRaPursuits(spreading_factor, scenario.announcement_airtime, interval, estimate(times), over)

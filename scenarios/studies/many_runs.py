@@ -15,7 +15,6 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.pursuit.core.events import Captured, Decided, Started
 from desim.pursuit.game.game import optimum, welfare
 from desim.pursuit.motion.capture import capture_time
-from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules.periodic import SharedSeed
@@ -181,7 +180,6 @@ def _game(pursuers: int, evaders: int, kind: str, negotiation: Any, motion: Moti
         evader=Evader(count=evaders, box=BOX),
         protocol=negotiation,
         motion=motion,
-        announce=Announcements(start="known"),
         record=Recording(trajectory=0.0),
     )
 

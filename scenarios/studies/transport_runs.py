@@ -186,9 +186,9 @@ def _scenario(setting: Setting, announce: Announcements, size: int = N, **more: 
 def measure(options: Options) -> list[Cell]:
     """Run each way to announce in each setting."""
     settings = {(name, value): Setting(**{name: value}) for name, values in SWEEPS.items() for value in values}
-    pursued = _with_equal_bytes(options, settings, pursuit, "pursuits", _pursued)
+    pursued = _with_equal_bytes(options, settings, pursuit, "pursuits", run_of_pursuit)
     resting = {key: setting for key, setting in settings.items() if key[0] in WITH_AGES}
-    rested = _with_equal_bytes(options, resting, at_rest, "ages", _rested)
+    rested = _with_equal_bytes(options, resting, at_rest, "ages", run_at_rest)
     return [
         _cell(
             name, value, way, pursued[name, value, way], pursued[name, value, REFERENCE], rested.get((name, value, way))
@@ -231,9 +231,11 @@ def budget_of(runs: Sequence[Run]) -> Budget:
     return Budget(sent / duration, changes / duration)
 
 
-def _pursued(result: Result) -> Run:
+def run_of_pursuit(result: Result) -> Run:
+    """Return the measurements of a pursuit."""
     return Run(active_time(result), end_time(result), captured(result), switches(result), messages(result).bytes_sent)
 
 
-def _rested(result: Result) -> Run:
+def run_at_rest(result: Result) -> Run:
+    """Return the measurements of a game at rest."""
     return Run(age_mean(result), end_time(result), False, 0, messages(result).bytes_sent)

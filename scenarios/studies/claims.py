@@ -1,0 +1,442 @@
+"""The numbers in README and docs that are measured, each with what measures it; for `scenarios.check_pages`."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from desim.analysis.deception import false_accusations
+from desim.analysis.metrics import active_time, captured, end_time
+from desim.analysis.statistics import NORMAL_975
+from desim.pursuit.team.announcements import Start
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules.periodic import Poisson
+from scenarios import bodies_runs, contention_runs, evaders_runs, liars_runs, start_runs, transport_runs
+from scenarios.studies.claims_runs import (
+    Number,
+    age,
+    all_at_once,
+    announcing,
+    average,
+    chase_of_many,
+    cost,
+    delayed_by,
+    difference,
+    excess,
+    explained,
+    fast,
+    finds_best,
+    increase,
+    inferring,
+    lost_by,
+    nearest_at_random,
+    nearest_only,
+    noisy,
+    normalised_error,
+    of_inertia,
+    of_latency,
+    of_table1,
+    over_before_the_second,
+    per_handover,
+    price,
+    share,
+    survives,
+    transported,
+    unsettled,
+    watched_saving,
+    worth,
+)
+from scenarios.studies.study import SCENARIOS
+
+MARKED = re.compile(r"\{([^}]*)\}")
+"""A measured number in a sentence."""
+PARTS = re.compile(r"(?P<mean>[+-]?[\d,]*\.?\d+)(?: %)?(?: \+- (?P<half>\d*\.?\d+))?(?P<percent> %)?")
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence, or part of it, with numbers that can be measured."""
+
+    study: str
+    """Name of the study that measured it."""
+    page: str
+    """The path of the page in the repository."""
+    sentence: str
+    """The text as it is on the page, with braces around each measured number; line breaks count as spaces."""
+    numbers: Sequence[Number]
+    """What measures the numbers in braces, in order."""
+    share: float = 1.0
+    """Number of runs, relative to that of other claims."""
+    sigmas: float = 1.0
+    """Half width of a 95 % interval, in units of the number after +-; `NORMAL_975` if this is the standard error."""
+
+    @property
+    def text(self) -> str:
+        """The sentence as it is on the page."""
+        return self.sentence.replace("{", "").replace("}", "")
+
+    def published(self) -> Iterator[tuple[str, float, float | None, float]]:
+        """Yield of each number its text, mean, half width (None: not said), and half a unit of its last digit."""
+        for text in MARKED.findall(self.sentence):
+            parts = PARTS.fullmatch(text)
+            if parts is None:
+                raise ValueError(f"a number should be like 5, 5.0 %, or 5.0 +- 0.2, got {text!r}")
+            scale, digits = 0.01 if "%" in text else 1.0, parts["mean"].replace(",", "")
+            half_width = None if parts["half"] is None else scale * self.sigmas * float(parts["half"])
+            yield text, scale * float(digits), half_width, scale * 0.5 * 10.0 ** -len(digits.partition(".")[2])
+
+    def is_on_page(self) -> bool:
+        """Return whether the page has the sentence."""
+        return self.text in words_of(self.page)
+
+
+def words_of(page: str) -> str:
+    """Return the text of a page without line breaks."""
+    return " ".join((SCENARIOS.parent / page).read_text(encoding="utf-8").split())
+
+
+README, FINDINGS, NEGOTIATION = "README.md", "docs/explanation/findings.md", "docs/explanation/negotiation.md"
+VALIDATION, GAME = "docs/explanation/validation.md", "docs/explanation/game.md"
+HOWTO, FIRST, OWN = "docs/howto/protocols.md", "docs/tutorials/first_pursuit.md", "docs/tutorials/own_protocol.md"
+COMMANDS = MappingProxyType(
+    {
+        "worth": "--worth",
+        "law": "python -m scenarios.start --law --runs 40",
+        "explain": "desim explain scenarios/imperfect.toml",
+        "inference": 'sweep(Scenario(protocol="local_min")',
+        "noisy": "python -m scenarios.check_pages --only noisy --seed 0",
+        "howto": "Team(speeds=2.5), protocol=nearest_only",
+        "tutorials": "sweep(",
+    }
+)
+"""What a page names beside a number that no study of this name measured."""
+CLOCKS = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
+SIMPLE, RELIABLE = bodies_runs.SIMPLE, transport_runs.RELIABLE
+
+
+def row_of_start(team: str, start: Start, *cells: str) -> Claim:
+    """Return the claim that is a row of the table of starts, with a cell for each of the first rules."""
+    numbers = [
+        number
+        for rule in list(start_runs.RULES)[: len(cells)]
+        for number in (
+            average(active_time, start_runs.pursuit(team, start_runs.RULES[rule], start, 0.0)),
+            *(cost(team, rule, latency, start) for latency in start_runs.LATENCIES[1:]),
+        )
+    ]
+    where = {"few in time": "default speeds, few", "all in time": "`team.speeds = 2.5`, all"}[team]
+    return Claim("start", NEGOTIATION, f"| {where} | {start} | {' | '.join(cells)}", numbers)
+
+
+CLAIMS = (
+    Claim(
+        "start",
+        README,
+        "half a second of latency costs `local_min` {7.5 +- 0.7} s, Spatial Adaptive Play {7.2 +- 1.2} s",
+        (cost("all in time", "local_min", 0.5), cost("all in time", "sap", 0.5)),
+    ),
+    Claim(
+        "worth",
+        README,
+        "one of Spatial Adaptive Play saves {26.9 +- 2.0} ms of active time and one of `local_min` nothing; with a"
+        " silent start, {3.8 +- 1.3} ms and {5.8 +- 1.2} ms",
+        (worth("sap", "announced"), worth("sap", "silent"), worth("local_min", "silent")),
+    ),
+    Claim("range", README, "{36 % +- 2 %} of the games have none at a range of 8 m", [unsettled("all able", 8.0)]),
+    *(
+        row_of_start("few in time", *row)
+        for row in (
+            ("known", "{12.57}; {+1.18 +- 0.23}, {+5.47 +- 0.41}", "{12.42}; {+1.08 +- 0.21}, {+5.56 +- 0.38}"),
+            (
+                "silent",
+                "{12.44}; {+0.19 +- 0.32}, {+1.43 +- 0.44}",
+                "{12.40}; {+0.18 +- 0.30}, {+1.48 +- 0.42}",
+                "{9.14}; {+0.17 +- 0.07}, {+0.74 +- 0.22}",
+            ),
+            (
+                "announced",
+                "{12.57}; {+0.07 +- 0.31}, {+1.39 +- 0.43}",
+                "{12.42}; {+0.15 +- 0.28}, {+1.54 +- 0.42}",
+                "{9.10}; {+0.13 +- 0.05}, {+0.72 +- 0.21}",
+            ),
+        )
+    ),
+    *(
+        row_of_start("all in time", *row)
+        for row in (
+            ("known", "{7.88}; {+0.57 +- 0.19}, {+2.51 +- 0.55}", "{7.51}; {+0.73 +- 0.23}, {+2.78 +- 0.60}"),
+            (
+                "silent",
+                "{7.87}; {+1.60 +- 0.36}, {+7.36 +- 1.21}",
+                "{7.59}; {+1.93 +- 0.34}, {+7.66 +- 1.16}",
+                "{4.75}; {+1.73 +- 0.16}, {+7.55 +- 0.73}",
+            ),
+            (
+                "announced",
+                "{7.88}; {+1.60 +- 0.37}, {+7.25 +- 1.20}",
+                "{7.51}; {+1.90 +- 0.32}, {+7.66 +- 1.15}",
+                "{4.61}; {+1.63 +- 0.16}, {+7.51 +- 0.71}",
+            ),
+        )
+    ),
+    Claim(
+        "start",
+        NEGOTIATION,
+        "{4.37 +- 0.45} s of the increase of {5.56} s after a known start, and {0.50 +- 0.32} s of {1.54} s after",
+        [increase(start, whole=whole) for start in ("known", "announced") for whole in (False, True)],
+    ),
+    Claim(
+        "start",
+        FINDINGS,
+        "half a second of latency then costs `local_min` {7.5 +- 0.7} s of active time, and SAP {7.2 +- 1.2} s",
+        (cost("all in time", "local_min", 0.5), cost("all in time", "sap", 0.5)),
+    ),
+    Claim(
+        "worth",
+        FINDINGS,
+        "a message of SAP saves {26.9 +- 2.0} ms of active time, if they are known, {26.5 +- 2.0} ms, and with a"
+        " silent start, {3.8 +- 1.3} ms. One of `local_min` saves nothing, nothing, and {5.8 +- 1.2} ms",
+        (*(worth("sap", start) for start in ("announced", "known", "silent")), worth("local_min", "silent")),
+    ),
+    Claim(
+        "explain",
+        FINDINGS,
+        "Waiting for one's turn costs most active time, {3.8 +- 0.5} s. The limited range saves {1.4 +- 0.4} s, and"
+        " that the start is not known for free {0.5 +- 0.4} s. All imperfections together cost {7.1 +- 0.6} s of"
+        " active time. They interact: the parts add up to 2.8 s. The evader is captured {0.7 +- 0.4} s sooner",
+        (
+            explained(active_time, "serial decisions"),
+            explained(active_time, "range limit", scale=-1.0),
+            explained(active_time, "unknown start", scale=-1.0),
+            explained(active_time),
+            explained(end_time, scale=-1.0),
+        ),
+    ),
+    Claim("range", FINDINGS, "{36 % +- 2 %} of the games have no equilibrium at R = 8 m", [unsettled("all able", 8.0)]),
+    Claim(
+        "contention",
+        FINDINGS,
+        "At a load of 0.5 SAP loses {0.2 +- 0.1} s, and at 2, {0.7 +- 0.4} s of {8.2} s; `local_min` then loses {1.0"
+        " +- 0.6} s of {6.6} s",
+        (
+            lost_by("SAP", "CSMA/CA", 0.5),
+            lost_by("SAP", "CSMA/CA", 2.0),
+            average(active_time, contention_runs.pursuit("SAP", contention_runs.REFERENCE, 2.0)),
+            lost_by("local_min", "CSMA/CA", 2.0),
+            average(active_time, contention_runs.pursuit("local_min", contention_runs.REFERENCE, 2.0)),
+        ),
+    ),
+    Claim(
+        "contention",
+        FINDINGS,
+        "Under ALOHA, at loads of 0.05 and 2, SAP loses {2.0 +- 0.9} and {1.9 +- 1.3} s, and CBBA {1.7 +- 1.1} and"
+        " {2.7 +- 2.0} s. `local_min`, which compares capture times, loses nothing up to a load of 0.1, and {2.5 +-"
+        " 1.3} s at 2",
+        (
+            *(lost_by(protocol, "ALOHA", load) for protocol in ("SAP", "CBBA") for load in (0.05, 2.0)),
+            lost_by("local_min", "ALOHA", 2.0),
+        ),
+    ),
+    Claim(
+        "contention",
+        FINDINGS,
+        "TDMA costs SAP {0.2 +- 0.1} s at a load of 0.05, and {0.3 +- 0.2} s at 1. A token ring, whose slots must"
+        " hold the long token, loses {6 +- 4} s at 0.5",
+        (lost_by("SAP", "TDMA", 0.05), lost_by("SAP", "TDMA", 1.0), lost_by("token ring", "TDMA", 0.5)),
+    ),
+    Claim(
+        "contention",
+        FINDINGS,
+        "{85 %} of the pursuits are over before a pursuer may announce its action a second time",
+        [over_before_the_second(7)],
+        share=4.0,
+    ),
+    Claim(
+        "transport",
+        FINDINGS,
+        "{0.6 +- 0.3} s of {8.4} s at a latency of 0.01 s, {0.9 +- 0.3} s of {21} s for an evader 20 m away; it costs"
+        " {1.2 +- 0.5} s at 0.2 s, {2.8 +- 1.2} s at 0.5 s, and {1.7 +- 1.0} s with bursts of 3 s",
+        (
+            transported(RELIABLE, scale=-1.0, latency=0.01),
+            transported(None, latency=0.01),
+            transported(RELIABLE, scale=-1.0, distance=20.0),
+            transported(None, distance=20.0),
+            transported(RELIABLE, latency=0.2),
+            transported(RELIABLE, latency=0.5),
+            transported(RELIABLE, burst=3.0),
+        ),
+    ),
+    Claim(
+        "transport",
+        FINDINGS,
+        "costs {2.2 +- 1.1} s at 50 % loss and {4.5 +- 1.8} s at 70 %; coded copies 0.05 s apart, which wait for no"
+        " acknowledgement, are nowhere worse than heartbeats beyond their intervals, and {0.8 +- 0.5} s better at 70 %",
+        (
+            transported(transport_runs.BACKOFF, loss=0.5),
+            transported(transport_runs.BACKOFF, loss=0.7),
+            transported(transport_runs.CODED, scale=-1.0, loss=0.7),
+        ),
+    ),
+    Claim(
+        "transport",
+        FINDINGS,
+        "in every cell, {0.09} s against {0.37} s at 30 % loss",
+        (age(transport_runs.HEARTBEATS), age(RELIABLE)),
+    ),
+    Claim(
+        "liars",
+        FINDINGS,
+        "delays the capture by {3.1 +- 1.5} s under SAP, {6.1 +- 2.5} s under `local_min` and {9.6 +- 3.2} s under"
+        " CBBA, and telling some one thing and others another by {2.3 +- 1.3} s under SAP",
+        (*(delayed_by(rule, "spoof") for rule in ("sap", "local_min", "cbba")), delayed_by("sap", "equivocate")),
+    ),
+    Claim(
+        "liars",
+        FINDINGS,
+        "costs an honest team {58 %} more active time for F = 1 and {107 %} for F = 2",
+        (price("trimmed, F = 1"), price("trimmed, F = 2")),
+    ),
+    Claim(
+        "liars",
+        FINDINGS,
+        "with a deviation of 0.2 s there are {8.1 +- 1.7} false accusations in a run of SAP",
+        [average(false_accusations, liars_runs.scenario_of("clocks", "sap", liars_runs.HONEST, "plausible", 0.2))],
+    ),
+    Claim(
+        "bodies",
+        FINDINGS,
+        "at 0.5 s it costs {7.7 +- 2.0} s with a radius of 2 m, {4.3 +- 1.1} s with an acceleration of 0.5 m/s², and"
+        " {6.0 +- 1.5} s with simple motion; at 1 s a turning radius of 2 m costs {3.5 +- 2.7} s more",
+        (*(of_latency(0.5, motion) for motion in ("radius 2 m", "0.5 m/s^2", SIMPLE)), of_inertia(1.0, "radius 2 m")),
+    ),
+    Claim(
+        "bodies",
+        FINDINGS,
+        "from {0.9 +- 0.4} to {8.2 +- 1.3} s with simple motion, and from {1.0 +- 0.5} to {9.1 +- 1.5} s with a"
+        " radius of 2 m; an acceleration of at most 0.5 m/s² makes it {5.9 +- 1.3} s at 1 s",
+        (
+            per_handover(SIMPLE, 0.0),
+            per_handover(SIMPLE, 1.0),
+            per_handover("radius 2 m", 0.0),
+            per_handover("radius 2 m", 1.0),
+            per_handover("0.5 m/s^2", 1.0),
+        ),
+    ),
+    Claim(
+        "bodies",
+        FINDINGS,
+        "with simple motion they need {2.3 +- 0.7} s more active time without latency, and {4.6 +- 2.1} s more at 0.5"
+        " s; with a radius of 2 m, {2.8 +- 1.3} and {4.3 +- 3.3} s; with one of 0.5 m, {2.5 +- 0.6} and {10.8 +- 5.1}"
+        " s",
+        [all_at_once(latency, motion) for motion in (SIMPLE, "radius 2 m", "radius 0.5 m") for latency in (0.0, 0.5)],
+    ),
+    Claim(
+        "bodies",
+        FINDINGS,
+        "only robots with a radius of 0.5 or 2 m lose by it, {6.6 +- 4.4} and {5.6 +- 5.2} s",
+        (all_at_once(1.0, "radius 0.5 m"), all_at_once(1.0, "radius 2 m")),
+    ),
+    Claim(
+        "evaders",
+        FINDINGS,
+        "by {1.6 +- 0.6} s of {5.4} s on an ideal network, by {1.1 +- 0.5} s with 0.1 s of latency, and by {1.9 +-"
+        " 0.7} s against the centralised benchmark",
+        (
+            survives(evaders_runs.IDEAL),
+            average(end_time, evaders_runs.chase(evaders_runs.REFERENCE, evaders_runs.IDEAL)),
+            survives("sap"),
+            survives("centralised"),
+        ),
+    ),
+    Claim(
+        "inference",
+        FINDINGS,
+        "by {1.07 +- 0.21} s if it knows, by {0.92 +- 0.21}, {0.68 +- 0.23} and {0.70 +- 0.21} s with exact looks"
+        " every 0.1, 0.5 and 1 s, and *shorter* by {0.53 +- 0.19} s with looks every 0.2 s and errors of 0.1 m",
+        (*(inferring(interval) for interval in (0.0, 0.1, 0.5, 1.0)), inferring(0.2, 0.1, scale=-1.0)),
+        share=2.0,
+    ),
+    Claim(
+        "evaders",
+        FINDINGS,
+        "{58 %}, {63 %} and {55 %} are captured, instead of 95 %. The worst-case estimate saves {4.0 +- 2.3} s of"
+        " {6.9} s",
+        (
+            *(share(captured, evaders_runs.watched(2.0, made)) for made in evaders_runs.ESTIMATES),
+            watched_saving("worst_case"),
+            average(active_time, evaders_runs.watched(2.0, evaders_runs.HELD)),
+        ),
+        share=2.0,
+    ),
+    Claim(
+        "many",
+        FINDINGS,
+        "SAP finds the best assignment in {69 %} of the games (58 to 79) if cooled slowly over 1000 slots, and in {33"
+        " %} (24 to 45) if quenched. Selective SAP finds it in {57 %} and {33 %}",
+        [finds_best(f"{rule}, {how}") for rule in ("SAP", "Selective SAP") for how in ("slow", "fast")],
+        share=2.0,
+    ),
+    Claim(
+        "many",
+        FINDINGS,
+        "The centralised benchmark did, by {1.25 +- 0.67} s with six pursuers and six evaders",
+        [difference(end_time, chase_of_many("SAP, slow"), chase_of_many("centralised"))],
+    ),
+    *(
+        Claim("table1", VALIDATION, row, [of_table1(count, slot)], sigmas=NORMAL_975)
+        for count, slot, row in (
+            (20, 0.1, "| 20 | 0.1 | 4.600 | 4.600 | {54.37 +- 0.62} |"),
+            (20, 0.01, "| 20 | 0.01 | 4.560 | 4.570 | {11.46 +- 0.15} |"),
+            (20, 0.001, "| 20 | 0.001 | 4.561 | 4.558 | {5.255 +- 0.015} |"),
+            (40, 0.1, "| 40 | 0.1 | 4.800 | 4.800 | {116.94 +- 0.81} |"),
+            (40, 0.01, "| 40 | 0.01 | 4.690 | 4.690 | {37.59 +- 0.54} |"),
+            (40, 0.001, "| 40 | 0.001 | 4.689 | 4.670 | {7.848 +- 0.046} |"),
+        )
+    ),
+    *(
+        Claim("law", VALIDATION, row, [announcing(each, x) for each in start_runs.CLOCKS], sigmas=NORMAL_975)
+        for x, row in (
+            (1.0, "| 1 | 0.95 | {0.99 +- 0.08} | {0.99 +- 0.07} |"),
+            (4.0, "| 4 | 3.80 | {3.89 +- 0.12} | {3.87 +- 0.09} |"),
+            (16.0, "| 16 | 15.20 | {15.22 +- 0.11} | {15.24 +- 0.10} |"),
+        )
+    ),
+    Claim("start", VALIDATION, "half a second of latency costs {1.4 +- 0.4} s", [cost("few in time", "sap", 0.5)]),
+    Claim(
+        "delay",
+        VALIDATION,
+        "the excess is {0.84} for a token ring, {1.73} for a random order and {1.54} for rounds",
+        [excess(schedule) for schedule in ("token_ring", "shared_seed", "rounds")],
+    ),
+    Claim(
+        "noisy",
+        GAME,
+        "is {5.3 +- 1.8}, {3.2 +- .7}, {1.9 +- .2} and {1.5 +- .1}",
+        [average(normalised_error, noisy(diffusion)) for diffusion in (0.05, 0.1, 0.32, 1.0)],
+        share=2 / 3,
+        sigmas=NORMAL_975,
+    ),
+    Claim(
+        "howto",
+        HOWTO,
+        "raises its active time from {2.9} to {10.6} s",
+        [average(active_time, fast(nearest_only, latency)) for latency in (0.0, 0.5)],
+    ),
+    Claim(
+        "tutorials",
+        FIRST,
+        "At half a second, the team spends {7} s more effort",
+        [difference(active_time, fast(CLOCKS, 0.5), fast(CLOCKS, 0.0))],
+    ),
+    Claim(
+        "tutorials",
+        OWN,
+        "beat Spatial Adaptive Play, by {1.7 +- 0.5} s of active time without delay and by {2.7 +- 0.9} s at half a"
+        " second",
+        [
+            difference(active_time, fast(CLOCKS, latency, 12), fast(nearest_at_random, latency, 12))
+            for latency in (0.0, 0.5)
+        ],
+    ),
+)
+"""The claims that are checked."""

@@ -1,0 +1,316 @@
+"""The measurements of the numbers in `scenarios.studies.claims`: each function returns what measures a number."""
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from desim import Result, Scenario, Team, load
+from desim.analysis.metrics import active_time, end_time, excess_time
+from desim.analysis.statistics import Estimate, mean, paired, wilson
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.pursuit.core.events import Estimated, Sampled
+from desim.pursuit.evaders.evasion import PureEvasion
+from desim.pursuit.team.announcements import Start
+from desim.scenario.players import Evader
+from desim.study.ablation.imperfections import IMPERFECTIONS
+from protocols.best_response import BestResponse
+from scenarios import (
+    bodies_runs,
+    contention_runs,
+    delay_runs,
+    evaders_runs,
+    liars_runs,
+    many_runs,
+    range_runs,
+    start_runs,
+    table1,
+    transport_runs,
+)
+from scenarios.studies.study import SCENARIOS, Options
+
+Number = Callable[[Options], tuple[float, float]]
+"""Measures a number; returns its mean and the half width of its 95 % interval."""
+UNIT = delay_runs.LAMBDA / delay_runs.N
+"""1 / (N^2 delta), 1/s."""
+
+
+def of(estimate: Estimate, scale: float = 1.0) -> tuple[float, float]:
+    """Return the mean and the half width of an estimate, multiplied by a factor."""
+    return scale * estimate.mean, abs(scale) * estimate.half_width
+
+
+def average(metric: Callable[[Any], float], scenario: Scenario, scale: float = 1.0) -> Number:
+    """Return what measures the mean of a metric over runs."""
+    return lambda options: of(mean(options.measure([scenario], "", metric)[0]), scale)
+
+
+def difference(metric: Callable[[Any], float], some: Scenario, others: Scenario, scale: float = 1.0) -> Number:
+    """Return what measures the paired difference of a metric between two scenarios."""
+    return lambda options: of(paired(*options.measure([some, others], "", metric)), scale)
+
+
+def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
+    """Return what measures the share of runs for which a metric is true, with half of its Wilson interval."""
+
+    def number(options: Options) -> tuple[float, float]:
+        (values,) = options.measure([scenario], "", metric)
+        return in_trials(sum(values), len(values))
+
+    return number
+
+
+def in_trials(count: int, trials: int) -> tuple[float, float]:
+    """Return a share, and half the width of its Wilson interval."""
+    low, high = wilson(count, trials)
+    return count / trials, (high - low) / 2.0
+
+
+def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Number:
+    """Return what measures how much active time a latency costs in `scenarios.start`."""
+    late, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, each) for each in (latency, 0.0))
+    return difference(active_time, late, prompt)
+
+
+def worth(rule: str, start: Start) -> Number:
+    """Return what measures the active time that a message of a rule saves, ms."""
+
+    def number(options: Options) -> tuple[float, float]:
+        teams = [start_runs.speaking(rule, start, trigger=trigger) for trigger in ("heartbeat", "never")]
+        speaking, silent = (np.array(runs).T for runs in options.measure(teams, "", start_runs.times_and_transmissions))
+        return of(start_runs.quotient(silent[0] - speaking[0], speaking[1] - silent[1]), 1000.0)
+
+    return number
+
+
+def increase(start: Start, *, whole: bool) -> Number:
+    """Return what measures how much more active pursuers are at a latency of 0.5 s than without where few are in time.
+
+    `whole`: all pursuers, or else those that could not capture in time at the start.
+    """
+    rule = BestResponse(utility=start_runs.UTILITIES["mean"])
+    late, prompt = (start_runs.pursuit("few in time", rule, start, each) for each in (start_runs.LONG, 0.0))
+    return difference(active_time if whole else time_of_late_ones, late, prompt)
+
+
+def time_of_late_ones(result: Result) -> float:
+    """Return the active time of the pursuers that could not capture in time at the start, s."""
+    return start_runs.times_by_ability(result)[0]
+
+
+def announcing(schedule: str, delay: float) -> Number:
+    """Return what measures what announcing first actions adds to the excess of a static game, in N^2 delta."""
+    game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
+    announced, known = (start_runs.at_rest(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known"))
+    return difference(excess_time, announced, known, UNIT)
+
+
+def excess(schedule: str) -> Number:
+    """Return what measures the excess of a static game without latency, in N^2 delta."""
+    game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
+    return average(excess_time, delay_runs.static(game, 0.0), scale=UNIT)
+
+
+def of_table1(count: int, slot: float) -> Number:
+    """Return what measures a decentralised cell of Table I."""
+    return average(active_time, table1.decentralised(table1.configuration(count), slot))
+
+
+def explained(metric: Callable[[Any], float], part: str | None = None, scale: float = 1.0) -> Number:
+    """Return what measures what an imperfection of `imperfect.toml` costs in a metric; None: all together."""
+    game = load(SCENARIOS / "imperfect.toml")
+    removed = [IMPERFECTIONS[part]] if part else IMPERFECTIONS.values()
+    return difference(metric, game, reduce(lambda so_far, remove: remove(so_far), removed, game), scale)
+
+
+def unsettled(team: str, distance: float) -> Number:
+    """Return what measures the share of games without an equilibrium if pursuers count their neighbours only."""
+
+    def number(options: Options) -> tuple[float, float]:
+        games = range_runs.games(team, distance, options)
+        return games.unsettled, (games.unsettled_high - games.unsettled_low) / 2.0
+
+    return number
+
+
+def lost_by(protocol: str, access: str, load: float) -> Number:
+    """Return what measures the active time lost by an access model."""
+    some, others = (contention_runs.pursuit(protocol, each, load) for each in (access, contention_runs.REFERENCE))
+    return difference(active_time, some, others)
+
+
+def over_before_the_second(spreading_factor: int) -> Number:
+    """Return what measures the share of pursuits over LoRa that end before a pursuer may announce a second time."""
+
+    def number(options: Options) -> tuple[float, float]:
+        found = contention_runs.lora_pursuits(spreading_factor, options)
+        return in_trials(round(found.over * options.runs), options.runs)
+
+    return number
+
+
+def transported(way: str | None, scale: float = 1.0, **setting: float) -> Number:
+    """Return what measures the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
+
+    def number(options: Options) -> tuple[float, float]:
+        here = transport_runs.Setting(**setting)
+        (reliable,) = options.measure(
+            [transport_runs.pursuit(here, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
+        )
+        budget = transport_runs.budget_of(reliable)
+        ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
+        games = [transport_runs.pursuit(here, each, budget) for each in ways]
+        some, others = (
+            [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
+        )
+        return of(mean(others) if way is None else paired(some, others), scale)
+
+    return number
+
+
+def age(way: str) -> Number:
+    """Return what measures the age of information of a way to announce with 30 % loss."""
+
+    def number(options: Options) -> tuple[float, float]:
+        here, metric = transport_runs.Setting(), transport_runs.run_at_rest
+        (reliable,) = options.measure([transport_runs.at_rest(here, transport_runs.RELIABLE)], "", metric)
+        game = transport_runs.at_rest(here, way, transport_runs.budget_of(reliable))
+        (runs,) = options.measure([game], "", metric)
+        return of(mean([run.value for run in runs]))
+
+    return number
+
+
+def delayed_by(protocol: str, lie: str) -> Number:
+    """Return what measures by how much one liar delays the capture."""
+    some, others = (liars_runs.scenario_of("lies", protocol, each, "none", 1.0) for each in (lie, liars_runs.HONEST))
+    return difference(end_time, some, others)
+
+
+def price(defence: str) -> Number:
+    """Return what measures the share of active time that a defence costs a team without liars."""
+
+    def number(options: Options) -> tuple[float, float]:
+        worst = liars_runs.WORST
+        games = [liars_runs.scenario_of("numbers", "local_min", worst, each, 0.0) for each in (defence, "none")]
+        times, others = (np.array(runs) for runs in options.measure(games, "", active_time))
+        return of(start_runs.quotient(times - others, others))
+
+    return number
+
+
+def of_latency(latency: float, motion: str) -> Number:
+    """Return what measures how much active time a latency costs a body."""
+    late, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, each) for each in (latency, 0.0))
+    return difference(active_time, late, prompt)
+
+
+def of_inertia(latency: float, motion: str) -> Number:
+    """Return what measures how much more active time a latency costs a body than one of simple motion."""
+
+    def number(options: Options) -> tuple[float, float]:
+        games = [
+            bodies_runs.pursuit(bodies_runs.ONE, each, at)
+            for each in (motion, bodies_runs.SIMPLE)
+            for at in (latency, 0.0)
+        ]
+        late, prompt, simple_late, simple_prompt = (
+            np.array(times) for times in options.measure(games, "", active_time)
+        )
+        return of(paired(late - prompt, simple_late - simple_prompt))
+
+    return number
+
+
+def all_at_once(latency: float, motion: str) -> Number:
+    """Return what measures how much more active time a body needs if all decide at once."""
+    some, others = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
+    return difference(active_time, some, others)
+
+
+def per_handover(motion: str, latency: float) -> Number:
+    """Return what measures the active time in excess of one pursuer per handover."""
+
+    def number(options: Options) -> tuple[float, float]:
+        game = bodies_runs.pursuit(bodies_runs.ONE, motion, latency)
+        (runs,) = options.measure([game], "", bodies_runs.handovers)
+        return of(bodies_runs.ratio([run.excess for run in runs], [run.number for run in runs]))
+
+    return number
+
+
+def survives(protocol: str) -> Number:
+    """Return what measures how much longer an evader survives that flees the active pursuers only."""
+    some, others = (evaders_runs.chase(each, protocol) for each in (evaders_runs.CLAIMED, evaders_runs.REFERENCE))
+    return difference(end_time, some, others)
+
+
+def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:
+    """Return what measures how much longer an evader survives that infers from motion whom to flee."""
+    game = Scenario(protocol="local_min", network=Links(latency=Constant(value=0.1)))
+    active = Evader(strategy=PureEvasion(flees_from="active"), motion_interval=interval, motion_error=error)
+    return difference(end_time, game.model_copy(update={"evader": active}), game, scale)
+
+
+def watched_saving(made: str) -> Number:
+    """Return what measures the active time that a kind of estimate saves, compared with "hold"."""
+    return difference(active_time, evaders_runs.watched(2.0, evaders_runs.HELD), evaders_runs.watched(2.0, made))
+
+
+def finds_best(name: str) -> Number:
+    """Return what measures how often four pursuers find the best assignment to four evaders in 1000 slots."""
+    kind, tau = many_runs.protocol_kind(name), many_runs.cooled(name, 1000)
+    game = many_runs.static_game(*many_runs.HARD, kind, 1000, tau)
+    return share(is_best, game)
+
+
+def is_best(result: Any) -> bool:
+    """Return whether a negotiation has found the best assignment."""
+    return many_runs.outcome(result).best
+
+
+def chase_of_many(name: str) -> Scenario:
+    """Return a pursuit of six evaders by six pursuers."""
+    return many_runs.moving_game(6, 6, many_runs.protocol_kind(name), many_runs.cooled(name, many_runs.COOLING))
+
+
+def noisy(diffusion: float) -> Scenario:
+    """Return `noisy.toml` with fusion by stamps and a diffusion of the velocity, m/s per sqrt(s)."""
+    changes = {"sensing.fusion": "by_stamp", "sensing.estimator.velocity_diffusion": diffusion}
+    return load(SCENARIOS / "noisy.toml").with_(changes)
+
+
+def normalised_error(result: Result) -> float:
+    """Return the mean normalised squared error of the estimated positions of the evader."""
+    positions = {sample.t: sample.evaders[0] for sample in result.trace.of(Sampled)}
+    errors = []
+    for estimated in result.trace.of(Estimated):
+        if estimated.t in positions:
+            x, y = estimated.x - positions[estimated.t][0], estimated.y - positions[estimated.t][1]
+            square = estimated.yy * x * x - 2.0 * estimated.xy * x * y + estimated.xx * y * y
+            errors.append(square / (estimated.xx * estimated.yy - estimated.xy**2))
+    return float(np.mean(errors))
+
+
+def nearest_only(me: Any) -> Any:
+    """Decide as the protocol in README and how-to does."""
+    while True:
+        yield me.sleep(0.1 * me.rng.uniform(0.5, 1.5))
+        me.assign(all(me.capture_time() <= phi for phi in [me.time_left(), *me.believed_chasers().values()]))
+        me.announce()
+
+
+def nearest_at_random(me: Any) -> Any:
+    """Decide as the protocol of the tutorial does."""
+    while True:
+        yield me.sleep(me.rng.exponential(0.2))
+        me.assign(all(me.capture_time() <= phi for phi in [me.time_left(), *me.believed_chasers().values()]))
+        me.announce()
+
+
+def fast(protocol: Any, latency: float, count: int = 20) -> Scenario:
+    """Return a pursuit in which all could capture in time."""
+    team = Team(count=count, speeds=2.5, active_at_start=1.0)
+    return Scenario(team=team, protocol=protocol, network=Links(latency=Constant(value=latency)))
