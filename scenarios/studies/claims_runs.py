@@ -151,7 +151,7 @@ def over_before_the_second(spreading_factor: int) -> Number:
     return number
 
 
-def transported(way: str | None, scale: float = 1.0, **setting: float) -> Number:
+def transported(way: str | None, scale: float = 1.0, **setting: Any) -> Number:
     """Return what measures the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
 
     def number(options: Options) -> tuple[float, float]:

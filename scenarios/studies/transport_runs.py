@@ -17,7 +17,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.transport.frames import piece_size
-from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.announcements import Announcements, Start
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, ReliableOneHop
@@ -61,6 +61,9 @@ class Setting(NamedTuple):
     """Distance of the evader from the middle of the team at the start, m, so that a pursuit takes longer and actions
     change less often; 0: it starts in the middle, as in the paper."""
 
+    start: Start = "known"
+    """How the initial actions become known; if they are announced, these announcements count as changes of action."""
+
     @property
     def timeout(self) -> float:
         """5/4 of a round trip, s."""
@@ -92,8 +95,8 @@ class Budget(NamedTuple):
 
     bytes: float
     """Bytes per second of all pursuers together."""
-    changes: float = 0.0
-    """Announcements of a change of action per second."""
+    announcements: float
+    """Announcements of an action per second: those of changes, and of first actions if they are announced."""
 
 
 class Run(NamedTuple):
@@ -104,8 +107,8 @@ class Run(NamedTuple):
     duration: float
     """s"""
     captured: bool
-    changes: int
-    """Number of changes of action."""
+    announcements: int
+    """Number of announcements of an action: those of changes, and of first actions if they are announced."""
     bytes: int
 
 
@@ -140,13 +143,11 @@ def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
     """
     if way == HEARTBEATS:
         assert budget is not None
-        period = N * SIZE / (budget.bytes - SIZE * budget.changes)
-        return _scenario(setting, Announcements(start="known", heartbeat=period, jitter=JITTER))
-    copies = round(budget.bytes / (budget.changes * COPY)) if budget is not None else 1
-    return _scenario(
-        setting,
-        Announcements(trigger="change", start="known", dissemination=dissemination(setting, way, copies, SPACING)),
-    )
+        period = N * SIZE / (budget.bytes - SIZE * budget.announcements)
+        return _scenario(setting, Announcements(start=setting.start, heartbeat=period, jitter=JITTER))
+    copies = round(budget.bytes / (budget.announcements * COPY)) if budget is not None else 1
+    spread = dissemination(setting, way, copies, SPACING)
+    return _scenario(setting, Announcements(trigger="change", start=setting.start, dissemination=spread))
 
 
 def at_rest(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
@@ -154,11 +155,13 @@ def at_rest(setting: Setting, way: str, budget: Budget | None = None) -> Scenari
     period, spread = PERIOD, "one_hop"
     if way == HEARTBEATS:
         assert budget is not None
-        period = N_REST * SIZE / budget.bytes
+        period = N_REST * SIZE / (budget.bytes - SIZE * budget.announcements)
     else:
-        copies = round(budget.bytes * PERIOD / (N_REST * COPY)) if budget is not None else 1
+        copies = round(budget.bytes / ((budget.announcements + N_REST / PERIOD) * COPY)) if budget is not None else 1
         spread = dissemination(setting, way, copies, PERIOD / max(copies, 1))
-    announce = Announcements(trigger="heartbeat", start="known", heartbeat=period, jitter=JITTER, dissemination=spread)
+    announce = Announcements(
+        trigger="heartbeat", start=setting.start, heartbeat=period, jitter=JITTER, dissemination=spread
+    )
     record = Recording(trajectory=0.0, messages=True)
     return _scenario(setting, announce, N_REST, motion=Motion(static=True), horizon=REST, record=record)
 
@@ -227,15 +230,21 @@ def budget_of(runs: Sequence[Run]) -> Budget:
     """Return what some runs took per second."""
     duration = portable_sum(run.duration for run in runs)
     sent = portable_sum(run.bytes for run in runs)
-    changes = portable_sum(run.changes for run in runs)
-    return Budget(sent / duration, changes / duration)
+    announcements = portable_sum(run.announcements for run in runs)
+    return Budget(sent / duration, announcements / duration)
 
 
 def run_of_pursuit(result: Result) -> Run:
     """Return the measurements of a pursuit."""
-    return Run(active_time(result), end_time(result), captured(result), switches(result), messages(result).bytes_sent)
+    announcements = first_announcements(result) + switches(result)
+    return Run(active_time(result), end_time(result), captured(result), announcements, messages(result).bytes_sent)
 
 
 def run_at_rest(result: Result) -> Run:
     """Return the measurements of a game at rest."""
-    return Run(age_mean(result), end_time(result), False, 0, messages(result).bytes_sent)
+    return Run(age_mean(result), end_time(result), False, first_announcements(result), messages(result).bytes_sent)
+
+
+def first_announcements(result: Result) -> int:
+    """Return how many pursuers announce their first action at time 0."""
+    return result.scenario.team.count if result.scenario.announce.start == "announced" else 0
