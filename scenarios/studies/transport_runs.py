@@ -77,7 +77,7 @@ class Setting(NamedTuple):
         )
 
 
-SWEEPS: Mapping[str, Sequence[float]] = MappingProxyType(
+SWEEPS: Mapping[str, Sequence[Any]] = MappingProxyType(
     {
         "loss": (0.0, 0.1, 0.3, 0.5, 0.7),
         "burst": (0.0, 0.1, 0.3, 1.0, 3.0),
