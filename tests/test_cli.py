@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from desim.analysis.statistics import FIRST_LOOK
 from desim.config.model import Value, fields_of
 from desim.kernel.models.latency import Gamma
 from desim.pursuit.core.traits import ProtocolTraits
@@ -998,6 +999,12 @@ def test_the_grid_of_the_command_line_adds_to_that_of_the_file_and_replaces_its_
 def test_a_grid_of_the_command_line_that_is_wrong_is_refused(file, text, why):
     (said,) = refused("sweep", file("seed = 1\n"), "--dry-run", "-g", text)
     assert said.startswith(f"--grid {text}: {why}")
+
+
+def test_a_dry_run_says_at_how_many_runs_a_target_is_first_judged(file):
+    result = accepted("sweep", file(COINS), "--dry-run", "--until", "active_time:0.2", "-n", 500)
+    rule = f"at most, and at least {FIRST_LOOK} of each, until the half width of active_time is 0.2"
+    assert result.stdout.startswith(f"coins: 4 configurations, 2000 runs {rule}; 0 are stored")
 
 
 def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):

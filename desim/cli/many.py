@@ -243,6 +243,7 @@ def _plan_text(
         there: the runs that are done; see `SweepPlan.done`.
         until: the metric and the half width of --until.
     """
+    from desim.analysis.statistics import FIRST_LOOK
     from desim.analysis.tables import aligned
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
@@ -253,8 +254,11 @@ def _plan_text(
         (*(str(each[configuration.key]) for each in counts), *map(str, configuration.columns.values()))
         for configuration in plan.configurations
     ]
-    least = f" at most, and at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
-    head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
+    rule = ""
+    if until:
+        metric, width = until
+        rule = f" at most, and at least {FIRST_LOOK} of each, until the half width of {metric} is {width:g}"
+    head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{rule}"
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
