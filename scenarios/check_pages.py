@@ -1,10 +1,10 @@
 """Measure again, with few runs and other seeds, the numbers in README and docs.
 
-Each claim is a sentence of a page, and what measures its numbers (`scenarios.studies.claims`). A published and a measured mean
-should differ by at most twice the root of the sum of the squares of their half widths. So a true number passes with a
-probability of 99.99 % if the means are normal, and all together with 98 %. Run it after any change that may move
-results; it takes minutes. `--only NAME` checks the claims of one study. With the seed and the runs of a page, the
-numbers measured are those that it should have.
+Each claim is a sentence of a page, and what measures its numbers (`scenarios.studies.claims`). A published and a
+measured mean should differ by at most twice the root of the sum of the squares of their half widths. So a true number
+passes with a probability of 99.99 % if the means are normal, and all together with 98 %. Run it after any change that
+may move results; it takes minutes. `--only NAME` checks the claims of one study. With the seed and the runs of a page,
+the numbers measured are those that it should have.
 """
 
 import sys

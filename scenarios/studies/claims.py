@@ -11,7 +11,7 @@ from desim.analysis.statistics import NORMAL_975
 from desim.pursuit.team.announcements import Start
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios import bodies_runs, contention_runs, evaders_runs, liars_runs, start_runs, transport_runs
+from scenarios.studies import bodies_runs, contention_runs, evaders_runs, liars_runs, start_runs, transport_runs
 from scenarios.studies.claims_runs import (
     Number,
     age,

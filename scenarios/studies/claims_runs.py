@@ -17,7 +17,7 @@ from desim.pursuit.team.announcements import Start
 from desim.scenario.players import Evader
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from protocols.best_response import BestResponse
-from scenarios import (
+from scenarios.studies import (
     bodies_runs,
     contention_runs,
     delay_runs,
@@ -26,7 +26,7 @@ from scenarios import (
     many_runs,
     range_runs,
     start_runs,
-    table1,
+    table1_runs,
     transport_runs,
 )
 from scenarios.studies.study import SCENARIOS, Options
@@ -115,7 +115,7 @@ def excess(schedule: str) -> Number:
 
 def of_table1(count: int, slot: float) -> Number:
     """Return what measures a decentralised cell of Table I."""
-    return average(active_time, table1.decentralised(table1.configuration(count), slot))
+    return average(active_time, table1_runs.decentralised(table1_runs.configuration(count), slot))
 
 
 def explained(metric: Callable[[Any], float], part: str | None = None, scale: float = 1.0) -> Number:
