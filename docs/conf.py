@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ from sphinx.transforms.post_transforms import SphinxPostTransform
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
-import pages  # noqa: E402  it lies in this folder
+import api  # noqa: E402  these lie in this folder
+import notebooks  # noqa: E402
+import pages  # noqa: E402
 
 project = "desim"
 author = "the authors of desim"
+release = version("pursuit-desim")
 extensions = [
     "myst_nb",
-    "sphinx.ext.apidoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_click",
@@ -26,11 +29,17 @@ extensions = [
     "sphinx_design",
     "sphinxcontrib.bibtex",
 ]
-exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints", "reference/api/*/modules.rst"]
+exclude_patterns = ["_build", notebooks.FOLDER, "jupyter_execute", "**.ipynb_checkpoints"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "desim"
+html_logo = html_favicon = "_static/desim.svg"
 html_theme_options = {
+    "logo": {"text": "desim", "alt_text": "desim, front page"},
+    "navbar_start": ["navbar-logo", "navbar-release"],
+    "icon_links": [
+        {"name": "Repository", "url": "https://github.com/desim-project/desim", "icon": "fa-brands fa-github"},
+    ],
     "secondary_sidebar_items": ["page-toc"],
     "show_prev_next": False,
     "navbar_align": "left",
@@ -38,11 +47,14 @@ html_theme_options = {
 }
 html_sidebars = {"index": []}
 html_static_path = ["_static"]
+templates_path = ["_templates"]
 html_extra_path = ["_extra"]
 html_css_files = ["desim.css"]
+html_js_files = ["desim.js"]
+html_search_scorer = "search_scorer.js"
 html_show_copyright = False
 
-myst_enable_extensions = ["colon_fence", "dollarmath", "fieldlist"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
@@ -52,16 +64,6 @@ bibtex_bibfiles = ["references.bib"]
 bibtex_default_style = "plain"
 copybutton_prompt_text = "$ "
 
-apidoc_modules = [
-    {
-        "path": f"../{package}",
-        "destination": f"reference/api/{package}",
-        "exclude_patterns": ["../desim/cli"],  # the commands have a page of their own
-        "separate_modules": True,
-        "module_first": True,
-    }
-    for package in ("desim", "protocols")
-]
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_use_type_comments = False
@@ -94,24 +96,36 @@ def _docstring(_app: Sphinx, what: str, _name: str, _thing: object, _options: ob
 
 
 class _Elsewhere(SphinxPostTransform):
-    """Show the names in annotations that are of other projects without a search, which compares each with every object.
+    """Link the names in annotations to the pages of the names that a script imports; the others are plain text.
 
-    An object is found only by a name with the same last part.
+    A name is sought only if an object has the same last part, because a search compares it with every object.
     """
 
     default_priority = 5  # before references are resolved
 
     def run(self, **_: Any) -> None:
         known = {name.rpartition(".")[2] for name in self.env.get_domain("py").objects}
+        public = api.public_names()
         for node in list(self.document.findall(pending_xref)):
+            if node.get("refdomain") == "py":
+                node["reftarget"] = public.get(node["reftarget"], node["reftarget"])
             if node.get("refdomain") != "py" or node["reftarget"].removesuffix("()").rpartition(".")[2] in known:
                 continue
             if not isinstance(node[0], pending_xref_condition):
                 node.replace_self(node[0])
 
 
+def _note_keys(app: Sphinx, _tree: object) -> None:
+    """Register the keys of scenario files, so that the search finds them by name and pages can link to them."""
+    if app.env.docname == "reference/keys":
+        for key, anchor in pages.key_anchors().items():
+            app.env.domains.standard_domain.note_object("confval", key, anchor)
+
+
 def setup(app: Sphinx) -> None:
     """Write the generated pages before Sphinx reads any."""
     pages.write(DOCS)
+    notebooks.write(DOCS)
+    app.connect("doctree-read", _note_keys)
     app.add_post_transform(_Elsewhere)
     app.connect("autodoc-process-docstring", _docstring, priority=400)

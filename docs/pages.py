@@ -1,21 +1,25 @@
-"""What is made from the code: pages of keys, protocols, metrics and events, the gallery, the picture of the packages.
+"""What is made from the code: keys, protocols, metrics, events, the Python interface, gallery, picture of packages.
 
 It is written before each build, mostly into the folders `reference` and `gallery`, and is not kept in the repository.
+Each tutorial is also written as a notebook that can be downloaded.
 """
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import api
 import import_picture
 from pydantic import BaseModel
+from thumbnails import thumbnail
 
 import scenarios
 from desim import load, run
-from desim.analysis.drawing.plots import save, trajectory
+from desim.analysis.drawing.plots import save
 from desim.analysis.metrics import METRICS, Summary
 from desim.cli.description import default_of, summary
 from desim.config.choice import choices_of
@@ -31,6 +35,54 @@ STUDIES = (
     *("table1", "two_clocks", "first_picture", "figures"),
 )
 """The studies of the gallery, in its order."""
+METRIC_GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "The run": ("Which run it was, and when it ended.", ("seed", "end_time")),
+        "Captures": (
+            "Who captured which evader, and when.",
+            (
+                *("captured", "capture_time", "capturer"),
+                *("captures", "mean_capture_time", "capture_times", "capturers"),
+            ),
+        ),
+        "Effort": (
+            "How long pursuers chase, and how much of that is more than one pursuer per evader. `active_time` is the"
+            " usual measure of what an imperfection costs.",
+            ("active_time", "idle_time", "crowded_time", "excess_time", "energy"),
+        ),
+        "The game": (
+            "How far the actions are from those that full and immediate knowledge would give.",
+            ("misassigned_time", "time_to_relay", "potential_gap", "regret"),
+        ),
+        "Decisions": (
+            "How often pursuers decide and change their minds.",
+            ("decisions", "switches", "handovers", "ping_pongs"),
+        ),
+        "Messages": (
+            "What the network carried. A broadcast is one transmission, and one message for each receiver.",
+            (
+                *("messages_sent", "messages_delivered", "messages_lost", "messages_lost_by", "messages_in_flight"),
+                *("transmissions", "bytes_sent", "utilisation"),
+            ),
+        ),
+        "Transport": (
+            "What acknowledgements and repetitions achieve, with a transport or a reliable dissemination.",
+            (
+                *("share_delivered", "mean_attempts", "delivery_delay", "retransmissions", "acknowledgements"),
+                *("given_up", "deadlines_missed", "liveliness_lost"),
+            ),
+        ),
+        "Knowledge": (
+            "How old, and how wrong, is what pursuers know of each other. These need recorded messages.",
+            ("age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"),
+        ),
+        "Deception": (
+            "What checks of announcements find, with `announce.trust`.",
+            ("false_accusations", "time_to_detect"),
+        ),
+    }
+)
+"""The groups of the page of the metrics: title, a sentence, and the names."""
 HEADER = re.compile(r"^([A-Z][a-z]+(?: [a-z]+)*): +")
 """The beginnings of the items in the header of a protocol."""
 FIRST = (
@@ -52,10 +104,19 @@ FIRST = (
 """The scenario files that come first in the gallery; the others follow in the order of their names."""
 
 
+FOLLOWS_THEME = (
+    '<script>addEventListener("message", event => { if (event.data && event.data.theme)'
+    " window.replay.setTheme(event.data.theme); });</script>\n"
+)
+"""What lets a replay in a page follow the theme of the page."""
+
+
 def write(docs: Path) -> None:
     """Write all generated pages and pictures below a folder."""
     for page in (keys, protocols, metrics, events, table):
         _write(docs / "reference" / f"{page.__name__}.md", page())
+    for stem, text in api.pages().items():
+        _write(docs / "reference" / "api" / f"{stem}.md", text)
     gallery(docs / "gallery")
     _write(docs / "explanation" / "packages.svg", import_picture.picture(import_picture.imports()))
 
@@ -79,6 +140,21 @@ def keys() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def key_anchors() -> dict[str, str]:
+    """Return the anchor of each key and each kind on the page of the keys; `protocol.kind` is at `protocol`."""
+    anchors: dict[str, str] = {}
+    for place, model in _models(Scenario):
+        for name, field in fields_of(model).items():
+            if name != "kind":
+                key = ".".join((*place, name))
+                anchors[key] = _row_anchor(key)
+                if choices_of(field):
+                    anchors[f"{key}.kind"] = _row_anchor(key)
+        if place:
+            anchors.setdefault(".".join(place), _anchor(".".join(place)))
+    return anchors
+
+
 def protocols() -> str:
     """Return the page of the protocols: the header of each module, which names its paper, and its parameters."""
     parts = [
@@ -100,18 +176,23 @@ def protocols() -> str:
 
 
 def metrics() -> str:
-    """Return the page of the metrics: name, unit and docstring of each."""
-    docs = docs_of(Summary)
+    """Return the page of the metrics, in groups: name, unit and docstring of each."""
     parts = [
         "# Metrics",
         "All are computed from the trace of a run alone. `desim.summary(result)` returns them; tables, JSON, stores and"
         " `--until` use the same names. [](../howto/metrics.md) adds your own.",
     ]
-    for name, metric in METRICS.items():
-        text = docs.get(name) or (metric.of.__doc__ or "").strip()
-        unit = f" ({metric.unit})" if metric.unit else ""
-        parts.append(f"## {name}{unit}\n\n{_markdown(text) or metric.note}")
+    for title, (text, names) in METRIC_GROUPS.items():
+        rows = [f"| [`{name}`]{{#metric-{name}}} | {METRICS[name].unit} | {_meaning(name)} |" for name in names]
+        parts += [f"## {title}", text, "\n".join(["| metric | unit | what it is |", "|---|---|---|", *rows])]
     return "\n\n".join(parts) + "\n"
+
+
+def _meaning(name: str) -> str:
+    """Return the docstring of a metric as one line that begins with a noun: "Number of ...", "Time, s, ..."."""
+    text = _markdown(docs_of(Summary).get(name) or METRICS[name].of.__doc__ or "").replace("\n\n", " ")
+    text = text.removeprefix("The ").removeprefix("the ")
+    return (text[:1].upper() + text[1:]).replace("|", r"\|")
 
 
 def events() -> str:
@@ -159,8 +240,9 @@ def gallery(folder: Path) -> None:
         result = run(load(file, ["record.messages=true", "record.trajectory=0.05"]))
         title, text, commands = _comment(file)
         (folder / "thumbnails").mkdir(parents=True, exist_ok=True)
-        _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay_page(result))
-        save(trajectory(result), folder / "thumbnails" / f"{file.stem}.png")
+        replay = replay_page(result).replace("</body>", FOLLOWS_THEME + "</body>")
+        _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay)
+        save(thumbnail(file.stem, result), folder / "thumbnails" / f"{file.stem}.png")
         _write(folder / f"{file.stem}.md", _scenario_page(file, title, text, commands))
         cards.append(f":::{{grid-item-card}} {file.stem}\n:img-top: thumbnails/{file.stem}.png\n:link: {file.stem}\n"
                      f":link-type: doc\n\n{title}\n:::")  # fmt: skip
@@ -203,7 +285,8 @@ def _row(place: tuple[str, ...], name: str, field: Any) -> str:
     elif plain is not None:
         text += f" See [{name}]({_link('.'.join((*place, name)))})."
     default = default_of(field).removeprefix(" = ")
-    return f"| `{name}` | {f'`{default}`' if default else ''} | {text} |".replace("|t|", r"\|t\|")
+    anchor = _row_anchor(".".join((*place, name)))
+    return f"| [`{name}`]{{#{anchor}}} | {f'`{default}`' if default else ''} | {text} |".replace("|t|", r"\|t\|")
 
 
 def listed(text: str) -> str:
@@ -263,6 +346,10 @@ def _rank(name: str) -> int:
 
 def _anchor(place: str) -> str:
     return "key-" + (place or "top").replace(".", "-").replace("_", "-")
+
+
+def _row_anchor(key: str) -> str:
+    return "row-" + key.replace(".", "-").replace("_", "-")
 
 
 def _link(place: str) -> str:
