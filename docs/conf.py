@@ -51,7 +51,7 @@ templates_path = ["_templates"]
 html_extra_path = ["_extra"]
 html_css_files = ["desim.css"]
 html_js_files = ["desim.js"]
-html_search_scorer = "search_scorer.js"
+html_search_scorer = str(DOCS / "search_scorer.js")
 html_show_copyright = False
 
 myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath", "fieldlist"]
