@@ -58,9 +58,10 @@ def lint(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def docs(session: nox.Session) -> None:
-    """Build the documentation into docs/_build; a warning is an error."""
-    session.install("-e", ".[docs]")
+    """Build the documentation into docs/_build, where a warning is an error, and read the built pages."""
+    session.install("-e", ".[docs,test]")
     session.run("python", "-m", "sphinx", "-W", "--keep-going", "-b", "html", "docs", "docs/_build", *session.posargs)
+    session.run("pytest", "-m", "", "-n", "0", "tests/test_site.py")
 
 
 @nox.session(default=False)

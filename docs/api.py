@@ -207,7 +207,11 @@ def names_in(section: Section) -> list[str]:
 def public_names() -> dict[str, str]:
     """Return the name that a script imports, by the name where the object is defined."""
     names = [name for page in PAGES.values() for section in page.sections for name in names_in(section)]
-    return {f"{thing.__module__}.{thing.__qualname__}": name for name in names if hasattr(thing := find(name), "__qualname__")}
+    return {
+        f"{thing.__module__}.{thing.__qualname__}": name
+        for name in names
+        if hasattr(thing := find(name), "__qualname__")
+    }
 
 
 def find(name: str) -> Any:

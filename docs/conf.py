@@ -2,7 +2,7 @@
 
 import re
 import sys
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import pages  # noqa: E402
 
 project = "desim"
 author = "the authors of desim"
-release = version("pursuit-desim")
+version = release = metadata.version("pursuit-desim")
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",

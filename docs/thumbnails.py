@@ -17,12 +17,9 @@ from desim.analysis.drawing.palette import (
     ACTIVE,
     ACTIVE_WITH_OTHERS,
     COLLISION_MARK,
-    EVADER,
     GREY,
-    INACTIVE,
     LOST,
     LOST_MARK,
-    PURSUER_MARK,
     SERIES,
 )
 from desim.analysis.drawing.plots import Axes, Figure, draw_trajectory, styled

@@ -27,7 +27,7 @@ def checks_announcements(result: Result) -> bool:
 
 
 def false_accusations(result: Result) -> int:
-    """Return how often a pursuer began to distrust a teammate without a Byzantine fault up to then.
+    """Return the number of times that a pursuer began to distrust a teammate without a Byzantine fault up to then.
 
     Both pursuers are honest: what a pursuer with a Byzantine fault believes does not count.
     """
