@@ -255,10 +255,8 @@ def _page(page: Page) -> str:
 def _testing(package: ModuleType) -> str:
     """Return the page of the invariants and contracts with which users test models of their own."""
     modules = [f"{package.__name__}.{module.name}" for module in pkgutil.iter_modules(package.__path__)]
-    parts = ["# Tests of your own models", _first_paragraph(package)]
-    for name in modules:
-        parts.append(f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n    :members:\n```")
-    return "\n\n".join(parts) + "\n"
+    sections = [f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n    :members:\n```" for name in modules]
+    return "\n\n".join(["# Tests of your own models", _first_paragraph(package), *sections]) + "\n"
 
 
 def _first_paragraph(module: ModuleType) -> str:

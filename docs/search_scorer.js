@@ -5,7 +5,7 @@ var Scorer = {
   score: ([page, title, , , score, , kind]) => {
     const isNamed = kind === "object" && score >= 16;  // the last part of the name is the word that is looked for
     if (page === "reference/keys" && isNamed) return 100 - title.split(".").length;
-    if (page === "reference/glossary" && kind === "object") return score + 40;
+    if (kind === "index") return Math.min(score, 50);  // a term of the glossary
     if (page === "reference/keys") return score - 2;
     if (page === "changelog" || page === "contributing") return score - 15;
     if (page === "reference/api/kernel" || page === "reference/api/testing") return score - 12;
