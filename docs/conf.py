@@ -6,14 +6,17 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
 from sphinx.addnodes import pending_xref, pending_xref_condition
 from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 import api  # noqa: E402  these lie in this folder
+import dark  # noqa: E402
 import notebooks  # noqa: E402
 import pages  # noqa: E402
 
@@ -29,7 +32,7 @@ extensions = [
     "sphinx_design",
     "sphinxcontrib.bibtex",
 ]
-exclude_patterns = ["_build", notebooks.FOLDER, "jupyter_execute", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", notebooks.FOLDER, dark.FOLDER, "jupyter_execute", "**.ipynb_checkpoints"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "desim"
@@ -115,6 +118,22 @@ class _Elsewhere(SphinxPostTransform):
                 node.replace_self(node[0])
 
 
+class _Dark(SphinxTransform):
+    """Show the figures of the studies in their dark variants, too; the theme chooses."""
+
+    default_priority = 200
+
+    def apply(self, **_: Any) -> None:
+        for image in list(self.document.findall(nodes.image)):
+            name = image["uri"].rpartition("/")[2]
+            if (DOCS / dark.FOLDER / name).is_file():
+                variant = image.deepcopy()
+                variant["uri"] = f"/{dark.FOLDER}/{name}"
+                variant["classes"].append("only-dark")
+                image["classes"].append("only-light")
+                image.parent.insert(image.parent.index(image) + 1, variant)
+
+
 def _note_keys(app: Sphinx, _tree: object) -> None:
     """Register the keys of scenario files, so that the search finds them by name and pages can link to them."""
     if app.env.docname == "reference/keys":
@@ -126,6 +145,8 @@ def setup(app: Sphinx) -> None:
     """Write the generated pages before Sphinx reads any."""
     pages.write(DOCS)
     notebooks.write(DOCS)
+    dark.write(DOCS, pages.SCENARIOS)
+    app.add_transform(_Dark)
     app.connect("doctree-read", _note_keys)
     app.add_post_transform(_Elsewhere)
     app.connect("autodoc-process-docstring", _docstring, priority=400)

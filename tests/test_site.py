@@ -24,6 +24,7 @@ is_built = pytest.mark.skipif(not (BUILT / "searchindex.js").exists(), reason="t
 sys.path.insert(0, str(DOCS))
 
 import api  # noqa: E402  it lies in the folder of the documentation
+import dark  # noqa: E402
 import notebooks  # noqa: E402
 import pages  # noqa: E402
 import thumbnails  # noqa: E402
@@ -120,6 +121,17 @@ def test_pictures_of_the_gallery_are_of_scenario_files_and_of_many_kinds():
     assert len(plain) < len(files) / 3
 
 
+@pytest.mark.parametrize("path", sorted(ROOT.glob("scenarios/*.svg")), ids=lambda path: path.stem)
+def test_a_dark_figure_has_the_same_texts_and_no_black_ink_but_on_maps(path):
+    text = path.read_text(encoding="utf-8")
+    made = dark.dark(text)
+    assert [each.text for each in ET.fromstring(made).iter()] == [each.text for each in ET.fromstring(text).iter()]
+    has_map = "<image" in text or "QuadMesh" in text
+    assert "fill: #ffffff" not in made or has_map
+    assert "#000000" not in re.sub("<defs>.*?</defs>", "", made, flags=re.DOTALL) or has_map
+    assert dark.INK in made
+
+
 # Which protocol?
 
 
@@ -187,6 +199,16 @@ def test_the_built_pages_have_a_version_an_icon_and_the_repository():
         assert "navbar-version" in text
         assert 'rel="icon"' in text
         assert "https://github.com/desim-project/desim" in text
+
+
+@is_built
+def test_the_built_figures_of_studies_have_dark_variants():
+    text = html("explanation/findings.html")
+    assert (
+        len(re.findall(r'<img[^>]*class="only-dark"', text))
+        == len(re.findall(r'<img[^>]*class="only-light"', text))
+        > 5
+    )
 
 
 @is_built
