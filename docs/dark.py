@@ -48,17 +48,20 @@ def dark(text: str) -> str:
 def _is_map(part: ET.Element) -> bool:
     """Return whether an element is a pair of axes with a heat map."""
     return part.get("id", "").startswith("axes_") and any(
-        child.tag == f"{{{SVG}}}image" or child.get("id", "").startswith("QuadMesh") for child in part
+        child.tag == f"{{{SVG}}}image" or child.get("id", "").startswith("QuadMesh") for child in part.iter()
     )
 
 
 def _on_map(axes: ET.Element) -> Iterator[ET.Element]:
-    """Yield the elements that are drawn on the heat map of axes: all but the axis, the frame and the title."""
+    """Yield the elements that are drawn on the heat map of axes: not the axis, the frame, the title and the legend."""
     top = min(float(y) for y in re.findall(r"[ML] \S+ (\S+)", axes[0][0].get("d", "")))
     for part in axes:
         # A text of several lines has its place in a transformation.
         moved = [re.search(r"translate\(\S+ (\S+)\)", inner.get("transform", "")) for inner in part.iter()]
         heights = [float(place[1]) for place in moved if place]
         heights += [float(text.get("y", "inf")) for text in part.iter(f"{{{SVG}}}text")]
-        if not part.get("id", "").startswith(("matplotlib.axis", "patch_")) and min(heights, default=top) >= top:
+        if (
+            not part.get("id", "").startswith(("matplotlib.axis", "patch_", "legend"))
+            and min(heights, default=top) >= top
+        ):
             yield from part.iter()

@@ -148,6 +148,10 @@ def active_times():
     return {row[0]: row[1:] for row in rows if len(row) == 6}
 
 
+def name_in(row):
+    return row[0].strip("`")
+
+
 def by_height(texts):
     """Return the texts in rows; those of a row differ by at most two units, as labels and cells are centred apart."""
     heights = sorted({y for y, *_ in texts})
@@ -164,6 +168,7 @@ def test_the_table_of_protocols_has_every_kind_and_the_numbers_of_the_study():
     measured = active_times()
     silent = measured.pop("nobody talks")
     assert {row[0].strip("`"): row[1:6] for row in rows} == measured
+    assert re.findall(r"^\| `(\w+)` \| [^\d]", page("howto/which_protocol.md"), re.MULTILINE) == [*map(name_in, rows)]
     assert measured.keys() == PROTOCOLS.choices().keys()
     assert f"announces nothing needs {silent[0]} s" in page("howto/which_protocol.md").replace("\n", " ")
     assert all(cell for row in rows for cell in row)
@@ -171,7 +176,7 @@ def test_the_table_of_protocols_has_every_kind_and_the_numbers_of_the_study():
 
 def test_the_glossary_is_sorted_and_says_what_each_term_is():
     (body,) = re.findall(r"```\{glossary\}\n(.*?)```", page("reference/glossary.md"), re.DOTALL)
-    terms = re.findall(r"^(\S.*)\n  \S", body, re.MULTILINE)
+    terms = [entry.partition("\n")[0] for entry in body.split("\n\n")]
     assert len(terms) >= 25
     assert terms == sorted(terms, key=lambda term: term.lower().replace(",", " "))
 
