@@ -12,6 +12,8 @@ from inspect import isclass, isfunction
 from types import MappingProxyType, ModuleType
 from typing import Any
 
+from pydantic import BaseModel
+
 import desim
 import protocols
 
@@ -267,5 +269,12 @@ def _directive(name: str) -> str:
     """Return the directive that documents an object."""
     thing = find(name)
     kind = "class" if isclass(thing) else "function" if isfunction(thing) else "data"
-    members = "\n    :members:" if kind == "class" else ""
-    return f"```{{eval-rst}}\n.. auto{kind}:: {name}{members}\n```"
+    options = "\n    :members:" if kind == "class" else ""
+    if kind == "class" and len(thing.__mro__) > 2 and all(_is_ours(base) for base in thing.__mro__[:-1]):
+        options += "\n    :inherited-members:"
+    return f"```{{eval-rst}}\n.. auto{kind}:: {name}{options}\n```"
+
+
+def _is_ours(base: type) -> bool:
+    """Return whether a class is of this project, and no model, whose base has many methods of pydantic."""
+    return base.__module__.startswith(("desim.", "protocols.")) and not issubclass(base, BaseModel)
