@@ -190,7 +190,7 @@ def _beliefs(axes: Axes, result: Result, t: float) -> None:
     np.fill_diagonal(believed, truth)
     cells = np.where(believed == truth, believed * 1, 2 + believed)
     axes.imshow(cells, cmap=ListedColormap(["#e8e8e8", ACTIVE, "#f2b8b5", LOST]), vmin=0, vmax=3)
-    axes.set(xlabel="chases?", ylabel="believes pursuer")
+    axes.set(xlabel="about pursuer", ylabel="belief of pursuer")
     axes.set_xticks([0, count - 1])
     axes.set_yticks([0, count - 1])
 
