@@ -48,7 +48,7 @@ html_theme_options = {
     "navbar_align": "left",
     "pygments_light_style": "friendly",
 }
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "gallery/index": []}
 html_static_path = ["_static"]
 templates_path = ["_templates"]
 html_extra_path = ["_extra"]
