@@ -57,7 +57,7 @@ def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
 
     def number(options: Options) -> tuple[float, float]:
         (values,) = options.measure([scenario], "", metric)
-        return in_trials(sum(values), len(values))
+        return in_trials(values.count(True), len(values))
 
     return number
 
