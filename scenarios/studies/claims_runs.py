@@ -135,10 +135,15 @@ def unsettled(team: str, distance: float) -> Number:
     return number
 
 
-def lost_by(protocol: str, access: str, load: float) -> Number:
+def lost_by(protocol: str, access: str, load: float, start: Start = "known") -> Number:
     """Return what measures the active time lost by an access model."""
     some, others = (contention_runs.pursuit(protocol, each, load) for each in (access, contention_runs.REFERENCE))
-    return difference(active_time, some, others)
+    return difference(active_time, started(some, start), started(others, start))
+
+
+def started(scenario: Scenario, start: Start) -> Scenario:
+    """Return a scenario with another way in which first actions become known."""
+    return scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"start": start})})
 
 
 def over_before_the_second(spreading_factor: int) -> Number:
@@ -241,10 +246,10 @@ def per_handover(motion: str, latency: float) -> Number:
     return number
 
 
-def survives(protocol: str) -> Number:
+def survives(protocol: str, start: Start = "known") -> Number:
     """Return what measures how much longer an evader survives that flees the active pursuers only."""
     some, others = (evaders_runs.chase(each, protocol) for each in (evaders_runs.CLAIMED, evaders_runs.REFERENCE))
-    return difference(end_time, some, others)
+    return difference(end_time, started(some, start), started(others, start))
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:
