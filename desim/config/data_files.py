@@ -54,8 +54,8 @@ def open_data(path: str | Path) -> BytesIO:
 
 def opened_by(module: str) -> dict[str, str]:
     """Return the content hash of each file that a module has opened with `open_data`, by its path."""
-    found: dict[str, str] = getattr(sys.modules.get(module), OPENED, {})
-    return found
+    opened: dict[str, str] = getattr(sys.modules.get(module), OPENED, {})
+    return opened
 
 
 def declared(model: Any) -> dict[str, str]:

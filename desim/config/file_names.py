@@ -43,4 +43,4 @@ def files(path: Path, allowed: Sequence[str], default: Sequence[str]) -> list[Pa
         return [path]
     if SUFFIX.fullmatch(path.suffix):
         raise ValueError(f"{path}: should end in {' or '.join(allowed)}, or have no suffix, got {path.suffix}")
-    return [path.with_name(path.name + each) for each in default]
+    return [path.with_name(path.name + suffix) for suffix in default]

@@ -10,9 +10,9 @@ PICTURES: dict[str, Callable[[Any], str]] = {}
 `desim` hands them in, because what draws a run is in a package above the one of the run."""
 
 
-def picture_of(what: str, value: Any) -> str:
+def picture_of(kind: str, value: Any) -> str:
     """Return a value as an HTML image; "" if nothing draws what it is."""
-    return PICTURES[what](value) if what in PICTURES else ""
+    return PICTURES[kind](value) if kind in PICTURES else ""
 
 
 def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
@@ -24,7 +24,7 @@ def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
 
 def html_properties(properties: Mapping[str, str]) -> str:
     """Return texts by name as an HTML table with a row for each name."""
-    rows = (f"<tr><th>{_text(name)}</th><td>{_text(each)}</td></tr>" for name, each in properties.items())
+    rows = (f"<tr><th>{_text(name)}</th><td>{_text(text)}</td></tr>" for name, text in properties.items())
     return f"<table>{''.join(rows)}</table>"
 
 

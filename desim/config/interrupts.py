@@ -42,14 +42,14 @@ def raising() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    unhandled = [each for each in SIGNALS if each != signal.SIGINT and signal.getsignal(each) is signal.SIG_DFL]
-    for each in unhandled:
-        signal.signal(each, _terminate)
+    unhandled = [signum for signum in SIGNALS if signum != signal.SIGINT and signal.getsignal(signum) is signal.SIG_DFL]
+    for signum in unhandled:
+        signal.signal(signum, _terminate)
     try:
         yield
     finally:
-        for each in unhandled:
-            signal.signal(each, signal.SIG_DFL)
+        for signum in unhandled:
+            signal.signal(signum, signal.SIG_DFL)
 
 
 @contextmanager
@@ -62,14 +62,14 @@ def deferred() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    handlers = {each: handler for each in SIGNALS if (handler := signal.getsignal(each)) is not None}
-    for each in handlers:
-        signal.signal(each, lambda number, _: received.append(number))
+    handlers = {signum: handler for signum in SIGNALS if (handler := signal.getsignal(signum)) is not None}
+    for signum in handlers:
+        signal.signal(signum, lambda number, _: received.append(number))
     try:
         yield
     finally:
-        for each, handler in handlers.items():
-            signal.signal(each, handler)
+        for signum, handler in handlers.items():
+            signal.signal(signum, handler)
         for number in received[:1]:
             signal.raise_signal(number)
 

@@ -41,9 +41,9 @@ def to_json(value: Any) -> Any:
     if type(value) is float:
         return value if isfinite(value) else _name_of(value)
     if isinstance(value, Mapping):
-        return {key: to_json(each) for key, each in value.items()}
+        return {key: to_json(member) for key, member in value.items()}
     if isinstance(value, list | tuple):
-        return [to_json(each) for each in value]
+        return [to_json(element) for element in value]
     return _name_of(value) if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -60,7 +60,7 @@ def json_number(value: Any) -> Any:
 def from_json(value: Any) -> Any:
     """Return a JSON value with the strings "Infinity", "-Infinity" and "NaN" replaced by numbers."""
     if isinstance(value, dict):
-        return {key: from_json(each) for key, each in value.items()}
+        return {key: from_json(member) for key, member in value.items()}
     if isinstance(value, list):
-        return [from_json(each) for each in value]
+        return [from_json(element) for element in value]
     return float(value) if value in ("Infinity", "-Infinity", "NaN") else value

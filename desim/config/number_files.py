@@ -52,9 +52,9 @@ def is_plain(text: str) -> bool:
     return text.isascii() and "_" not in text
 
 
-def not_a_number(text: str, what: str = "a number") -> ValueError:
+def not_a_number(text: str, expected: str = "a number") -> ValueError:
     """Return the error that a text is not a number, with the reason if it is known."""
-    return ValueError(f"{text!r} is not {what}{hint_of(text)}")
+    return ValueError(f"{text!r} is not {expected}{hint_of(text)}")
 
 
 def hint_of(text: str) -> str:

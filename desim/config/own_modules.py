@@ -56,13 +56,13 @@ def module_beside(name: str, folder: Path) -> str:
 
     This is the plain name unless the folder has the module and a plain import would find another file, or none.
     """
-    top, _, rest = name.partition(".")
+    top, _, submodule = name.partition(".")
     folder = folder.resolve()
     beside = None if top in NOT_OWN or "@" in name else PathFinder.find_spec(top, [str(folder)])
     if beside is None or not _is_needed(top, beside):
         return name
     place = str(folder).replace("%", "%25").replace(".", "%2E").replace("@", "%40")
-    return ".".join(filter(None, [f"{top}@{place}", rest]))
+    return ".".join(filter(None, [f"{top}@{place}", submodule]))
 
 
 def _is_needed(top: str, beside: ModuleSpec) -> bool:
@@ -97,18 +97,18 @@ class _Finder:
         folder = folder_of(name)
         if folder is None:
             return None
-        found = PathFinder.find_spec(plain_name(name).rpartition(".")[2], [str(folder)] if path is None else path)
-        if found is None:
+        spec = PathFinder.find_spec(plain_name(name).rpartition(".")[2], [str(folder)] if path is None else path)
+        if spec is None:
             return None
-        places = found.submodule_search_locations
-        if found.origin is None:  # a folder without __init__.py
-            own = ModuleSpec(name, None, is_package=True)
-            own.submodule_search_locations = list(places or ())
-            return own
-        if not isinstance(found.loader, SourceFileLoader):  # the name of compiled code is part of it
-            return found
-        loader = _Loader(name, found.origin)
-        return spec_from_file_location(name, found.origin, loader=loader, submodule_search_locations=places)
+        places = spec.submodule_search_locations
+        if spec.origin is None:  # a folder without __init__.py
+            namespace = ModuleSpec(name, None, is_package=True)
+            namespace.submodule_search_locations = list(places or ())
+            return namespace
+        if not isinstance(spec.loader, SourceFileLoader):  # the name of compiled code is part of it
+            return spec
+        loader = _Loader(name, spec.origin)
+        return spec_from_file_location(name, spec.origin, loader=loader, submodule_search_locations=places)
 
 
 class _Loader(SourceFileLoader):
@@ -132,16 +132,18 @@ class _Renaming(ast.NodeTransformer):
 
     def visit_Import(self, node: ast.Import) -> Any:
         """Import modules beside the file by their own names, and assign them to the variables of their plain names."""
-        return [ast.copy_location(ast.Import([alias]), node) for each in node.names for alias in self._aliases(each)]
+        return [
+            ast.copy_location(ast.Import([alias]), node) for imported in node.names for alias in self._aliases(imported)
+        ]
 
     def _aliases(self, alias: ast.alias) -> Iterator[ast.alias]:
-        own = module_beside(alias.name, self._folder)
-        if own == alias.name:
+        renamed = module_beside(alias.name, self._folder)
+        if renamed == alias.name:
             yield alias
         elif alias.asname is not None or "." not in alias.name:
-            yield ast.alias(own, alias.asname or alias.name)
+            yield ast.alias(renamed, alias.asname or alias.name)
         else:  # `import package.module` makes a variable `package`
-            yield ast.alias(own, "_")
+            yield ast.alias(renamed, "_")
             yield ast.alias(module_beside(alias.name.partition(".")[0], self._folder), alias.name.partition(".")[0])
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:

@@ -32,11 +32,11 @@ def check_visible(package: str) -> None:
     spec = find_spec(package)
     if spec is None or spec.origin is None or not ours.is_dir():
         return
-    found = Path(spec.origin).resolve()
-    if found == (ours / "__init__.py").resolve():
+    origin = Path(spec.origin).resolve()
+    if origin == (ours / "__init__.py").resolve():
         return
     raise HiddenPackageError(
-        f"{found.parent if found.name == '__init__.py' else found} hides the package {package!r} of desim, {ours}:"
+        f"{origin.parent if origin.name == '__init__.py' else origin} hides the package {package!r} of desim, {ours}:"
         " rename it, or start Python with -P, which keeps the folder of a script and the working directory out of"
         " sys.path",
         name=package,
@@ -51,11 +51,11 @@ class _HiddenModuleFinder:
         package, _, module = name.partition(".")
         path = _SITE / name.replace(".", "/")
         ours = path.with_suffix(".py"), path / "__init__.py"
-        if package in PACKAGES and module and any(each.is_file() for each in ours):
+        if package in PACKAGES and module and any(file.is_file() for file in ours):
             check_visible(package)
 
 
 def explain_hidden_packages() -> None:
     """Make the import of a module of a hidden package raise HiddenPackageError, not ModuleNotFoundError."""
-    if not any(isinstance(each, _HiddenModuleFinder) for each in sys.meta_path):
+    if not any(isinstance(finder, _HiddenModuleFinder) for finder in sys.meta_path):
         sys.meta_path.append(_HiddenModuleFinder())

@@ -86,16 +86,16 @@ def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     for item in objects:
         function = getattr(item, "__func__", item)
         if isinstance(function, FunctionType):
-            yield from ((function, *each) for each in _items(function.__qualname__, vars(function)))
-            yield from ((function, *each) for each in _variables(function))
+            yield from ((function, *variable) for variable in _items(function.__qualname__, vars(function)))
+            yield from ((function, *variable) for variable in _variables(function))
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
             if _is_foreign(base):
                 continue
             for method in tuple(vars(base).values()):  # pydantic may still complete the class
                 method = getattr(method, "__func__", method)
                 if isinstance(method, FunctionType):
-                    yield from ((base, *each) for each in _variables(method))
-            yield from ((base, *each) for each in _items(base.__qualname__, vars(base)))
+                    yield from ((base, *variable) for variable in _variables(method))
+            yield from ((base, *variable) for variable in _items(base.__qualname__, vars(base)))
 
 
 def _is_foreign(definition: Any) -> bool:

@@ -102,7 +102,7 @@ class Traits(Value):
         names = tuple(cls.names())
         is_function = isinstance(value, FunctionType)
         for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
-            if any(cls._takes(trait, each) for each in attributes(value, [name]).values()):
+            if any(cls._takes(trait, attribute) for attribute in attributes(value, [name]).values()):
                 default = cls.model_fields[trait].default
                 raise ValueError(
                     f"{name_of(value)} has an attribute {name!r}, did you mean {trait!r}? Attributes with an effect:"
@@ -118,7 +118,7 @@ class Traits(Value):
     def names(cls) -> Iterator[str]:
         """Yield the names of the traits that are not parameters."""
         for name, field in cls.model_fields.items():
-            if not any(isinstance(each, Parameter) for each in field.metadata):
+            if not any(isinstance(marker, Parameter) for marker in field.metadata):
                 yield name
 
     @classmethod
@@ -180,8 +180,8 @@ def inherits(value: Any, base: type[Model], method: str = "__call__") -> TypeGua
 def attributes(value: Any, names: Iterable[str]) -> dict[str, Any]:
     """Return the values of the named attributes by name; attributes that the object lacks are left out."""
     if isinstance(value, BaseModel):  # `hasattr` is slow for an attribute that a model lacks
-        known = _names_in(value.__class__)
-        names = [name for name in names if name in known or name in value.__dict__]
+        defined = _names_in(value.__class__)
+        names = [name for name in names if name in defined or name in value.__dict__]
     return {name: getattr(value, name) for name in names if hasattr(value, name)}
 
 
@@ -215,7 +215,7 @@ def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple
 def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str], ...]:
     """Return the pairs that `_misspelt` yields for a class and each of its base classes."""
     return tuple(
-        each for base in model.__mro__ for each in _misspelt(traits, dict.fromkeys([*annotated(base), *vars(base)]))
+        pair for base in model.__mro__ for pair in _misspelt(traits, dict.fromkeys([*annotated(base), *vars(base)]))
     )
 
 

@@ -22,7 +22,10 @@ ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_impor
 
 def escaped(text: str) -> str:
     """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
-    return "".join(each if each.isprintable() or each in "\n\t" else _escape_sequence(ord(each)) for each in text)
+    return "".join(
+        character if character.isprintable() or character in "\n\t" else _escape_sequence(ord(character))
+        for character in text
+    )
 
 
 def csv_cell(value: Any) -> Any:
