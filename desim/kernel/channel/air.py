@@ -77,10 +77,10 @@ class Air:
 
     def received(self, frame: Frame, nodes: Integers) -> Bools:
         """Return (k,) which of some nodes receive a frame that ends now and is still on the air."""
-        found = self._audible(frame, nodes)
-        lost = self._judge(frame, nodes[found].tolist())
-        found[found] = [node not in lost for node in nodes[found].tolist()]
-        return found
+        is_received = self._audible(frame, nodes)
+        lost = self._judge(frame, nodes[is_received].tolist())
+        is_received[is_received] = [node not in lost for node in nodes[is_received].tolist()]
+        return is_received
 
     def busy_time(self) -> int:
         """Return the total time, ns, for which there have been frames; SIFS before acknowledgements counts, too."""
@@ -95,9 +95,9 @@ class Air:
             frame,
             nodes,
             frame.overlapping,
-            lambda each: self._audible(each, nodes),
-            lambda each: self._distances(each, nodes),
-            lambda each: pair_uniform(self._seed, "interference", each.src, nodes, each.draw, symmetric=False),
+            lambda other: self._audible(other, nodes),
+            lambda other: self._distances(other, nodes),
+            lambda other: pair_uniform(self._seed, "interference", other.src, nodes, other.draw, symmetric=False),
             self._signal,
         )
         received = np.asarray(self._interference(overlap))
@@ -112,7 +112,7 @@ class Air:
         lost = dict.fromkeys(nodes[~received].tolist(), cause)
         if self.hears is not None:
             lost |= dict.fromkeys(nodes[~self.hears(frame.src, nodes)].tolist(), "tuning")
-        deaf = {each.src for each in frame.overlapping}
+        deaf = {other.src for other in frame.overlapping}
         return lost | {node: "half_duplex" for node in receivers if node in deaf}
 
     def _tuned(self, frame: Frame) -> Bools:
@@ -121,9 +121,9 @@ class Air:
 
     def _audible(self, frame: Frame, nodes: Integers) -> Bools:
         """Return (k,) whether nodes are linked to the sender of a frame, and within range."""
-        found: Bools = self._topology.links_to(frame.src, nodes) & (nodes != frame.src)
-        found[found] = self._topology.reaches(frame.src, nodes[found], frame.draw)
-        return found
+        is_audible: Bools = self._topology.links_to(frame.src, nodes) & (nodes != frame.src)
+        is_audible[is_audible] = self._topology.reaches(frame.src, nodes[is_audible], frame.draw)
+        return is_audible
 
     def _signal(self, frame: Frame) -> LoRaSignal:
         assert isinstance(self._medium, LoRa)

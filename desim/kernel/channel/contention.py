@@ -153,8 +153,8 @@ class Contention(Generic[Item]):
         if awaited is not None and awaited.item is not None:
             taken.append(awaited.item)
             awaited.item = None
-        numbers = {each.number for each in taken}
-        taken = [each for each in taken if each.number not in self._received]
+        numbers = {queued.number for queued in taken}
+        taken = [queued for queued in taken if queued.number not in self._received]
         self._repeated -= numbers
         self._received -= numbers
         return taken

@@ -137,14 +137,14 @@ class Transmitter(Generic[Item]):
             first: the earliest end of a reception, ns; not before the last time given to `forget`.
             last: the latest end of a reception, ns.
         """
-        found: dict[int, list[tuple[int, int]]] = {}
+        by_node: dict[int, list[tuple[int, int]]] = {}
         # A reception began at most the longest airtime before its end, and so did a transmission that overlaps it.
         since = bisect_left(self.recent, (first - 2 * self._longest,))
         for begin, end, node in islice(self.recent, since, None):
             if begin >= last:
                 break
-            found.setdefault(node, []).append((begin, end))
-        return found
+            by_node.setdefault(node, []).append((begin, end))
+        return by_node
 
     def forget(self, before: float) -> None:
         """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""

@@ -150,7 +150,7 @@ def _variables(function: types.FunctionType) -> list[Any]:
     """Return the objects to which a function refers, except itself and those that it finds by their names."""
     cells = [cell.cell_contents for cell in function.__closure__ or () if cell != types.CellType()]  # not an empty one
     defaults = *(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()
-    return [each for each in (*cells, *defaults, *vars(function).values()) if each is not function]
+    return [referent for referent in (*cells, *defaults, *vars(function).values()) if referent is not function]
 
 
 def differs(value: Any, other: Any) -> bool:

@@ -186,11 +186,11 @@ def _nested(value: Any) -> str:
     if kind in JSON_ATOMS:
         return _json(value)
     if kind is Fields:
-        return f"{{{', '.join([f'{_json(name)}: {_nested(each)}' for name, each in value.items()])}}}"
+        return f"{{{', '.join([f'{_json(name)}: {_nested(field)}' for name, field in value.items()])}}}"
     keys = _keys_json(kind)
     if keys is None:
         return _nested(content(value))
-    return f"{{{', '.join([key + _nested(each) for key, each in zip(keys, value, strict=True)])}}}"
+    return f"{{{', '.join([key + _nested(field) for key, field in zip(keys, value, strict=True)])}}}"
 
 
 def _integer(number: int) -> str:
@@ -236,11 +236,11 @@ def _as_read(hint: Any, limits: Limits) -> Any:
         inner, mark = get_args(hint)
         if not isinstance(mark, str):
             return Annotated[_as_read(inner, limits), mark]
-        own = _MARKED.get(mark) or _as_read(inner, limits)
-        return Annotated[own, limits[mark]] if mark in limits else own
+        marked = _MARKED.get(mark) or _as_read(inner, limits)
+        return Annotated[marked, limits[mark]] if mark in limits else marked
     if get_origin(hint) in {None, Literal}:
         return hint
-    parts = tuple(_as_read(each, limits) for each in get_args(hint))
+    parts = tuple(_as_read(argument, limits) for argument in get_args(hint))
     return Union[parts] if get_origin(hint) in {Union, UnionType} else get_origin(hint)[parts]  # noqa: UP007
 
 
@@ -258,7 +258,7 @@ def _with_named_tuples(value: Any) -> Any:
         return tuple(map(_with_named_tuples, value))
     if not isinstance(value, dict):
         return value
-    fields = {name: _with_named_tuples(each) for name, each in value.items()}
+    fields = {name: _with_named_tuples(member) for name, member in value.items()}
     return _body_type(tuple(fields))(**fields) if all(map(_is_field_name, fields)) else fields
 
 

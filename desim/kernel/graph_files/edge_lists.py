@@ -174,8 +174,8 @@ def _dict(text: str, place: str) -> dict[str, Any]:
     pairs = [PAIR.fullmatch(part) for part in PARTS.findall(inside)] if inside else []
     if None in pairs or (inside and not pairs):
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
-    found = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
-    return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in found}
+    entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
+    return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
 def _names_ends(cells: Sequence[str]) -> bool:
@@ -187,10 +187,10 @@ def _header_of(rows: list[Row]) -> tuple[list[str], list[Row]]:
     """Return the names of the columns, empty if they are not named, and the other rows."""
     if not rows or len(rows[0].cells) < 2:
         return [], rows
-    first, others = rows[0].cells, rows[1:]
-    has_numbers = bool(others) and all(cell.isdecimal() for row in others for cell in row.cells[:2])
+    first, below = rows[0].cells, rows[1:]
+    has_numbers = bool(below) and all(cell.isdecimal() for row in below for cell in row.cells[:2])
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
-    return (first, others) if is_header or _names_ends(first) else ([], rows)
+    return (first, below) if is_header or _names_ends(first) else ([], rows)
 
 
 def _is_number(cell: str) -> bool:

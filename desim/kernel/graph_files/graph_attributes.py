@@ -38,8 +38,8 @@ UNIT = re.compile(r"[_\s(\[]+(ms|us|ns|s|sec|percent|pct|%|bps|kbps|mbps|gbps)[)
 
 def unread_attributes(graph: "nx.Graph[Any]") -> tuple[str, ...]:
     """Return the sentences about the attributes of edges, of nodes and of the graph that are not read."""
-    of_edges = {name: None for *_, own in graph.edges(data=True) for name in own}
-    of_nodes = {name: None for _, own in graph.nodes(data=True) for name in own}
+    of_edges = {name: None for *_, attributes in graph.edges(data=True) for name in attributes}
+    of_nodes = {name: None for _, attributes in graph.nodes(data=True) for name in attributes}
     return tuple(
         f"{whose} attributes that are not read: {', '.join(names)}; {advice}"
         for whose, names, advice in (

@@ -110,7 +110,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     if key not in data or "nodes" not in data:
         raise ValueError("it should have nodes, and edges or links (node-link), adjacency, or elements (Cytoscape)")
     for part in ("nodes", key):
-        if not (isinstance(data[part], list) and all(isinstance(each, dict) for each in data[part])):
+        if not (isinstance(data[part], list) and all(isinstance(element, dict) for element in data[part])):
             raise ValueError(f"its {part} should be a list of objects")
     names = [_hashable(node.get("id", k)) for k, node in enumerate(data["nodes"])]
     _check_nodes(names)
@@ -132,13 +132,13 @@ def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
     _check_nodes(str(node["id"]) for node in nodes)
     graph: nx.Graph[Any] = nx.MultiDiGraph() if data.get("directed") else nx.MultiGraph()
     for node in nodes:
-        own = {key: value for key, value in node.items() if key not in {"id", "value"}}
-        graph.add_node(names[str(node["id"])], **own)
+        attributes = {key: value for key, value in node.items() if key not in {"id", "value"}}
+        graph.add_node(names[str(node["id"])], **attributes)
     edges = [edge["data"] for edge in elements.get("edges", ())]
     _check_ends(names, (str(edge[end]) for edge in edges for end in ("source", "target")))
     for edge in edges:
-        own = {key: value for key, value in edge.items() if key not in {"source", "target", "id", "key"}}
-        graph.add_edge(names[str(edge["source"])], names[str(edge["target"])], **own)
+        attributes = {key: value for key, value in edge.items() if key not in {"source", "target", "id", "key"}}
+        graph.add_edge(names[str(edge["source"])], names[str(edge["target"])], **attributes)
     return graph
 
 
@@ -259,10 +259,10 @@ def _from_gml(text: str) -> "nx.Graph[Any]":
     import networkx as nx
 
     graph: nx.Graph[Any] = nx.parse_gml(text, label=None)  # type: ignore[call-overload]
-    labels = {node: own.get("label") for node, own in graph.nodes(data=True)}
+    labels = {node: attributes.get("label") for node, attributes in graph.nodes(data=True)}
     if None in labels.values() or len(set(map(str, labels.values()))) < len(labels):
         return graph
     named: nx.Graph[Any] = nx.relabel_nodes(graph, labels)
-    for _, own in named.nodes(data=True):
-        del own["label"]
+    for _, attributes in named.nodes(data=True):
+        del attributes["label"]
     return named

@@ -68,7 +68,7 @@ def shortened(names: Sequence[str]) -> str:
 def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
     """Return the labels of the nodes, if all have different ones."""
     for key in LABELS:
-        labels = [own.get(key) for _, own in graph.nodes(data=True)]
+        labels = [attributes.get(key) for _, attributes in graph.nodes(data=True)]
         if labels and None not in labels and "" not in labels and len(set(map(str, labels))) == len(labels):
             return labels
     return None
@@ -76,8 +76,8 @@ def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
 
 def _integers(names: Sequence[Any]) -> list[int] | None:
     """Return names as integers, if all are integers or their decimal digits, and different."""
-    found = [_integer(name) for name in names]
-    integers = [number for number in found if number is not None]
+    converted = [_integer(name) for name in names]
+    integers = [number for number in converted if number is not None]
     return integers if len(set(integers)) == len(names) else None
 
 

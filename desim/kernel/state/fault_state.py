@@ -168,7 +168,7 @@ class FaultState:
         number_of = {node: number for number, group in enumerate(groups) for node in group}.get
         return self._cut(
             lambda senders, nodes: [
-                number_of(one, -1) != number_of(other, -1) for one, other in zip(senders, nodes, strict=True)
+                number_of(sender, -1) != number_of(node, -1) for sender, node in zip(senders, nodes, strict=True)
             ],
             cause,
         )
@@ -186,7 +186,7 @@ class FaultState:
     def rejoin(self, cut: Cut) -> None:
         """End a cut, given what `partition` or `block` returned."""
         self._require_change()
-        self._cuts = [each for each in self._cuts if each is not cut]
+        self._cuts = [active for active in self._cuts if active is not cut]
 
     def jam(self, disc: Disc, cause: Cause = "jamming") -> None:
         """Block reception at all nodes within a disc.

@@ -50,7 +50,7 @@ class OwnTables:
     def in_flight(self, now: int) -> int:
         """Return the number of records in flight at `now` (ns)."""
         flat = chain(self.unread, self.still_in_flight.values())
-        return sum(arrival > now for each in flat for arrival, _ in pairs(each))
+        return sum(arrival > now for records in flat for arrival, _ in pairs(records))
 
     def merge(self, node: int, now: int) -> None:
         """Move the records that have arrived at a node by `now` (ns) to its table."""
@@ -83,11 +83,11 @@ class OwnTables:
         still_in_flight: list[Any] = []
         table, matching, predicate = self.tables[node], self.matching[node], self._predicate
         for arrival, record in pending:
-            known = table.get(record[0])
+            stored = table.get(record[0])
             if arrival > now:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
-            elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
+            elif stored is None or stored[1][1] < record[1]:  # src and seq, by position for speed
                 if predicate is None:
                     table[record[0]] = arrival, record
                 else:
@@ -100,10 +100,10 @@ class OwnTables:
         table, matching = self.tables[node], self.matching[node]
         for arrival, record in pending:
             both = table.get(record.src), self._shared(node, record.src)
-            known = [each for each in both if each is not None]
+            stored = [received for received in both if received is not None]
             if arrival > now:
                 still_in_flight += arrival, record
-            elif all((other.seq, -when) < (record.seq, -arrival) for when, other in known):
+            elif all((other.seq, -when) < (record.seq, -arrival) for when, other in stored):
                 _store((arrival, record), table, matching, self._predicate)
         return still_in_flight
 

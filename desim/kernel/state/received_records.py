@@ -113,25 +113,29 @@ class Records:
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
         self._apply_arrived(node)
-        own, shared = self._own.tables[node], self._shared
+        own_table, shared = self._own.tables[node], self._shared
         if not shared.table:
-            return own.copy()
-        known = shared.table_of(node)
-        if own:
-            known |= own if shared.only_initial else self._not_older_than_shared(node, own)
-        return known
+            return own_table.copy()
+        latest = shared.table_of(node)
+        if own_table:
+            latest |= own_table if shared.only_initial else self._not_older_than_shared(node, own_table)
+        return latest
 
     def matching(self, node: int) -> Table:
         """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
-        own, matching, shared = self._own.tables[node], self._own.matching[node], self._shared
+        own_table, matching, shared = self._own.tables[node], self._own.matching[node], self._shared
         if not shared.table:
             return matching.copy()
-        known = shared.matching_of(node)
-        if own:
-            known = {src: each for src, each in known.items() if src not in own or own[src][1].seq < each[1].seq}
-            known |= self._not_older_than_shared(node, matching)
-        return known
+        matches = shared.matching_of(node)
+        if own_table:
+            matches = {
+                src: received
+                for src, received in matches.items()
+                if src not in own_table or own_table[src][1].seq < received[1].seq
+            }
+            matches |= self._not_older_than_shared(node, matching)
+        return matches
 
     def forget(self, node: int) -> None:
         """Delete all records that a node has received, initial beliefs included."""
@@ -150,14 +154,18 @@ class Records:
         """Move arrived records to the shared table and to the table of a node."""
         if self._shared.waiting:
             self._shared.apply_arrived(self._env.now)
-        own = self._own
-        if own.unread[node] or node in own.still_in_flight:
-            own.merge(node, self._env.now)
+        own_tables = self._own
+        if own_tables.unread[node] or node in own_tables.still_in_flight:
+            own_tables.merge(node, self._env.now)
 
-    def _not_older_than_shared(self, node: int, own: Table) -> Table:
+    def _not_older_than_shared(self, node: int, own_table: Table) -> Table:
         """Return the records of a node's own table that are not older than its record in the shared table."""
         shared = self._shared.table_of(node) if node in self._shared.exceptions else self._shared.table
-        return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
+        return {
+            src: received
+            for src, received in own_table.items()
+            if src not in shared or received[1].seq >= shared[src][1].seq
+        }
 
     def _note_unread(self, count: int = 1) -> None:
         """Now and then, merge long lists of unread records, to bound the memory of nodes that do not read."""
@@ -227,16 +235,16 @@ class SharedTable:
             if arrival > now:
                 break
             arrived += 1
-            known = table.get(record[0])  # src and seq, by position for speed
+            present = table.get(record[0])  # src and seq, by position for speed
             unreached = self._unreached.pop(record[:2], ()) if self._unreached else ()
-            if known is None or known[1][1] < record[1]:
+            if present is None or present[1][1] < record[1]:
                 if unreached or self._excepted:
-                    self._except(record[0], unreached, known)
+                    self._except(record[0], unreached, present)
                 self._store(timed)
             else:
                 for node in self._excepted.get(record[0], ()):
-                    own = self.exceptions[node][record[0]]
-                    if node not in unreached and (own is None or own[1][1] < record[1]):
+                    exception = self.exceptions[node][record[0]]
+                    if node not in unreached and (exception is None or exception[1][1] < record[1]):
                         self.exceptions[node][record[0]] = timed
         del self.waiting[:arrived]
 
@@ -252,29 +260,29 @@ class SharedTable:
 
     def known_by(self, node: int, src: int) -> TimedRecord | None:
         """Return the record that a node has of a source, an exception or from the table; None if it has no record."""
-        own = self.exceptions.get(node, {})
-        return own[src] if src in own else self.table.get(src)
+        exceptions = self.exceptions.get(node, {})
+        return exceptions[src] if src in exceptions else self.table.get(src)
 
     def table_of(self, node: int) -> Table:
         """Return the table as a node knows it: with its exceptions, and without its own record."""
-        known = self.table.copy()
-        known.pop(node, None)
+        latest = self.table.copy()
+        latest.pop(node, None)
         for src, received in self.exceptions[node].items() if node in self.exceptions else ():
             if received is not None:
-                known[src] = received
+                latest[src] = received
             else:
-                known.pop(src, None)
-        return known
+                latest.pop(src, None)
+        return latest
 
     def matching_of(self, node: int) -> Table:
         """Return the matching records among the records in `table_of` the node."""
-        known = self.matching.copy()
-        known.pop(node, None)
+        matches = self.matching.copy()
+        matches.pop(node, None)
         for src, received in self.exceptions.get(node, {}).items():
-            known.pop(src, None)
+            matches.pop(src, None)
             if received is not None and self._predicate is not None and self._predicate(received[1].body):
-                known[src] = received
-        return known
+                matches[src] = received
+        return matches
 
     def forget(self, node: int) -> None:
         """Make a node forget all records of the table; it gets an exception for each."""
@@ -286,19 +294,19 @@ class SharedTable:
         """Return the number of nodes that a waiting record does not reach."""
         return len(self._unreached.get(record[:2], ()))
 
-    def _except(self, src: int, unreached: Collection[int], known: TimedRecord | None) -> None:
+    def _except(self, src: int, unreached: Collection[int], present: TimedRecord | None) -> None:
         """Let some nodes keep the record that they have of a source, and end the exceptions of all other nodes.
 
         Args:
             src: the source.
             unreached: the nodes that the next record of the source does not reach.
-            known: the present record of the source in the table; None if there is none.
+            present: the present record of the source in the table; None if there is none.
         """
         exceptions = self.exceptions
         for node in self._excepted.pop(src, ()):
             if node not in unreached:
                 del exceptions[node][src]
         for node in unreached:
-            exceptions[node].setdefault(src, known)
+            exceptions[node].setdefault(src, present)
         if unreached:
             self._excepted[src] = unreached

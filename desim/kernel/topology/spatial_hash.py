@@ -62,8 +62,8 @@ class CellList:
         block = self._blocks.get(cell)
         if block is None:
             members = self._members
-            found = [other for near in _around(cell) if near in members for other in members[near]]
-            block = self._blocks[cell] = np.array(sorted(found), dtype=np.intp)
+            nearby = [other for near in _around(cell) if near in members for other in members[near]]
+            block = self._blocks[cell] = np.array(sorted(nearby), dtype=np.intp)
         return block
 
     def _drifted(self) -> float:

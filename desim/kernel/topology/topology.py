@@ -209,11 +209,11 @@ class Topology:
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         assert self._positions is not None
-        own = int(candidates.searchsorted(node))
-        apart = distances(self._positions.of(candidates), own)
-        apart[own] = self._range  # not the distance to itself, 0: a model may divide by distances
+        index = int(candidates.searchsorted(node))
+        apart = distances(self._positions.of(candidates), index)
+        apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
         received = self._received(node, candidates, apart, message)
-        received[own] = False
+        received[index] = False
         return candidates[received]
 
 
