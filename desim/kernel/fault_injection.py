@@ -98,8 +98,8 @@ class _Site:
         """Let the fault begin; return the function that ends it."""
         undo: Any = self.fault.begin(self)
         if not callable(undo):
-            what = f"begin() of {type(self.fault).__name__}"
-            raise ValueError(f"{what} should return a function without arguments that ends the fault (got {undo!r})")
+            method = f"begin() of {type(self.fault).__name__}"
+            raise ValueError(f"{method} should return a function without arguments that ends the fault (got {undo!r})")
         end: Undo = undo
         return end
 

@@ -51,11 +51,11 @@ class ClockWalk:
 
     def error(self, true: int) -> float:
         """Return the error, s, at a true time, ns; 0 before the time 0."""
-        k, rest = divmod(max(true, 0), TICK)
+        k, remainder = divmod(max(true, 0), TICK)
         if k >= self._last:
             return self._until(self._last)
         self._until(k + 1)
-        return self._errors[k] + rest / TICK * (self._errors[k + 1] - self._errors[k])
+        return self._errors[k] + remainder / TICK * (self._errors[k + 1] - self._errors[k])
 
     def when(self, time: float) -> float:
         """Return the true time, s, at which a clock without an offset shows a time, s."""
@@ -124,21 +124,21 @@ class WanderingClock(NodeClock):
         return max(self.when(self.now + duration) - self.true, 0)
 
 
-def node_clocks(env: Clock, given: Iterable[object], size: int, seed: int, until: int) -> list[NodeClock]:
-    """Return the clocks of all nodes, with the errors of all `ClockSkew` in `given`; variances of walks are added.
+def node_clocks(env: Clock, faults: Iterable[object], size: int, seed: int, until: int) -> list[NodeClock]:
+    """Return the clocks of all nodes, with the errors of all `ClockSkew` in `faults`; variances of walks are added.
 
     Args:
         env: the clock of the simulation.
-        given: the faults.
+        faults: the faults.
         size: the number of nodes.
         seed: the seed of the run.
         until: the time, ns, up to which the clocks may be read.
     """
-    faults = list(given)
+    faults = list(faults)
     clocks: list[NodeClock] = []
     for node, (offset, drift) in enumerate(clock_errors(faults, size, seed)):
         skews = clock_skews(faults, node)
-        walks = [(each.offset_walk, each.drift_walk) for each in skews if each.offset_walk or each.drift_walk]
+        walks = [(skew.offset_walk, skew.drift_walk) for skew in skews if skew.offset_walk or skew.drift_walk]
         if walks:
             offset_walk, drift_walk = (
                 sqrt(portable_sum(part * part for part in parts)) for parts in zip(*walks, strict=True)

@@ -66,12 +66,12 @@ class ArrivalLosses:
             causes = dict.fromkeys(self._while_transmitting(nodes, times, flights), "half_duplex")
         if not self._checks_range and self._fault_state is None:
             return causes
-        src, number = _of_each(flights, lambda each: each.src), _of_each(flights, lambda each: each.number)
+        src, number = _of_each(flights, lambda sent: sent.src), _of_each(flights, lambda sent: sent.number)
         when = times if isinstance(times, int) else np.array(times)
         losses: list[Sequence[Cause | None] | None] = []
         if self._checks_range:
             reached = self._topology.reaches(src, nodes, number, when)
-            losses.append([None if each else "out_of_range" for each in reached])
+            losses.append([None if in_range else "out_of_range" for in_range in reached])
         if (faults := self._fault_state) is not None:
             losses += [faults.jammed(nodes, when), faults.separated(src, nodes), self._crashed(nodes, number)]
         for lost in losses:
@@ -86,13 +86,13 @@ class ArrivalLosses:
         assert self._transmitter is not None
         lag = self._processing
         earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
-        own = self._transmitter.during(earliest - lag, latest - lag)
-        if not own:
+        transmissions = self._transmitter.during(earliest - lag, latest - lag)
+        if not transmissions:
             return
-        for k in [k for k, node in enumerate(nodes) if node in own]:
+        for k in [k for k, node in enumerate(nodes) if node in transmissions]:
             end = (times if isinstance(times, int) else times[k]) - lag
             flight = flights if isinstance(flights, Flight) else flights[k]
-            if any(begin < end < until + flight.airtime for begin, until in own[nodes[k]]):
+            if any(begin < end < until + flight.airtime for begin, until in transmissions[nodes[k]]):
                 yield k
 
     def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:

@@ -193,7 +193,7 @@ class Arrivals:
         for when, transmission, node in self._at_downed:
             if when <= now:
                 self._lose(transmission, {node: "crash"})
-        self._at_downed = [each for each in self._at_downed if each[0] > now]
+        self._at_downed = [entry for entry in self._at_downed if entry[0] > now]
 
     def settle_for_reader(self, node: int | None = None) -> None:
         """Decide the kept arrivals at a node, or at all (None), up to and including this instant.

@@ -155,8 +155,8 @@ def _split(
 ) -> tuple[list[int], Arrival, list[int], Arrival]:
     """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
     holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
-    others = [not each for each in holding]
-    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, others))]
+    not_holding = [not holds for holds in holding]
+    parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, not_holding))]
     if isinstance(arrival, int):
         return parts[0], arrival, parts[1], arrival
-    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, others))
+    return parts[0], list(compress(arrival, holding)), parts[1], list(compress(arrival, not_holding))

@@ -94,8 +94,8 @@ class LinkSampler:
             src: {dst: LinkTraits.of(model).cause for dst, model in to.items()} for src, to in overrides["loss"].items()
         }
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
-        own_is_lost = [each for to in self._is_lost_overrides.values() for each in to.values()]
-        self._latency_loses = any(each is not None for each in (self._is_lost, *own_is_lost))
+        own_is_lost = [is_lost for to in self._is_lost_overrides.values() for is_lost in to.values()]
+        self._latency_loses = any(is_lost is not None for is_lost in (self._is_lost, *own_is_lost))
         self.lossless = self._lossless and not self._latency_loses and all(map(_never_loses, override_models))
         """Whether the link models are known never to lose a message."""
         # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
@@ -204,13 +204,15 @@ class LinkSampler:
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
         models = (self._latency, *(model for to in self._latency_overrides.values() for model in to.values()))
         spans = [span for model in models if (span := link_trait(model, "time_span")) is not None]
-        found: list[int] = []
+        latencies: list[int] = []
         for k, src in enumerate(list(range(size)) * rounds):
             dst, now = sorted(self._graph.adj[src]), nanoseconds(min(spans, default=0.0) * (k * GOLDEN % 1.0))
-            found += [time - now for time in per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))]
-            if len(found) > 10_000:
+            latencies += [
+                time - now for time in per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))
+            ]
+            if len(latencies) > 10_000:
                 break
-        return portable_sum(found) / len(found) / SECOND + before if found else 0.0
+        return portable_sum(latencies) / len(latencies) / SECOND + before if latencies else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""
@@ -224,10 +226,10 @@ class LinkSampler:
         return arrivals
 
     def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
-        known = self._receivers.get(src)
-        if known is None or known.nodes is not dst:
-            known = self._arrays(src, dst)
-        return LinkContext(src, known.array, now / SECOND, size, self._seed, self._positions, known.distances)
+        receivers = self._receivers.get(src)
+        if receivers is None or receivers.nodes is not dst:
+            receivers = self._arrays(src, dst)
+        return LinkContext(src, receivers.array, now / SECOND, size, self._seed, self._positions, receivers.distances)
 
     def _arrays(self, src: int, dst: list[int]) -> "_Receivers":
         """Return the arrays about some receivers; keep those of the last list of a sender that may come again.
@@ -244,8 +246,8 @@ class LinkSampler:
             distances = LinkContext(src, array, positions=self._positions).distances
             distances.setflags(write=False)
         array.setflags(write=False)
-        known = self._receivers[src] = _Receivers(dst, array, distances)
-        return known
+        receivers = self._receivers[src] = _Receivers(dst, array, distances)
+        return receivers
 
 
 class _Receivers(NamedTuple):

@@ -73,22 +73,22 @@ class LinkTrace(Value):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any, info: ValidationInfo) -> Any:
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
         """Replace a file by the table in it, and reduce the table to the columns in use."""
-        if not isinstance(given, dict) or not _has_table(cls, given):
-            return given
-        names = Columns(*(given.get(key, cls.model_fields[key].default) for key in Columns._fields))
-        text, read_from = given.get("table"), given.get("read_from")
-        if given.get("file") is not None:
+        if not isinstance(data, dict) or not _has_table(cls, data):
+            return data
+        names = Columns(*(data.get(key, cls.model_fields[key].default) for key in Columns._fields))
+        text, read_from = data.get("table"), data.get("read_from")
+        if data.get("file") is not None:
             if text is not None:
                 raise ValueError("should have a file or a table, not both")
-            path = resolve_path(given["file"], info)
+            path = resolve_path(data["file"], info)
             text, read_from = text_of(path, names.used()), path.name
         name = read_from or TABLE
-        columns = _columns_in(header_of(str(text), name), names, given, name)
+        columns = _columns_in(header_of(str(text), name), names, data, name)
         read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
-        rest = {key: value for key, value in given.items() if key not in {"file", "read_from"}}
-        return rest | read | ({"read_from": read_from} if read_from else {})
+        parameters = {key: value for key, value in data.items() if key not in {"file", "read_from"}}
+        return parameters | read | ({"read_from": read_from} if read_from else {})
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
@@ -192,25 +192,27 @@ class LinkTrace(Value):
             link = int((nodes >= size).argmax())
             where = f"{self.name}, {place_of(int(measured.line[link]), self.name)}"
             raise ValueError(f"{where}: there is no node {nodes[link]}: the nodes are 0 .. {size - 1}")
-        known = set(zip(measured.src.tolist(), measured.dst.tolist(), strict=True))
+        measured_links = set(zip(measured.src.tolist(), measured.dst.tolist(), strict=True))
         for src, dst in links:
-            if (src, dst) not in known:
-                hint = "; with both_ways = true, a row also holds for the way back" if (dst, src) in known else ""
+            if (src, dst) not in measured_links:
+                hint = (
+                    "; with both_ways = true, a row also holds for the way back" if (dst, src) in measured_links else ""
+                )
                 raise ValueError(f"{self.name} has no row for the link from {src} to {dst}{hint}")
 
 
-def _has_table(model: type[LinkTrace], given: dict[str, Any]) -> bool:
+def _has_table(model: type[LinkTrace], data: dict[str, Any]) -> bool:
     """Return whether the arguments of a model name a table and its columns; a wrong type is left to the validation."""
-    texts = [given.get("table"), given.get("read_from"), given.get("src"), given.get("dst")]
-    texts += [given.get(key, model.model_fields[key].default) for key in ("time", "value")]
-    has_texts = all(each is None or isinstance(each, str) for each in texts) and None not in texts[-2:]
-    return has_texts and (given.get("file") is not None or given.get("table") is not None)
+    texts = [data.get("table"), data.get("read_from"), data.get("src"), data.get("dst")]
+    texts += [data.get(key, model.model_fields[key].default) for key in ("time", "value")]
+    has_texts = all(text is None or isinstance(text, str) for text in texts) and None not in texts[-2:]
+    return has_texts and (data.get("file") is not None or data.get("table") is not None)
 
 
-def _columns_in(header: Collection[str], names: Columns, given: Collection[str], table: str) -> Columns:
+def _columns_in(header: Collection[str], names: Columns, keys: Collection[str], table: str) -> Columns:
     """Return the columns that a table has; those of senders and receivers may be absent unless they are given."""
     ends = {key: getattr(names, key) for key in ("src", "dst")}
-    used = [key for key, name in ends.items() if name is not None and (key in given or name in header)]
+    used = [key for key, name in ends.items() if name is not None and (key in keys or name in header)]
     if not used:
         return names._replace(src=None, dst=None)
     if len(used) == 2:

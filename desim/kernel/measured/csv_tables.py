@@ -163,8 +163,8 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     header = header_of(text, name)
     for column in columns:
         if header.count(column) != 1:
-            what = "no column" if column not in header else "several columns"
-            raise ValueError(f"{name} has {what} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
+            problem = "no column" if column not in header else "several columns"
+            raise ValueError(f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
     chosen = itemgetter(*(header.index(column) for column in columns))
     rows, kept = rows_of(text, name), StringIO()
     has_commas = separator_of(text) == ","
@@ -178,8 +178,8 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     for line, cells in rows:
         if len(cells) != len(header):
             hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
-            what = f"has {len(cells)} cells, but the table has {len(header)} columns"
-            raise ValueError(f"{name}, {place_of(line, name)}: {what}{hint}")
+            problem = f"has {len(cells)} cells, but the table has {len(header)} columns"
+            raise ValueError(f"{name}, {place_of(line, name)}: {problem}{hint}")
         if line > below:
             kept.write("\n" * (line - below))
         writer.writerow(chosen(cells))
@@ -225,8 +225,8 @@ def with_points(
             if match := DECIMAL.fullmatch(cell.strip()):
                 seen.setdefault(match[1] or match[2], (line, cell.strip()))
         if len(seen) > 1:
-            (_, one), (where, other) = sorted(seen.values(), key=lambda place: place[0])
-            why = f"numbers should have either decimal points or decimal commas (got {one} and {other})"
+            (_, first), (where, other) = sorted(seen.values(), key=lambda place: place[0])
+            why = f"numbers should have either decimal points or decimal commas (got {first} and {other})"
             raise ValueError(f"{name}, {place_of(where, name)}: {why}")
         yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
 

@@ -267,15 +267,15 @@ def _links(
     src, dst = (_nodes(cells, column, names) for column in (columns.src, columns.dst))
     if (src == dst).any():
         row = int((src == dst).argmax())
-        one, other = (cells.columns[column][row].strip() for column in (columns.src, columns.dst))
-        raise cells.error(row, f"a link should join two nodes (got {one} and {other})")
+        node, other = (cells.columns[column][row].strip() for column in (columns.src, columns.dst))
+        raise cells.error(row, f"a link should join two nodes (got {node} and {other})")
     if not both_ways:
         return src, dst
     seen = dict(zip(zip(src.tolist(), dst.tolist(), strict=True), range(len(src)), strict=True))
-    for one, other in seen:
-        if (other, one) in seen:
-            row = max(seen[one, other], seen[other, one])
-            raise cells.error(row, f"with both_ways, only one direction should have rows; {one} and {other} have both")
+    for node, other in seen:
+        if (other, node) in seen:
+            row = max(seen[node, other], seen[other, node])
+            raise cells.error(row, f"with both_ways, only one direction should have rows; {node} and {other} have both")
     return np.concatenate((src, dst)), np.concatenate((dst, src))
 
 

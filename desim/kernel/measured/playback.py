@@ -134,8 +134,8 @@ class Playback:
     def _start(self, seed: int) -> int:
         start = self._starts.get(seed)
         if start is None:
-            given = self._trace.start
-            drawn = given if given != "random" else stream(seed, "start of traces").random() * self._end / SECOND
+            fixed = self._trace.start
+            drawn = fixed if fixed != "random" else stream(seed, "start of traces").random() * self._end / SECOND
             start = self._starts[seed] = round(drawn * SECOND)
         return start
 

@@ -82,8 +82,8 @@ class Csma(CarrierSensing):
     @property
     def unused_fields(self) -> dict[str, str]:
         """The fields of the other persistence."""
-        others = ("p", "slot") if self.persistence == "nonpersistent" else ("backoff", "attempts")
-        return dict.fromkeys(others, f"persistence {self.persistence!r}")
+        unused = ("p", "slot") if self.persistence == "nonpersistent" else ("backoff", "attempts")
+        return dict.fromkeys(unused, f"persistence {self.persistence!r}")
 
 
 class CsmaCa(CarrierSensing):

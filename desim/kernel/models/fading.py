@@ -27,8 +27,8 @@ def nakagami_survival(m: float, ratios: Floats) -> Floats:
     """
     from scipy.special import gammaincc
 
-    found: Floats = gammaincc(m, m * ratios)
-    return found
+    survival: Floats = gammaincc(m, m * ratios)
+    return survival
 
 
 def rice_survival(k: float, ratios: Floats) -> Floats:
@@ -39,11 +39,11 @@ def rice_survival(k: float, ratios: Floats) -> Floats:
     """
     from scipy.special import chndtr
 
-    found: Floats = np.maximum(1.0 - chndtr(2.0 * (k + 1.0) * ratios, 2.0, 2.0 * k), 0.0)
-    small = found < 1e-3
+    survival: Floats = np.maximum(1.0 - chndtr(2.0 * (k + 1.0) * ratios, 2.0, 2.0 * k), 0.0)
+    small = survival < 1e-3
     if small.any():
-        found[small] = _rice_tail(k, ratios[small])
-    return found
+        survival[small] = _rice_tail(k, ratios[small])
+    return survival
 
 
 def _rice_tail(k: float, ratios: Floats) -> Floats:
@@ -67,13 +67,13 @@ def nakagami_quantiles(m: float, survival: Floats) -> Floats:
     """Return (k,) powers, in units of their mean, that are exceeded with (k,) probabilities."""
     from scipy.special import gammainccinv
 
-    found: Floats = gammainccinv(m, survival) / m
-    return found
+    quantiles: Floats = gammainccinv(m, survival) / m
+    return quantiles
 
 
 def rice_quantiles(k: float, u: Floats) -> Floats:
     """Return the (k,) u-quantiles of the power, in units of its mean."""
     from scipy.special import chndtrix
 
-    found: Floats = chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0))
-    return found
+    quantiles: Floats = chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0))
+    return quantiles

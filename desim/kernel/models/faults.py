@@ -380,12 +380,12 @@ class RandomCrashes(Value):
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
         """Yield, node by node, the crashes that start before the horizon, s."""
-        for node, each in enumerate(rng.spawn(size)):
-            t = each.exponential(1.0 / self.rate)
+        for node, node_rng in enumerate(rng.spawn(size)):
+            t = node_rng.exponential(1.0 / self.rate)
             while t < horizon:
-                end = t + max(each.exponential(self.mean_downtime), MIN_FAULT_DURATION)
+                end = t + max(node_rng.exponential(self.mean_downtime), MIN_FAULT_DURATION)
                 yield Crash(start=t, end=end, node=node, scope=self.scope, memory=self.memory)
-                t = end + each.exponential(1.0 / self.rate)
+                t = end + node_rng.exponential(1.0 / self.rate)
 
 
 class RandomFaults(Value):
@@ -455,14 +455,14 @@ def clock_skews(faults: Iterable[object], node: int) -> list[ClockSkew]:
     return [skew for skew in faults if isinstance(skew, ClockSkew) and skew.node in (None, node)]
 
 
-def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
-    """Return (offset in s, drift) of the clock of each node, summed over all `ClockSkew` in `given`.
+def clock_errors(faults: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
+    """Return (offset in s, drift) of the clock of each node, summed over all `ClockSkew` in `faults`.
 
     A `ClockSkew` without a node adds an error drawn for each node. A sum of drifts below `MIN_DRIFT` is raised
     to it.
     """
     errors = np.zeros((size, 2))
-    for k, skew in enumerate(each for each in given if isinstance(each, ClockSkew)):
+    for k, skew in enumerate(fault for fault in faults if isinstance(fault, ClockSkew)):
         if skew.node is None:
             errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
         else:
@@ -471,8 +471,8 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
     return [(offset, drift) for offset, drift in errors.tolist()]
 
 
-def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
-    """Draw the faults of each plan, and return them with the given faults; clock errors are left out.
+def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
+    """Draw the faults of each plan, and return them with the faults among the entries; clock errors are left out.
 
     Every plan has its own random stream.
 
@@ -481,13 +481,13 @@ def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horiz
     """
     faults: list[Fault] = []
     number = count()
-    for each in given:
-        if inherits(each, Fault):  # unless a class of a user draws other faults
-            faults.append(each)
-        elif not isinstance(each, ClockSkew):
-            answer: Any = each(size, horizon, stream(seed, "faults", next(number)))
+    for entry in entries:
+        if inherits(entry, Fault):  # unless a class of a user draws other faults
+            faults.append(entry)
+        elif not isinstance(entry, ClockSkew):
+            answer: Any = entry(size, horizon, stream(seed, "faults", next(number)))
             planned: list[Any] = [*answer] if isinstance(answer, Iterable) else [answer]
             if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
-                raise ValueError(f"the plan {each!r} should return or yield faults, got {strange[0]!r}")
+                raise ValueError(f"the plan {entry!r} should return or yield faults, got {strange[0]!r}")
             faults += planned
     return faults

@@ -148,22 +148,22 @@ class Edges(Value):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        if is_networkx(given):
-            fields, notes = _fields(given)
-        elif isinstance(given, dict) and given.get("file") is not None:
-            if beside := [name for name in ("edges", "nodes", "names") if name in given]:
+    def _read(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        if is_networkx(data):
+            fields, notes = _fields(data)
+        elif isinstance(data, dict) and data.get("file") is not None:
+            if beside := [name for name in ("edges", "nodes", "names") if name in data]:
                 raise ValueError(f"should have either a file or {' and '.join(beside)}: a file gives all of them")
-            directed = make(given | {"file": None}).directed if "directed" in given else None
-            file = resolve_path(given["file"], info)
+            directed = make(data | {"file": None}).directed if "directed" in data else None
+            file = resolve_path(data["file"], info)
             graph = read_graph(file, directed)
             try:
                 fields, notes = _fields(graph)
             except ValueError as error:
                 raise ValueError(f"{file}: {error}") from error
-            fields = given | {"file": None} | fields
+            fields = data | {"file": None} | fields
         else:
-            return make(given)
+            return make(data)
         made = make(fields)
         made.__dict__["notes"] = notes  # not a part of its identity
         return made
@@ -212,9 +212,9 @@ class Edges(Value):
         for edge in self.edges:
             if max(edge.src, edge.dst) >= size:
                 raise ValueError(f"edge {edge.src} to {edge.dst}: the nodes should be 0 .. {size - 1}")
-            own = {"latency": edge.latency, "loss": edge.loss, "order": edge.order}
-            given = {name: model for name, model in own.items() if model is not None}
-            graph.add_edge(edge.src, edge.dst, **given)
+            models = {"latency": edge.latency, "loss": edge.loss, "order": edge.order}
+            attributes = {name: model for name, model in models.items() if model is not None}
+            graph.add_edge(edge.src, edge.dst, **attributes)
         return graph
 
 
@@ -234,8 +234,12 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
         )
     edges = [
         {"src": numbers[src], "dst": numbers[dst]}
-        | {name: _attribute(src, dst, name, own[name]) for name in ("latency", "loss", "order") if name in own}
-        for src, dst, own in graph.edges(data=True)
+        | {
+            name: _attribute(src, dst, name, attributes[name])
+            for name in ("latency", "loss", "order")
+            if name in attributes
+        }
+        for src, dst, attributes in graph.edges(data=True)
     ]
     fields = {"edges": edges, "nodes": len(graph), "directed": graph.is_directed()}
     return fields | ({"names": numbering.names} if numbering.names else {}), tuple(notes)

@@ -164,10 +164,10 @@ class Collision(Value):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where no other frame is audible."""
-        found = np.ones(len(overlap.receivers), dtype=bool)
+        received = np.ones(len(overlap.receivers), dtype=bool)
         for other in overlap.others:
-            found &= ~overlap.audible(other)
-        return found
+            received &= ~overlap.audible(other)
+        return received
 
 
 class CaptureEffect(Faded):
@@ -191,11 +191,11 @@ class CaptureEffect(Faded):
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
         power = self.level(overlap, overlap.frame, self.exponent)
-        found = np.ones(len(power), dtype=bool)
+        received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
             weaker = self.level(overlap, other, self.exponent) + self.threshold <= power
-            found &= weaker | ~overlap.audible(other)
-        return found
+            received &= weaker | ~overlap.audible(other)
+        return received
 
 
 class Sinr(Faded):
@@ -266,22 +266,22 @@ class LoRaInterference(Faded):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where no other frame destroys the frame."""
-        own = overlap.signal(overlap.frame)
-        symbol = 2**own.spreading_factor / own.bandwidth / RESOLUTION
-        critical = overlap.frame.begin + round((own.preamble - 5) * symbol)
+        wanted = overlap.signal(overlap.frame)
+        symbol = 2**wanted.spreading_factor / wanted.bandwidth / RESOLUTION
+        critical = overlap.frame.begin + round((wanted.preamble - 5) * symbol)
         power = self.level(overlap, overlap.frame, self.exponent)
-        found = np.ones(len(power), dtype=bool)
+        received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
             signal = overlap.signal(other)
-            if abs(signal.frequency - own.frequency) > SEPARATION * own.bandwidth or other.end <= critical:
+            if abs(signal.frequency - wanted.frequency) > SEPARATION * wanted.bandwidth or other.end <= critical:
                 continue
             advantage = power - self.level(overlap, other, self.exponent)
-            if signal.spreading_factor == own.spreading_factor:
-                found &= (advantage >= self.threshold) | ~overlap.audible(other)
+            if signal.spreading_factor == wanted.spreading_factor:
+                received &= (advantage >= self.threshold) | ~overlap.audible(other)
             elif self.isolation != "orthogonal":
-                least = ISOLATION[self.isolation][own.spreading_factor - 7][signal.spreading_factor - 7]
-                found &= (advantage >= least) | ~overlap.audible(other)
-        return found
+                least = ISOLATION[self.isolation][wanted.spreading_factor - 7][signal.spreading_factor - 7]
+                received &= (advantage >= least) | ~overlap.audible(other)
+        return received
 
 
 def _relative_power(distances: Floats, exponent: float) -> Floats:

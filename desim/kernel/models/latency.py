@@ -189,12 +189,12 @@ class Empirical(_Drawn):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict) or given.get("file") is None:
-            return given
-        if "values" in given:
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or data.get("file") is None:
+            return data
+        if "values" in data:
             raise ValueError("should have values or a file of values, not both")
-        return given | {"file": None, "values": latencies_of(resolve_path(given["file"], info))}
+        return data | {"file": None, "values": latencies_of(resolve_path(data["file"], info))}
 
     @model_validator(mode="after")
     def _is_not_empty(self) -> Self:
@@ -248,11 +248,11 @@ def mean_latency(model: Latency) -> float | None:
         ValueError: if it returns anything else than a number.
     """
     mean = LinkTraits.of(model).mean_latency
-    found = None if mean is None else mean()
+    latency = None if mean is None else mean()
     try:
-        return None if found is None else float(found)
+        return None if latency is None else float(latency)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"mean_latency of {model!r} should return a number, s, or None, got {found!r}") from error
+        raise ValueError(f"mean_latency of {model!r} should return a number, s, or None, got {latency!r}") from error
 
 
 def mean_of(model: Latency, seed: int) -> float:

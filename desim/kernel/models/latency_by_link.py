@@ -122,17 +122,17 @@ class LatencyMatrix(Value):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict):
-            return given
-        values, file = given.get("values"), given.get("file")
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict):
+            return data
+        values, file = data.get("values"), data.get("file")
         if file is not None:
             if values is not None:
                 raise ValueError("should have values or a file of values, not both")
             values = matrix_of(resolve_path(file, info))
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
             values = [[inf if _is_nan(number) else number for number in row] for row in values]
-        return given | {"file": None} | ({} if values is None else {"values": values})
+        return data | {"file": None} | ({} if values is None else {"values": values})
 
     @model_validator(mode="after")
     def _is_square(self) -> Self:
@@ -180,8 +180,8 @@ class LatencyMatrix(Value):
     def mean_latency(self) -> float | None:
         """Return the mean over all links, s; None if that of the jitter is not known."""
         base, jitter = self.base_latencies, mean_latency(self.jitter)
-        known = base[(base < inf) & ~np.eye(len(base), dtype=bool)]
-        return None if jitter is None or not len(known) else fsum(known) / len(known) + jitter
+        finite = base[(base < inf) & ~np.eye(len(base), dtype=bool)]
+        return None if jitter is None or not len(finite) else fsum(finite) / len(finite) + jitter
 
 
 def _is_nan(number: Any) -> bool:

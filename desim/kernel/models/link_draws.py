@@ -70,10 +70,10 @@ def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
     Raises:
         ValueError: if a delay is negative, infinite or NaN.
     """
-    given = as_seconds(delays)
-    if not ((given >= 0.0) & (given < inf)).all():
+    seconds = as_seconds(delays)
+    if not ((seconds >= 0.0) & (seconds < inf)).all():
         raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
-    times: NDArray[np.int64] = np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64)
+    times: NDArray[np.int64] = np.rint(np.minimum(seconds, MAX_TIME) * SECOND).astype(np.int64)
     return times
 
 

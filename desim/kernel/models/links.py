@@ -45,28 +45,30 @@ class Processing(Value):
     """Processing delay at the receiver, s."""
 
 
-def _completed(given: Any, table: dict[str, Any]) -> Any:
+def _completed(value: Any, table: dict[str, Any]) -> Any:
     """Return a given table, with the keys that it and the tables in it lack filled in from a preset.
 
     `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
     """
     kind = table.get("kind")
-    if not isinstance(given, dict) or given.get("kind", kind) != kind:
-        return given
-    return table | given | _tables_completed(given, table)
+    if not isinstance(value, dict) or value.get("kind", kind) != kind:
+        return value
+    return table | value | _tables_completed(value, table)
 
 
-def _tables_completed(given: dict[str, Any], preset: dict[str, Any]) -> dict[str, Any]:
+def _tables_completed(fields: dict[str, Any], preset: dict[str, Any]) -> dict[str, Any]:
     """Return the given values of the keys that are tables in a preset, completed from it."""
     return {
-        key: _completed(given[key], table) for key, table in preset.items() if key in given and isinstance(table, dict)
+        key: _completed(fields[key], table)
+        for key, table in preset.items()
+        if key in fields and isinstance(table, dict)
     }
 
 
 def _with(owner: EdgeLike, traces: Mapping[tuple[str | int, ...], LinkTrace], place: tuple[str | int, ...]) -> EdgeLike:
     """Return an edge or a link with other tables of measurements, by their keys; `place` is its own."""
-    own = {name: traces[*place, name] for name in ("latency", "loss") if (*place, name) in traces}
-    return owner.model_copy(update=own) if own else owner
+    models = {name: traces[*place, name] for name in ("latency", "loss") if (*place, name) in traces}
+    return owner.model_copy(update=models) if models else owner
 
 
 class Links(Value):
@@ -165,9 +167,9 @@ class Links(Value):
         if not changed:
             return self
         copy = self.model_copy()
-        own = {str(place[0]): trace for place, trace in changed.items() if len(place) == 1}
+        of_network = {str(place[0]): trace for place, trace in changed.items() if len(place) == 1}
         links = [_with(link, changed, ("link", k)) for k, link in enumerate(self.link)]
-        copy.__dict__.update(own, link=tuple(links))
+        copy.__dict__.update(of_network, link=tuple(links))
         if isinstance(self.graph, Edges):
             graph = self.graph.model_copy()
             edges = [_with(edge, changed, ("graph", "edges", k)) for k, edge in enumerate(graph.edges)]
@@ -192,35 +194,35 @@ class Links(Value):
 
     @field_validator("graph", mode="before")
     @classmethod
-    def _of_networkx(cls, given: Any) -> Any:
-        return Edges.of(given) if is_networkx(given) else given
+    def _of_networkx(cls, value: Any) -> Any:
+        return Edges.of(value) if is_networkx(value) else value
 
     @field_validator("link", mode="before")
     @classmethod
-    def _has_numbers(cls, given: Any, info: ValidationInfo) -> Any:
+    def _has_numbers(cls, value: Any, info: ValidationInfo) -> Any:
         """Raise ValueError with the number of a node that is named instead."""
         graph = info.data.get("graph")
         names = names_of(graph)
-        for k, link in enumerate(given if isinstance(given, list | tuple) else ()):
+        for k, link in enumerate(value if isinstance(value, list | tuple) else ()):
             for end in ("src", "dst"):
                 node = link.get(end) if isinstance(link, dict) else None
                 if isinstance(node, str) and node in names:
                     raise ValueError(
                         f"{end} of link {k} should be a number; the number of {node} is {names.index(node)}"
                     )
-        return given
+        return value
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in_preset(cls, given: Any) -> Any:
-        preset = given.get("preset") if isinstance(given, dict) else None
+    def _fill_in_preset(cls, data: Any) -> Any:
+        preset = data.get("preset") if isinstance(data, dict) else None
         if not isinstance(preset, str) or preset not in PRESETS:
-            return given
-        return PRESETS[preset] | given | _tables_completed(given, PRESETS[preset])
+            return data
+        return PRESETS[preset] | data | _tables_completed(data, PRESETS[preset])
 
     def _derived(self) -> Set[str]:
         """Return the names of the fields with the value that the preset stands for."""
         if self.preset is None:
             return super()._derived()
-        own, stands_for = dict(self), dict(type(self)(preset=self.preset))
-        return {key for key in PRESETS[self.preset] if own[key] == stands_for[key]}
+        fields, stands_for = dict(self), dict(type(self)(preset=self.preset))
+        return {key for key in PRESETS[self.preset] if fields[key] == stands_for[key]}

@@ -268,13 +268,13 @@ class _ByKnownDistance:
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Draw the (k,) losses."""
-        known = context.known_distances
-        if known is None:
+        distances = context.known_distances
+        if distances is None:
             return self._model(context, rng)
         kept = self._kept.get(context.src)
-        if kept is None or kept[0] is not known:
-            kept = self._kept[context.src] = known, self._model.probability(known)
-        return rng.random(len(known)) < kept[1]
+        if kept is None or kept[0] is not distances:
+            kept = self._kept[context.src] = distances, self._model.probability(distances)
+        return rng.random(len(distances)) < kept[1]
 
 
 LOSSES = OneOf(

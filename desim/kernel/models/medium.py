@@ -187,10 +187,10 @@ class LoRa(Radio):
 
     @field_validator("spreading_factors", "frequencies", "gateways")
     @classmethod
-    def _differ_only_if_they_contend(cls, given: Any, info: ValidationInfo) -> Any:
-        if given is not None and isinstance(info.data.get("access"), Ideal):
+    def _differ_only_if_they_contend(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and isinstance(info.data.get("access"), Ideal):
             raise ValueError("nodes may differ only if they contend: access.kind should not be 'ideal'")
-        return given
+        return value
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s, of all frames of a message with the largest spreading factor of the nodes."""
@@ -199,8 +199,8 @@ class LoRa(Radio):
     def check(self, size: int) -> None:
         """Raise KeyedError if the medium is not for a network of `size` nodes."""
         for name in ("spreading_factors", "frequencies"):
-            if (given := vars(self)[name]) is not None and len(given) != size:
-                raise KeyedError(Problem(f"should have one for each of {size} nodes (got {len(given)})", name))
+            if (per_node := vars(self)[name]) is not None and len(per_node) != size:
+                raise KeyedError(Problem(f"should have one for each of {size} nodes (got {len(per_node)})", name))
 
         if unknown := sorted({*(self.gateways or ())}.difference(range(size))):
             raise KeyedError(Problem(f"there is no node {unknown[0]}: the nodes are 0 .. {size - 1}", "gateways"))
@@ -212,16 +212,16 @@ class LoRa(Radio):
 
     def hears(self, src: int, nodes: Integers) -> Bools:
         """Return (k,) whether the radios of some nodes are tuned to the frames of a node."""
-        own, gateways = self.signal(src), self.gateways or ()
+        sent, gateways = self.signal(src), self.gateways or ()
         signals = [(node, self.signal(node)) for node in nodes.tolist()]
         return np.array(
             [
                 node in gateways
                 or (
-                    each.spreading_factor == own.spreading_factor
-                    and abs(each.frequency - own.frequency) <= TUNING * own.bandwidth
+                    signal.spreading_factor == sent.spreading_factor
+                    and abs(signal.frequency - sent.frequency) <= TUNING * sent.bandwidth
                 )
-                for node, each in signals
+                for node, signal in signals
             ],
             dtype=bool,
         )
@@ -237,8 +237,10 @@ class LoRa(Radio):
         return LoRaSignal(factor, self.bandwidth, frequency, self.preamble)
 
     def _message(self, size: int, factor: int) -> float:
-        full, rest = divmod(size, MAX_BYTES)
-        return full * self._frame(MAX_BYTES, factor) + (self._frame(rest, factor) if rest or not full else 0.0)
+        full, remainder = divmod(size, MAX_BYTES)
+        return full * self._frame(MAX_BYTES, factor) + (
+            self._frame(remainder, factor) if remainder or not full else 0.0
+        )
 
     def _frame(self, size: int, factor: int) -> float:
         """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
@@ -272,13 +274,13 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
     return lambda size, node: _checked(of_node(size, node), medium)
 
 
-def _checked(found: Any, medium: Medium) -> float:
+def _checked(airtime: Any, medium: Medium) -> float:
     try:
-        if 0.0 <= found < inf:
-            return min(float(found), MAX_TIME)
+        if 0.0 <= airtime < inf:
+            return min(float(airtime), MAX_TIME)
     except (TypeError, ValueError):  # not a number
         pass
-    raise ValueError(f"an airtime should be a finite time >= 0 s, got {found!r} from {medium!r}")
+    raise ValueError(f"an airtime should be a finite time >= 0 s, got {airtime!r} from {medium!r}")
 
 
 MEDIA = OneOf(

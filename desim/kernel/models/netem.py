@@ -57,12 +57,12 @@ class Netem(Value):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict) or given.get("file") is None:
-            return given
-        if beside := [name for name in ("distribution", "table") if given.get(name) is not None]:
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or data.get("file") is None:
+            return data
+        if beside := [name for name in ("distribution", "table") if data.get(name) is not None]:
             raise ValueError(f"should have either a file or a {beside[0]}")
-        return given | {"file": None, "table": read_table(resolve_path(given["file"], info))}
+        return data | {"file": None, "table": read_table(resolve_path(data["file"], info))}
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -168,6 +168,6 @@ class _NetemLinks:
         return reordered
 
 
-def _to(context: LinkContext, those: Bools) -> LinkContext:
+def _to(context: LinkContext, selected: Bools) -> LinkContext:
     """Return the context of the transmission to some of its receivers only."""
-    return context if those.all() else replace(context, dst=context.dst[those], known_distances=None)
+    return context if selected.all() else replace(context, dst=context.dst[selected], known_distances=None)

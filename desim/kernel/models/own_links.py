@@ -23,20 +23,20 @@ def link_overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]
     Raises:
         ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
     """
-    found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
+    by_name: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
     for src, dst, attributes in links_with_attributes(graph):
-        for name, overrides in found.items():
+        for name, overrides in by_name.items():
             if (value := attributes.get(name)) is not None:
                 overrides.setdefault(src, {})[dst] = edge_model(src, dst, name, value)
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
                 raise ValueError(f"there is no link from {src} to {dst} in the graph")
-            for name, overrides in found.items():
+            for name, overrides in by_name.items():
                 model = dict(link)[name]
                 if model is not None:
                     overrides.setdefault(src, {})[dst] = model
-    return found
+    return by_name
 
 
 def overrides_of_run(overrides: Overrides, size: int) -> Overrides:
@@ -58,11 +58,11 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
     """
     yield from _name_misfits(links)
     for name in ("latency", "loss"):
-        own = dict(_own_models(links, graph, name))
+        link_models = dict(_own_models(links, graph, name))
         uses: list[tuple[Place, Any, Iterator[Way]]] = [
-            (place, model, iter([way])) for way, (place, model) in own.items()
+            (place, model, iter([way])) for way, (place, model) in link_models.items()
         ]
-        uses.append(((name,), getattr(links, name), (way for way in _ways(graph) if way not in own)))
+        uses.append(((name,), getattr(links, name), (way for way in _ways(graph) if way not in link_models)))
         for place, model, ways in uses:
             check = link_trait(model, "check_links")
             try:

@@ -52,13 +52,13 @@ class LinkTraits(Traits):
         if "start_run" not in cls.outdated(model):
             return
         starter = model.__mro__[positions(model, "start_run")[0]]
-        own = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
-        function = getattr(model, own)
+        method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
+        function = getattr(model, method)
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
         if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
             raise ValueError(
-                f"{name_of(value)} has its own {own}, and start_run of {starter.__name__} makes another model for each"
-                " run, which keeps the state of the links: it should have its own start_run(size), too, which returns"
+                f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
+                " each run, which keeps the state of the links: it should have its own start_run(size), too, which returns"
                 " the model of one run of `size` nodes (itself if it has no state)"
             )
 

@@ -129,14 +129,14 @@ def _network(options: dict[str, Any], folder: Path) -> Table:
     """
     latency, medium = _latency(options, folder), _medium(options)
     order = order_of(reorders="reorder" in latency, has_rate=bool(medium))
-    found = {
+    tables = {
         "latency": latency,
         "order": order if latency.get("kind", "constant") != "constant" and order != Links().order else None,
         "loss": _loss(*options["loss"]) if "loss" in options else None,
         "duplicate": _random(*options.get("duplicate", (0.0, 0.0))),
         "medium": medium,
     }
-    return {key: each for key, each in found.items() if each}
+    return {key: table for key, table in tables.items() if table}
 
 
 def _latency(options: dict[str, Any], folder: Path) -> Table:
@@ -155,7 +155,7 @@ def _latency(options: dict[str, Any], folder: Path) -> Table:
     if reorder:
         table |= {"reorder": reorder, "reorder_correlation": reorder_correlation}
         table |= {"gap": options["gap"]} if options.get("gap", 1) > 1 else {}
-    return {key: each for key, each in table.items() if each or key == "delay"}
+    return {key: value for key, value in table.items() if value or key == "delay"}
 
 
 def _loss(model: str, values: list[float]) -> Table:
@@ -213,8 +213,8 @@ def _link(way: Way, table: Table, network: Table, source: str) -> Table:
     for key, options in (("medium", "rate and limit"), ("duplicate", "duplicate")):
         if table.get(key) != network.get(key):
             raise TcError(f"{source}: {options} of {_name(way)} should be as for the whole network")
-    own = {key: table.get(key, none) for key, none in NONE.items() if table.get(key) != network.get(key)}
-    return {"src": way[0], "dst": way[1]} | own
+    differing = {key: table.get(key, none) for key, none in NONE.items() if table.get(key) != network.get(key)}
+    return {"src": way[0], "dst": way[1]} | differing
 
 
 def _merged(links: list[Table]) -> list[Table]:

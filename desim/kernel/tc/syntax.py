@@ -118,10 +118,10 @@ class _Words:
 
     def values(self, convert: Callable[[str], _Value], most: int) -> list[_Value]:
         """Take a value, and further ones up to `most` while the next word begins with a digit, as in tc."""
-        found = [self.value(convert)]
-        while len(found) < most and self.has_number:
-            found.append(self.value(convert))
-        return found
+        numbers = [self.value(convert)]
+        while len(numbers) < most and self.has_number:
+            numbers.append(self.value(convert))
+        return numbers
 
     @property
     def has_number(self) -> bool:
@@ -265,7 +265,7 @@ def _options(words: _Words) -> dict[str, Any]:
         TcError: if an option is unknown, not modelled, given twice or without another that it needs, or has a wrong
             value.
     """
-    found: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     while words.peek():
         word = words.take("an option")
         name = SYNONYMS.get(word, word)
@@ -273,13 +273,13 @@ def _options(words: _Words) -> dict[str, Any]:
             raise words.wrong(f"is not modelled: {NOT_MODELLED[name]}")
         if name not in OPTIONS:
             raise words.wrong(f"is not allowed here; allowed: {', '.join(OPTIONS)}")
-        if name in found:
+        if name in options:
             raise words.wrong("is given twice")
-        found[name] = OPTIONS[name](words)
+        options[name] = OPTIONS[name](words)
     for name, needed in (("gap", "reorder"), ("distribution", "delay"), ("reorder", "delay")):
-        if name in found and needed not in found:
+        if name in options and needed not in options:
             raise TcError(f"{words.where}: {name} needs {needed}")
-    return found
+    return options
 
 
 def _delay(words: _Words) -> tuple[float, float, float]:

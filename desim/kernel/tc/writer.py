@@ -45,12 +45,12 @@ def script(links: Links, size: int, device: str = "eth0") -> Script:
     """
     writer = _Writer(links)
     lines = ["# on each node", writer.command(device, "network.", links.latency, links.loss, links.order)]
-    own = link_overrides(links, links.make_graph(size))
+    overrides = link_overrides(links, links.make_graph(size))
     ways = [way for link in links.link for way in link.ways()]
-    ways += [(src, dst) for models in own.values() for src, receivers in models.items() for dst in receivers]
+    ways += [(src, dst) for models in overrides.values() for src, receivers in models.items() for dst in receivers]
     for src, dst in dict.fromkeys(ways):
         latency, loss, order = (
-            own[name].get(src, {}).get(dst, usual)
+            overrides[name].get(src, {}).get(dst, usual)
             for name, usual in (("latency", links.latency), ("loss", links.loss), ("order", links.order))
         )
         link = LINK.format(src=src, dst=dst)

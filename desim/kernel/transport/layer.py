@@ -106,9 +106,9 @@ class TransportLayer:
         size = size_of(message.body) if size is None else checked_size(size)
         if not self._nodes:
             self._start()
-        known = self._transports.setdefault(port, transport)
-        if known is not transport and known != transport:
-            raise ValueError(f"a port has one transport: {port!r} has {known!r} (got {transport!r})")
+        chosen = self._transports.setdefault(port, transport)
+        if chosen is not transport and chosen != transport:
+            raise ValueError(f"a port has one transport: {port!r} has {chosen!r} (got {transport!r})")
         flow, node = Flow(src, dst, port), self._nodes[src]
         sender = node.senders.get(flow)
         if sender is None:
@@ -207,22 +207,22 @@ class TransportLayer:
         if transport.deadline < inf:
             self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
 
-    def _expect(self, node: int, what: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
+    def _expect(self, node: int, kind: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
         """Let a node expect a message, or any frame, of another within a time, s, by its own clock."""
         expectations = self._nodes[node].expectations
-        known = expectations.get((what, src, port))
-        if known is None and within <= MAX_TIME:
-            tell = self._log.miss_deadline if what == "deadline" else self._log.lose_liveliness
+        expectation = expectations.get((kind, src, port))
+        if expectation is None and within <= MAX_TIME:
+            tell = self._log.miss_deadline if kind == "deadline" else self._log.lose_liveliness
 
             def miss() -> None:
                 if self._is_up(node):
                     tell(src, node, port)
 
             duration, priority = self._clocks[node].span(within), Phase.RELAY + node
-            known = Expectation(self._env, priority, duration, miss, again=what == "deadline")
-            expectations[what, src, port] = known
-        if known is not None:
-            known.meet()
+            expectation = Expectation(self._env, priority, duration, miss, again=kind == "deadline")
+            expectations[kind, src, port] = expectation
+        if expectation is not None:
+            expectation.meet()
 
 
 def _receiver(frame: Segment | Skip | Piece, transport: Transport) -> ReliableReceiver | CodedReceiver:

@@ -85,7 +85,7 @@ class CodedReceiver:
         before = len(here)
         here.add(piece.part)
         if len(self._pieces) > REMEMBERED:
-            self._pieces = {seq: each for seq, each in self._pieces.items() if seq > self._newest - REMEMBERED}
+            self._pieces = {seq: parts for seq, parts in self._pieces.items() if seq > self._newest - REMEMBERED}
         if before < self._needed == len(here):
             yield Arrived(piece.seq, Message(src, stamp, piece.body), piece.part)
 

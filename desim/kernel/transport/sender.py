@@ -192,7 +192,7 @@ class ReliableSender:
             self._finish(entry, node)
             self._close_gap(node)
             return
-        base = next(each.seq for each in self._entries.values() if node in each.owed)
+        base = next(entry.seq for entry in self._entries.values() if node in entry.owed)
         owed.due = self._endpoint.env.now + self._timeout(entry, owed.attempts)
         owed.attempts += 1
         if owed.is_held:
