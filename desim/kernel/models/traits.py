@@ -58,8 +58,8 @@ class LinkTraits(Traits):
         if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
             raise ValueError(
                 f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
-                " each run, which keeps the state of the links: it should have its own start_run(size), too, which returns"
-                " the model of one run of `size` nodes (itself if it has no state)"
+                " each run, which keeps the state of the links: it should have its own start_run(size), too, which"
+                " returns the model of one run of `size` nodes (itself if it has no state)"
             )
 
 
