@@ -98,7 +98,7 @@ class Witness:
         else:
             return False
         evaders = [action] if action else list(state.at_large)
-        if not all(self._view.unlimited or self._view.sees(each) for each in evaders):
+        if not all(self._view.unlimited or self._view.sees(evader) for evader in evaders):
             return False
         age = max(self._clock.stamp - record.stamp, 0) / SECOND
         least = inf

@@ -79,7 +79,7 @@ class Speaker:
     def phi(self, evader: int) -> float:
         """Return its true capture time for an evader, s; with 0, the least one for any evader at large."""
         evaders = [evader] if evader else self.view.state.at_large
-        return min((self.view.capture_times_of([self.id], each)[0] for each in evaders), default=inf)
+        return min((self.view.capture_times_of([self.id], target)[0] for target in evaders), default=inf)
 
     def least_phi(self, evader: int) -> float:
         """Return the least capture time for an evader, s, that any pursuer at its position could have; see `phi`."""
@@ -87,9 +87,9 @@ class Speaker:
         return min(
             (
                 least_capture_time(
-                    abs(self.view.evader(each) - position), state.radius, state.top_speed, state.body(each).speed
+                    abs(self.view.evader(target) - position), state.radius, state.top_speed, state.body(target).speed
                 )
-                for each in ([evader] if evader else state.at_large)
+                for target in ([evader] if evader else state.at_large)
             ),
             default=inf,
         )
@@ -269,7 +269,9 @@ class ReplayAttack(ByzantineFault):
     def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
         """Return the old announcement."""
         latest = me.now - nanoseconds(self.delay)
-        old = [each for t, each in me.history if t <= latest] or [each for _, each in me.history[:1]]
+        old = [announced for t, announced in me.history if t <= latest] or [
+            announced for _, announced in me.history[:1]
+        ]
         return me.id, old[-1] if old else body
 
 
@@ -327,8 +329,8 @@ class RandomLies(Value):
         kind = LIES[rng.integers(len(LIES))]
         parameters = {"action": action, "phi": phi, "position": position, "delay": 0.5, "drop": 0.5}
         parameters["accused"] = (int(rng.integers(pursuer + 1)),)
-        own = {key: each for key, each in parameters.items() if key in kind.model_fields}
-        return kind(node=pursuer, acts=acts, **window, **own)
+        accepted = {key: value for key, value in parameters.items() if key in kind.model_fields}
+        return kind(node=pursuer, acts=acts, **window, **accepted)
 
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
@@ -358,6 +360,8 @@ def draw_lies(
                 assert isinstance(model, ByzantineFault)
                 kind = str(dict(model)["kind"])
                 for pursuer in model.liars(size, rng):
-                    one = Misbehaviour(node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn))
-                    drawn.append((one, model))
+                    misbehaviour = Misbehaviour(
+                        node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn)
+                    )
+                    drawn.append((misbehaviour, model))
     return drawn

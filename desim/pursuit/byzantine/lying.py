@@ -75,8 +75,8 @@ class LyingTeam:
         self._env, self._network, self._views, self._trace = env, network, views, trace
         self._seed, self._set_action = seed, set_action
         self._active: defaultdict[int, list[Lie]] = defaultdict(list)
-        self._rng = {one.node: stream(seed, "words", one.node) for one, _ in lies}
-        replaying = {one.node for one, model in lies if model.reads_history}
+        self._rng = {fault.node: stream(seed, "words", fault.node) for fault, _ in lies}
+        replaying = {fault.node for fault, model in lies if model.reads_history}
         self._history: dict[int, list[tuple[int, Any]]] = {pursuer: [] for pursuer in replaying}
         for lie in lies:
             self._at(lie[0].start, partial(self._begin, lie))
@@ -95,20 +95,20 @@ class LyingTeam:
         if not self._active[src]:
             self._network.publish(src, body, size, stamp)
         elif not self._is_silent(src):
-            name, said = self._says(src, body)
-            told = self._says_to(src, said)
+            name, announced = self._says(src, body)
+            told = self._says_to(src, announced)
             if told is None and name == src:
-                self._network.publish(src, said, size, stamp)
+                self._network.publish(src, announced, size, stamp)
             else:
-                record = self._network.next_record(name, said, stamp)
-                for only, version in [(None, said)] if told is None else told:
+                record = self._network.next_record(name, announced, stamp)
+                for only, version in [(None, announced)] if told is None else told:
                     self._forge(src, only, record._replace(body=version), size)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a pursuer, or of the teammate in whose name it speaks."""
         self._remember(src, body)
-        name, said = self._says(src, body) if self._active[src] else (src, body)
-        return self._network.next_record(name, said, stamp)
+        name, announced = self._says(src, body) if self._active[src] else (src, body)
+        return self._network.next_record(name, announced, stamp)
 
     def send(
         self,
@@ -121,8 +121,10 @@ class LyingTeam:
         transport: Transport | None = None,
     ) -> None:
         """Send a message of a pursuer, or what it sends instead."""
-        for to, only, said in self._messages(src, dst, body) if self._active[src] else [_Version(dst, None, body)]:
-            self._network.send(src, to, said, port=port, size=size, transport=transport, only=only)
+        for to, only, replacement in (
+            self._messages(src, dst, body) if self._active[src] else [_Version(dst, None, body)]
+        ):
+            self._network.send(src, to, replacement, port=port, size=size, transport=transport, only=only)
 
     def unless_silent(self, pursuer: int, act: Callable[[], object]) -> Callable[[], object]:
         """Return a function that calls another one unless the pursuer is silent."""
@@ -133,7 +135,9 @@ class LyingTeam:
 
         def act() -> None:
             accusations = [model.accuses() for _, model in self._active[pursuer]]
-            accused = {suspect for each in accusations if each is not None for suspect in each.accused}
+            accused = {
+                suspect for accusation in accusations if accusation is not None for suspect in accusation.accused
+            }
             if accused:
                 self.send(pursuer, None, Accusation(tuple(sorted(accused))), port=ACCUSATIONS)
             else:
@@ -171,15 +175,16 @@ class LyingTeam:
         body = body if records is None else self._forwarded(src, body, records)
         if body is None:
             return
-        own = next((record for record in relayed_records(body) or () if record.src == src), None)
-        told = None if own is None else self._says_to(src, own.body)
-        if own is None or told is None:
+        original = next((record for record in relayed_records(body) or () if record.src == src), None)
+        told = None if original is None else self._says_to(src, original.body)
+        if original is None or told is None:
             yield _Version(dst, None, body)
             return
-        for only, said in told:
+        for only, version in told:
             if dst is None or dst in only:
                 forged = [
-                    own._replace(body=said) if record is own else record for record in relayed_records(body) or ()
+                    original._replace(body=version) if record is original else record
+                    for record in relayed_records(body) or ()
                 ]
                 yield _Version(dst, only if dst is None else None, with_records(body, forged))
 

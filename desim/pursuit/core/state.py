@@ -52,8 +52,8 @@ def lengths(vectors: Points) -> Floats:
     Kept equal to the built-in `abs` of each by
     `tests/pursuit/test_kinematics.py::test_the_lengths_of_many_are_those_of_each`.
     """
-    found: Floats = np.hypot(vectors.real, vectors.imag)
-    return found
+    moduli: Floats = np.hypot(vectors.real, vectors.imag)
+    return moduli
 
 
 def complex_points(points: Sequence[Sequence[float]] | Floats) -> Points:

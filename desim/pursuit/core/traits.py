@@ -90,8 +90,8 @@ class UtilityTraits(Assuming):
     expected: Annotated[
         Callable[[float, Sequence[float], Sequence[float], float], float] | None, Follows("__call__")
     ] = None
-    """`expected(own, others, chances, reward)` returns the mean gain, s, from being active if each of the other
-    pursuers is independently active with its probability in `chances`."""
+    """`expected(own_time, other_times, chances, reward)` returns the mean gain, s, from being active if each of the
+    other pursuers is independently active with its probability in `chances`."""
 
 
 class DisseminationTraits(Assuming):

@@ -269,8 +269,9 @@ class EvaderBody:
         if self.is_radial or (course is None and not self._dynamics.is_simple):
             return self._radial_time.of(pursuer, distance)
         courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
-        own = np.array([motion.position]), np.array([distance])
-        return float(self._planar_times(place, *own, courses, self._speeds[pursuer : pursuer + 1])[0])
+        places, distances = np.array([motion.position]), np.array([distance])
+        speeds = self._speeds[pursuer : pursuer + 1]
+        return float(self._planar_times(place, places, distances, courses, speeds)[0])
 
     def _planar_times(
         self, place: complex, pursuers: Points, distances: Floats, courses: Courses | None, speeds: Floats

@@ -140,7 +140,9 @@ class VoronoiVertex(Fleeing):
         fled_from = self.fled_from(state)
         if not len(fled_from.pursuers):
             return 0j
-        x, y = (min(max(each, self.arena[0]), self.arena[1]) for each in (state.evader.real, state.evader.imag))
+        x, y = (
+            min(max(coordinate, self.arena[0]), self.arena[1]) for coordinate in (state.evader.real, state.evader.imag)
+        )
         if complex(x, y) != state.evader:
             return unit(complex(x, y) - state.evader)
         vertices = voronoi_cell(fled_from, self.arena)

@@ -100,19 +100,19 @@ class RecordedMotion(_Record):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        if not isinstance(given, dict):
-            return make(given)
-        has_file = given.get("file") is not None
-        if has_file and "waypoints" in given:
+    def _read(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        if not isinstance(data, dict):
+            return make(data)
+        has_file = data.get("file") is not None
+        if has_file and "waypoints" in data:
             raise ValueError("should have waypoints or a file of waypoints, not both")
         # With a file, the other keys are validated first, because they determine how it is read.
-        checked = make(given | {"file": None, "waypoints": [(0.0, 0.0, 0.0)]} if has_file else given)
+        checked = make(data | {"file": None, "waypoints": [(0.0, 0.0, 0.0)]} if has_file else data)
         waypoints: Points = checked.waypoints
         if has_file:
-            file = resolve_path(given["file"], info)
+            file = resolve_path(data["file"], info)
             track = read_mobility(file, checked.dimensions).track(checked.node)
-            waypoints = [each[:3] for each in track.waypoints]
+            waypoints = [waypoint[:3] for waypoint in track.waypoints]
         elif checked.node:
             raise ValueError(f"waypoints are of one node: node {checked.node} needs a file")
         elif checked.dimensions is not None:
@@ -121,9 +121,9 @@ class RecordedMotion(_Record):
             checked._check_order()
         placed, cut = checked.placed(waypoints)
         unmoved = {"file": None, "node": 0, "dimensions": None, "start_time": 0.0, "scale": 1.0, "offset": (0.0, 0.0)}
-        made = make({key: value for key, value in given.items() if key not in unmoved} | {"waypoints": placed})
+        made = make({key: value for key, value in data.items() if key not in unmoved} | {"waypoints": placed})
         if has_file:  # neither the places nor the heights are a part of its identity
-            made.__dict__["places"] = tuple(f"{file}, line {each.line}" for each in track.waypoints[cut:])
+            made.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])
             made.__dict__["has_heights"] = track.has_heights
         made.check_speed(MAX_COORDINATE)
         return made
@@ -243,7 +243,7 @@ class RecordedPositions(_Record):
         mobility = read_mobility(resolve_path(made.file, info), made.dimensions)
         nodes = mobility.nodes if made.nodes is None else made.nodes
         tracks = [mobility.track(node) for node in nodes]
-        first = [made.placed([each[:3] for each in track.waypoints])[0][0] for track in tracks]
+        first = [made.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]
         names = tuple(node for node in nodes if isinstance(node, str))
         has_heights = any(track.has_heights for track in tracks)
         return Starts([(x, y) for _, x, y in first], names, made.nodes is None, has_heights)

@@ -66,20 +66,20 @@ def _term(times: Sequence[float], reward: float) -> float:
     return reward - portable_sum(chasing) / len(chasing) if chasing else 0.0
 
 
-def gain(own: float, others: Sequence[float], reward: float) -> float:
+def gain(own_time: float, other_times: Sequence[float], reward: float) -> float:
     """Return the gain of a pursuer from being active rather than inactive, U_i(active) - U_i(inactive), s.
 
     Args:
-        own: its own capture time, s; inf gives -inf, because such a pursuer can only be inactive.
-        others: the finite capture times of the other active pursuers, s.
+        own_time: its own capture time, s; inf gives -inf, because such a pursuer can only be inactive.
+        other_times: the finite capture times of the other active pursuers, s.
         reward: the time left, r, s.
     """
-    n = len(others)
-    return (portable_sum(others) / n - own) / (n + 1) if n else reward - own
+    n = len(other_times)
+    return (portable_sum(other_times) / n - own_time) / (n + 1) if n else reward - own_time
 
 
 Gain = Callable[[float, Sequence[float], float], float]
-"""The gain from being active, s: a function with the arguments of `gain` (own, others, reward)."""
+"""The gain from being active, s: a function with the arguments of `gain` (own_time, other_times, reward)."""
 Hearing = Sequence[Collection[int]]
 """For each pursuer the ids of the pursuers whose actions count in its utility."""
 
@@ -111,8 +111,8 @@ def _is_equilibrium(
         heard = range(len(actions)) if hearing is None else hearing[i]
         gains = [0.0]
         for evader, times in enumerate(columns, start=1):
-            others = [times[j] for j in heard if actions[j] == evader and j != i and times[j] < inf]
-            gains.append(gain(times[i], others, reward) if times[i] < inf else -inf)
+            other_times = [times[j] for j in heard if actions[j] == evader and j != i and times[j] < inf]
+            gains.append(gain(times[i], other_times, reward) if times[i] < inf else -inf)
         if gains[action] < max(gains):
             return False
     return True
@@ -170,7 +170,7 @@ def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]
     if inverse_temperature == 0.0:
         return [1.0 / len(utilities)] * len(utilities)
     most = max(utilities)
-    weights = [exp((each - most) * inverse_temperature) for each in utilities]
+    weights = [exp((utility - most) * inverse_temperature) for utility in utilities]
     total = portable_sum(weights)
     return [weight / total for weight in weights]
 

@@ -31,14 +31,14 @@ NEWTON_STEPS = 5
 
 
 class Utility(Protocol):
-    """The gain from being active, s: `utility(own, others, reward)` as in `desim.pursuit.game.game.gain`."""
+    """The gain from being active, s: `utility(own_time, other_times, reward)` as in `desim.pursuit.game.game.gain`."""
 
     @property
     def scope(self) -> Scope:
         """The teammates whose actions count; see `Scope`."""
         ...
 
-    def __call__(self, own: float, others: Sequence[float], reward: float) -> float: ...  # noqa: D102
+    def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float: ...  # noqa: D102
 
 
 class Mean(Value):
@@ -51,11 +51,11 @@ class Mean(Value):
     kind: Literal["mean"] = "mean"
     scope: ClassVar[Scope] = "heard"
 
-    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+    def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float:
         """Return the gain, s."""
-        return game.gain(own, others, reward)
+        return game.gain(own_time, other_times, reward)
 
-    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+    def expected(self, own_time: float, other_times: Sequence[float], chances: Sequence[float], reward: float) -> float:
         """Return the mean gain, s, if the others are active independently; the cost is O(K^2) for K others.
 
         With n the random number of active others, and n_j the number of active others besides j, the mean gain is
@@ -66,20 +66,20 @@ class Mean(Value):
         all j. This is a polynomial in s, for which Gauss-Legendre quadrature is exact.
 
         Args:
-            own: phi_i, s.
-            others: (K,) capture times phi_j, finite, s.
+            own_time: phi_i, s.
+            other_times: (K,) capture times phi_j, finite, s.
             chances: (K,) probabilities q_j that j is active, in [0, 1].
             reward: r, s.
         """
-        if own == inf:
+        if own_time == inf:
             return -inf
-        phi, q = np.asarray(others, dtype=float), np.asarray(chances, dtype=float)
+        phi, q = np.asarray(other_times, dtype=float), np.asarray(chances, dtype=float)
         s, weight = _nodes(len(q) // 2 + 1)
         factors = 1.0 - q[:, None] * (1.0 - s)  # (K, nodes)
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
         beside = (before[:-1] * after[1:]).sum(axis=1)  # (K,), for each j without the factor of j
-        return float(reward * np.prod(1.0 - q) - own * before[-1].sum() + (phi * q * beside).sum())
+        return float(reward * np.prod(1.0 - q) - own_time * before[-1].sum() + (phi * q * beside).sum())
 
 
 class LocalMean(Mean):
@@ -110,21 +110,21 @@ class Minimum(Value):
     kind: Literal["minimum"] = "minimum"
     scope: ClassVar[Scope] = "heard"
 
-    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+    def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float:
         """Return the gain, s."""
-        if own == inf:
+        if own_time == inf:
             return -inf
-        return max(min(others) - own, 0.0) if others else reward - own
+        return max(min(other_times) - own_time, 0.0) if other_times else reward - own_time
 
-    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+    def expected(self, own_time: float, other_times: Sequence[float], chances: Sequence[float], reward: float) -> float:
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
-        if own == inf:
+        if own_time == inf:
             return -inf
         total, none_active = 0.0, 1.0  # none_active: the probability that no pursuer with a lower phi is active
-        for phi, q in sorted(zip(others, chances, strict=True)):
-            total += none_active * q * max(phi - own, 0.0)
+        for phi, q in sorted(zip(other_times, chances, strict=True)):
+            total += none_active * q * max(phi - own_time, 0.0)
             none_active *= 1.0 - q
-        return total + none_active * (reward - own)
+        return total + none_active * (reward - own_time)
 
 
 class EdgePenalty(Value):
@@ -139,19 +139,19 @@ class EdgePenalty(Value):
     factor: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 1.1
     """The penalty C in units of the time left, C / r."""
 
-    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+    def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float:
         """Return the gain, s."""
-        return reward - own - self.factor * reward * len(others)
+        return reward - own_time - self.factor * reward * len(other_times)
 
-    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+    def expected(self, own_time: float, other_times: Sequence[float], chances: Sequence[float], reward: float) -> float:
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
-        return reward - own - self.factor * reward * portable_sum(chances)
+        return reward - own_time - self.factor * reward * portable_sum(chances)
 
 
 UTILITIES = OneOf(
     *(Mean, Minimum, LocalMean, Component, EdgePenalty),
     needs=("scope",),
-    takes=("own", "others", "reward"),
+    takes=("own_time", "other_times", "reward"),
     traits=UtilityTraits,
 )
 

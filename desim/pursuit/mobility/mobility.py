@@ -99,10 +99,10 @@ def time(text: str, place: str, start: Decimal = Decimal(0)) -> float:
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.
     """
     try:
-        found = float(time_of(text) - start)
+        elapsed = float(time_of(text) - start)
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from error
-    return _within(found, text, place, "a time", 0.0, MAX_TIME, "s")
+    return _within(elapsed, text, place, "a time", 0.0, MAX_TIME, "s")
 
 
 def coordinate(text: str, place: str) -> float:
@@ -122,7 +122,7 @@ def _number(text: str, place: str) -> float:
         raise ValueError(f"{place}: {error}") from error
 
 
-def _within(number: float, text: str, place: str, what: str, low: float, high: float, unit: str) -> float:
+def _within(number: float, text: str, place: str, quantity: str, low: float, high: float, unit: str) -> float:
     if not low <= number <= high:
-        raise ValueError(f"{place}: {what} should be from {low:g} to {high:g} {unit} (got {text})")
+        raise ValueError(f"{place}: {quantity} should be from {low:g} to {high:g} {unit} (got {text})")
     return number

@@ -51,8 +51,8 @@ def header_of(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         text = text.lstrip("#").strip()
         delimiter = separator_in(text)
         header = _header(text.split(delimiter) if delimiter else text.split())
-        known = {name for names in COLUMNS.values() for name in names} | DEGREES
-        if len(known & set(header.names)) >= (3 if is_comment else 2):
+        column_names = {name for names in COLUMNS.values() for name in names} | DEGREES
+        if len(column_names & set(header.names)) >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
             is_bonnmotion = len(text.split()) > 2 and all(map(COMMAS.fullmatch, text.split()))  # refused there

@@ -67,7 +67,7 @@ class Ns2File(MobilityFile):
             self._read(statement, number)
         super().__init__(file, sorted(self._motions))
         self._zero = start_of(
-            _time(text, f"{file}, line {move.line}") for each in self._motions.values() for text, move in each.moves
+            _time(text, f"{file}, line {move.line}") for motion in self._motions.values() for text, move in motion.moves
         )
         for motion in self._motions.values():
             for text, move in motion.moves:

@@ -53,7 +53,7 @@ class RadialTime:
         self.slow = closing <= NO_SPEED  # (N,) whether each pursuer is no faster than the evader
         self._some_slow = bool(self.slow.any())
         self._closing = np.where(self.slow, 1.0, closing)
-        self._each: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
+        self._by_pursuer: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
 
     def __call__(self, distances: Floats) -> Floats:
         """Return the (N,) capture times, s, given (N,) distances, m."""
@@ -65,7 +65,7 @@ class RadialTime:
 
     def of(self, pursuer: int, distance: float) -> float:
         """Return the capture time of one pursuer, s, given its distance, m."""
-        slow, closing = self._each[pursuer]
+        slow, closing = self._by_pursuer[pursuer]
         gap = distance - self._radius
         return 0.0 if gap <= 0.0 else inf if slow else gap / closing
 
@@ -175,7 +175,7 @@ def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius:
 
 
 def _checked(evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float) -> tuple[Floats, Floats]:
-    e, p, v = (np.asarray(each, dtype=float) for each in (evader, pursuers, speeds))
+    e, p, v = (np.asarray(values, dtype=float) for values in (evader, pursuers, speeds))
     if e.shape != (2,) or p.shape != (len(p), 2) or v.shape != (len(p),):
         raise ValueError(f"shapes should be (2,), (N, 2) and (N,), got {e.shape}, {p.shape} and {v.shape}")
     if not radius > 0.0:

@@ -94,8 +94,8 @@ class EvaderTrack:
         counts as 0, because nothing moves before time 0.
         """
         assert self._remembers
-        known = (start, speed, since)
-        began, origin = t, motion = self._retracings.pop(known, (max(since, 0), start))
+        chase = (start, speed, since)
+        began, origin = t, motion = self._retracings.pop(chase, (max(since, 0), start))
         first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
         last = bisect_left(self._segments, now, key=itemgetter(0))  # `now` is in the past if the chase has ended
         ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
@@ -103,7 +103,7 @@ class EvaderTrack:
             began, origin = t, motion
             motion = self._chase(motion, segment, speed, t, end)
             t = end
-        self._retracings[known] = (began, origin)
+        self._retracings[chase] = (began, origin)
         if len(self._retracings) > MAX_RETRACINGS:
             del self._retracings[next(iter(self._retracings))]  # the least recently used
         return motion

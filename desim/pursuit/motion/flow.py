@@ -178,16 +178,16 @@ class RecordedFlow(UniformFlow):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _read(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        if not isinstance(given, dict) or given.get("file") is None:
-            return make(given)
-        if "velocities" in given:
+    def _read(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        if not isinstance(data, dict) or data.get("file") is None:
+            return make(data)
+        if "velocities" in data:
             raise ValueError("should have velocities or a file of velocities, not both")
-        unit = given.get("time_unit", "s")
+        unit = data.get("time_unit", "s")
         if not isinstance(unit, str) or unit not in PER_SECOND:
-            return make(given)  # which raises the error
-        rows = _measurements(resolve_path(given["file"], info), cast("Unit", unit))
-        return make(given | {"file": None, "time_unit": "s", "velocities": rows})
+            return make(data)  # which raises the error
+        rows = _measurements(resolve_path(data["file"], info), cast("Unit", unit))
+        return make(data | {"file": None, "time_unit": "s", "velocities": rows})
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -370,13 +370,13 @@ class Environment(Value):
         velocities = self.flow(places, t)
         if is_ours(type(self.flow)):
             return velocities
-        found = np.asarray(velocities)
-        if found.dtype.kind not in "iufc" or found.shape != places.shape or not np.isfinite(found).all():
+        checked = np.asarray(velocities)
+        if checked.dtype.kind not in "iufc" or checked.shape != places.shape or not np.isfinite(checked).all():
             raise ValueError(
                 f"a flow should return an array of {len(places)} finite velocities, complex numbers in m/s, one for"
                 f" each place, got {velocities!r} from {self.flow!r}"
             )
-        return found
+        return checked
 
     def relative(self, target: complex, places: Points, t: float) -> Points:
         """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
@@ -386,8 +386,8 @@ class Environment(Value):
             places: (k,) positions of the pursuers, m.
             t: the time, s.
         """
-        found = -self.velocities(places, t)
-        return found + self.velocities(np.array([target]), t) if self.on == "all" else found
+        relative = -self.velocities(places, t)
+        return relative + self.velocities(np.array([target]), t) if self.on == "all" else relative
 
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.

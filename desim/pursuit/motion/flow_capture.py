@@ -96,11 +96,11 @@ def _drifting_capture_times(
     times = intercept_times(offsets, flight - mean, speeds, radius + distance)
     left = np.flatnonzero(times < inf)
     for _ in range(MAX_STEPS):
-        own, speed, w = times[left], speeds[left], flight[left]
-        ends = (begin + own).tolist()
-        gaps = offsets[left] + w * own - np.array([flow.displacement(begin, end) for end in ends])
+        t, speed, w = times[left], speeds[left], flight[left]
+        ends = (begin + t).tolist()
+        gaps = offsets[left] + w * t - np.array([flow.displacement(begin, end) for end in ends])
         distances = lengths(gaps)
-        missing = distances - speed * own - radius
+        missing = distances - speed * t - radius
         remains = missing > ROUNDING * (radius + distances)
         if not remains.any():
             break

@@ -73,9 +73,9 @@ class ConstantBearing(Value):
         x, y = bearings.real, bearings.imag
         w = evader_velocity
         away, across = w.real * x + w.imag * y, w.imag * x - w.real * y  # along and across the line of sight
-        rest = speeds**2 - across**2
-        along = np.sqrt(np.maximum(rest, 0.0))
-        meets = (rest >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
+        along_squared = speeds**2 - across**2
+        along = np.sqrt(np.maximum(along_squared, 0.0))
+        meets = (along_squared >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
         return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
 
 
@@ -96,8 +96,8 @@ def apollonius_disc(evader: complex, pursuer: complex, evader_speed: float, spee
     if not speed > evader_speed:
         raise ValueError(f"the pursuer should be faster than the evader, got {speed:g} and {evader_speed:g} m/s")
     ratio = evader_speed / speed
-    offset, rest = evader - pursuer, 1.0 - ratio * ratio
-    return evader + ratio * ratio / rest * offset, ratio * abs(offset) / rest
+    offset, complement = evader - pursuer, 1.0 - ratio * ratio
+    return evader + ratio * ratio / complement * offset, ratio * abs(offset) / complement
 
 
 def guided_velocities(
@@ -111,15 +111,15 @@ def guided_velocities(
     velocities = law(gaps, aims, evader_velocity, speeds)
     if is_ours(type(law)):
         return velocities
-    found = np.asarray(velocities)
-    if found.dtype.kind not in "iufc" or found.shape != speeds.shape:
+    checked = np.asarray(velocities)
+    if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
         raise ValueError(
             f"a guidance law should return an array of {len(speeds)} velocities, complex numbers in m/s, one for each"
             f" pursuer in the call, got {velocities!r} from {law!r}"
         )
-    if not (lengths(found) <= speeds * (1.0 + 1e-9)).all():
+    if not (lengths(checked) <= speeds * (1.0 + 1e-9)).all():
         raise ValueError(f"velocities should be within the speeds {speeds} m/s, got {velocities} from {law!r}")
-    return found
+    return checked
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:

@@ -138,7 +138,7 @@ def first_contact(target: Piece, player: Piece, radius: float, begin: float, end
         gap = distance - radius
         if gap <= ROUNDING * (1.0 + distance):
             return t - begin
-        curves = [each for each in (target, player) if t < each.curved]
+        curves = [piece for piece in (target, player) if t < piece.curved]
         bound = portable_sum(curve.curvature for curve in curves)
         stop = min((curve.curved for curve in curves), default=inf)
         velocity = target.velocity_at(t) - player.velocity_at(t)

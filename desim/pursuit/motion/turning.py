@@ -40,11 +40,11 @@ def shortest_paths(targets: Points, radii: Floats) -> tuple[Floats, Points]:
     turned = (radii - y + 1j * x) * (radii - 1j * line)
     angles = np.array([atan2(z.imag, z.real) % (2.0 * pi) for z in turned.tolist()])
     angles[angles > 2.0 * pi - ANGLE_ROUNDING] = 0.0
-    found: Floats = radii * angles + line
+    path_lengths: Floats = radii * angles + line
     headings = np.array([rect(1.0, angle) for angle in angles.tolist()], dtype=complex)
     for k in np.flatnonzero(squared < 0.0).tolist():
-        found[k], headings[k] = _path_within(complex(x[k], y[k]), float(radii[k]))
-    return found, np.where(targets.imag < 0.0, headings.conj(), headings)
+        path_lengths[k], headings[k] = _path_within(complex(x[k], y[k]), float(radii[k]))
+    return path_lengths, np.where(targets.imag < 0.0, headings.conj(), headings)
 
 
 def _path_within(target: complex, rho: float) -> tuple[float, complex]:
@@ -94,8 +94,8 @@ def _roots(targets: Points, speeds: Floats, radii: Floats, evader_speed: float, 
     for _ in range(MAX_ITERATIONS):
         paths, headings = shortest_paths(targets + bearings * (evader_speed * times), radii)
         missing = paths - radius - speeds * times
-        known = (np.abs(missing) <= ROUNDING * (radii + speeds * times)) | (high - low <= ROUNDING * high)
-        if known.all():
+        converged = (np.abs(missing) <= ROUNDING * (radii + speeds * times)) | (high - low <= ROUNDING * high)
+        if converged.all():
             break
         low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
         away = bearings.real * headings.real + bearings.imag * headings.imag
@@ -103,7 +103,7 @@ def _roots(targets: Points, speeds: Floats, radii: Floats, evader_speed: float, 
         improves = np.abs(missing) < before / 2.0  # else Newton's method may alternate across the discontinuity
         before = np.abs(missing)
         step = np.where(improves & (step >= low) & (step <= high), step, (low + high) / 2.0)
-        times = np.where(known, times, step)
+        times = np.where(converged, times, step)
     return times
 
 

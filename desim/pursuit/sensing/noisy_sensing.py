@@ -87,8 +87,8 @@ class NoisySensor:
 
     def blind(self, actions: "Actions") -> list[int]:
         """Return the pursuers that chase: none knows the true position of its evader."""
-        found: list[int] = actions.nonzero()[0].tolist()
-        return found
+        chasing: list[int] = actions.nonzero()[0].tolist()
+        return chasing
 
     def estimates(self) -> Iterator[Estimated]:
         """Yield the present estimates, with covariances, of all evaders at large by the pursuers that are up.
@@ -137,18 +137,18 @@ class NoisySensor:
         Raises:
             ValueError: if that of a user's noise is not positive definite.
         """
-        given: Any = self._noise.covariance(offset)
-        if type(given) is Covariance and is_ours(type(self._noise)):
-            return given
+        entries: Any = self._noise.covariance(offset)
+        if type(entries) is Covariance and is_ours(type(self._noise)):
+            return entries
         try:
-            covariance = Covariance(*(float(entry) for entry in given))
+            covariance = Covariance(*(float(entry) for entry in entries))
         except (TypeError, ValueError):
             covariance = Covariance(nan, nan, nan)
         xx, xy, yy = covariance
         if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
             raise ValueError(
                 "covariance(offset) of a noise should return the entries xx, xy and yy of a positive definite matrix,"
-                f" in m^2, got {given!r} from {self._noise!r}"
+                f" in m^2, got {entries!r} from {self._noise!r}"
             )
         return covariance
 
@@ -240,11 +240,11 @@ class TrackingView(LimitedView):
         """Return the track of an evader at `now` (ns, local clock)."""
         sensing = self._sensing
         assert not isinstance(sensing.estimator, Unfiltered)
-        own = self._filters[evader].at(now) if evader in self._filters else None
-        for _, reported in sorted((src, each) for (j, src), each in self._tracks.items() if j == evader):
+        combined = self._filters[evader].at(now) if evader in self._filters else None
+        for _, reported in sorted((src, track) for (j, src), track in self._tracks.items() if j == evader):
             other = sensing.estimator.predict(reported, now)
-            own = other if own is None else fused(own, other, sensing.fusion)
-        return own
+            combined = other if combined is None else fused(combined, other, sensing.fusion)
+        return combined
 
     def report(self) -> None:
         """Broadcast what it knows that is at most `track_timeout` old; what others reported only with `relay`."""
@@ -255,11 +255,11 @@ class TrackingView(LimitedView):
     def forget(self, *, heard_only: bool) -> None:
         """Delete all sightings and tracks; those of its own only unless `heard_only`."""
         self._network.inbox(self._id, PORT).drain()
-        own = self._last if heard_only else {}
-        self._last, self._newest, self._filters = dict(own), dict(own), {}
+        sightings = self._last if heard_only else {}
+        self._last, self._newest, self._filters = dict(sightings), dict(sightings), {}
         self._tracks.clear()
         self._fused_at = None
-        for evader, seen in own.items():
+        for evader, seen in sightings.items():
             self._add(evader, seen)
 
     def _report_of(self, evader: int) -> Sighted | Tracked | None:
@@ -278,8 +278,8 @@ class TrackingView(LimitedView):
     def _add(self, evader: int, seen: Measurement) -> None:
         """Process a sighting, its own or a reported one."""
         self._fused_at = None
-        known = self._newest.get(evader)
-        if known is None or seen.stamp > known.stamp:
+        newest = self._newest.get(evader)
+        if newest is None or seen.stamp > newest.stamp:
             self._newest[evader] = seen
         model = self._sensing.estimator
         if not isinstance(model, Unfiltered):
@@ -290,8 +290,8 @@ class TrackingView(LimitedView):
 
     def _newest_stamp(self, evader: int) -> int:
         """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""
-        own = [self._newest[evader].stamp] if evader in self._newest else []
-        return max([*own, *(each.stamp for (j, _), each in self._tracks.items() if j == evader)], default=-1)
+        stamps = [self._newest[evader].stamp] if evader in self._newest else []
+        return max([*stamps, *(track.stamp for (j, _), track in self._tracks.items() if j == evader)], default=-1)
 
     def _read_reports(self) -> None:
         """Process the reports that have arrived."""

@@ -163,8 +163,8 @@ class TeamSensor:
         unseen = np.zeros(self._state.size, dtype=bool)
         for evader in self._state.at_large:
             unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
-        found: list[int] = np.flatnonzero(unseen).tolist()
-        return found
+        pursuers: list[int] = np.flatnonzero(unseen).tolist()
+        return pursuers
 
     def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
         """Return the last sighting of an evader by a pursuer: time (ns, or `NEVER`), position (m), velocity (m/s)."""
@@ -280,8 +280,10 @@ class SensedView(LimitedView):
         when, place, velocity = self._sensor.last(self._id, evader)
         if when == NEVER:
             return reported
-        own = self._clock.at(when)
-        return reported if reported is not None and reported.seen > own else _sighting(evader, own, place, velocity)
+        seen_at = self._clock.at(when)
+        if reported is not None and reported.seen > seen_at:
+            return reported
+        return _sighting(evader, seen_at, place, velocity)
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
@@ -290,8 +292,16 @@ class SensedView(LimitedView):
     def report(self) -> None:
         """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""
         oldest = self._clock.now - self._sensing.track_timeout
-        newest = [each for each in map(self.newest, self.state.at_large) if each is not None and each.seen >= oldest]
-        reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
+        newest = [
+            sighting
+            for sighting in map(self.newest, self.state.at_large)
+            if sighting is not None and sighting.seen >= oldest
+        ]
+        reports = tuple(
+            sighting
+            for sighting in newest
+            if self._sensing.relay or sighting is not self._reported.get(sighting.evader)
+        )
         if reports:
             self._network.send(self._id, None, reports, port=PORT)
 
@@ -306,8 +316,8 @@ class SensedView(LimitedView):
         """Read the reports that have arrived, and keep the newest reported sighting of each evader."""
         for message in self._network.inbox(self._id, PORT).drain():
             for sighting in message.body:
-                known = self._reported.get(sighting.evader)
-                if known is None or sighting.seen > known.seen:
+                previous = self._reported.get(sighting.evader)
+                if previous is None or sighting.seen > previous.seen:
                     self._reported[sighting.evader] = sighting
 
 

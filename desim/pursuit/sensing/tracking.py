@@ -93,11 +93,11 @@ def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, co
     return mean + first, mean - first, mean + second, mean - second
 
 
-def merged(one: Measurement, other: Measurement) -> Measurement:
+def merged(sighting: Measurement, other: Measurement) -> Measurement:
     """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
-    first, second = _matrix(one.covariance), _matrix(other.covariance)
-    (x, y), ((xx, xy), (_, yy)) = corrected([one.x, one.y], first, [other.x, other.y], second)
-    return Measurement(one.stamp, one.observer, x, y, Covariance(xx, xy, yy))
+    first, second = _matrix(sighting.covariance), _matrix(other.covariance)
+    (x, y), ((xx, xy), (_, yy)) = corrected([sighting.x, sighting.y], first, [other.x, other.y], second)
+    return Measurement(sighting.stamp, sighting.observer, x, y, Covariance(xx, xy, yy))
 
 
 def _matrix(covariance: Covariance) -> Matrix:
@@ -118,18 +118,18 @@ def corrected(state: list[float], covariance: Matrix, seen: list[float], errors:
         errors: (k, k) the covariance of their errors.
     """
     rows = [[float(i == j) for j in range(len(state))] for i in range(len(seen))]
-    seen, errors, rest = list(seen), [list(row) for row in errors], list(range(len(seen)))
-    variances = [errors[k][k] for k in rest]
+    seen, errors, pending = list(seen), [list(row) for row in errors], list(range(len(seen)))
+    variances = [errors[k][k] for k in pending]
     deviations = [sqrt(max(line[i], 0.0)) for i, line in enumerate(covariance)]
-    while rest:
-        k = max(rest, key=lambda i: errors[i][i])
-        rest.remove(k)
+    while pending:
+        k = max(pending, key=lambda i: errors[i][i])
+        pending.remove(k)
         variance = errors[k][k] if errors[k][k] > ROUNDING * variances[k] else 0.0
-        for i in rest if variance else ():
+        for i in pending if variance else ():
             share = errors[i][k] / variance
             rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
             seen[i] -= share * seen[k]
-            for j in rest:
+            for j in pending:
                 errors[i][j] -= share * errors[k][j]
         most = _dot([abs(h) for h in rows[k]], deviations)
         state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance, ROUNDING * most * most)
@@ -148,7 +148,7 @@ def _with_entry(
     total = _dot(spread, row) + variance
     if total <= least:  # the state is as exact as the number, up to rounding
         return state, covariance
-    gain = [each / total for each in spread]
+    gain = [entry / total for entry in spread]
     off, n = seen - _dot(row, state), range(len(state))
     left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
     kept = [_dot(line, row) for line in left]
@@ -256,7 +256,7 @@ class Kalman(_Diffusing):
         (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance  # (u, v): the velocity
         t = (stamp - track.stamp) / SECOND
         span = abs(t)  # a track is predicted to an earlier time where clocks differ; it is no surer there
-        a, b, c = (self.velocity_diffusion**2 * each for each in (span**3 / 3.0, t * span / 2.0, span))
+        a, b, c = (self.velocity_diffusion**2 * factor for factor in (span**3 / 3.0, t * span / 2.0, span))
         xx, yy = xx + t * (2.0 * xu + t * uu) + a, yy + t * (2.0 * yv + t * vv) + a
         xy = xy + t * (xv + yu + t * uv)
         xu, xv, yu, yv = xu + t * uu + b, xv + t * uv, yu + t * uv, yv + t * vv + b
@@ -283,8 +283,8 @@ def gains(index: float) -> tuple[float, float]:
     the stationary gains for a white acceleration (Bar-Shalom, Li & Kirubarajan 2001, section 6.5.3).
     """
     w = sqrt(index * (index / 3.0 + sqrt(index * index / 12.0 + 4.0)))
-    rest = 2.0 / (w + sqrt(w * w + 4.0))  # s; nothing cancels
-    return rest * w, index * rest
+    s = 2.0 / (w + sqrt(w * w + 4.0))  # nothing cancels
+    return s * w, index * s
 
 
 def _moved(state: list[float], t: float) -> list[float]:
@@ -323,13 +323,13 @@ class Filter:
 
     def add(self, seen: Measurement) -> None:
         """Process a sighting."""
-        place = bisect_right(self._seen, seen[:2], key=lambda each: each[:2])
+        place = bisect_right(self._seen, seen[:2], key=lambda kept: kept[:2])
         if (place and self._seen[place - 1][:2] == seen[:2]) or self._is_too_old(seen):
             return
         self._seen.insert(place, seen)
         del self._merged[place:], self._tracks[place:]
-        for each in self._seen[place:]:
-            self._append(each)
+        for sighting in self._seen[place:]:
+            self._append(sighting)
         self._forget_old()
 
     def _append(self, seen: Measurement) -> None:
@@ -340,8 +340,8 @@ class Filter:
         last = self._tracks[before - 1] if before else None
         if self._covariance_at is not None:
             # Before the first track, the sightings of the same time are all that is known of the position.
-            known = self._model.predict(last, seen.stamp) if last else self._tracks[-1] if self._tracks else None
-            seen = weighed(seen, known, self._covariance_at)
+            predicted = self._model.predict(last, seen.stamp) if last else self._tracks[-1] if self._tracks else None
+            seen = weighed(seen, predicted, self._covariance_at)
         if is_same_time:
             seen = merged(self._merged[-1], seen)
         self._merged.append(seen)
@@ -358,21 +358,23 @@ class Filter:
             del self._seen[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]
 
 
-def fused(one: Track, other: Track, how: Fusion) -> Track:
+def fused(track: Track, other: Track, how: Fusion) -> Track:
     """Return the fusion of two tracks of the same time, weighted by their inverse covariances.
 
     naive: the inverse covariances are added, as if the errors were independent; information that both tracks contain
     counts twice. covariance_intersection: they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2)) (Niehsen
     2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
     """
-    assert one.covariance is not None
+    assert track.covariance is not None
     assert other.covariance is not None
-    first, second = one.covariance, other.covariance
+    first, second = track.covariance, other.covariance
     if how == "covariance_intersection":
-        one_trace, other_trace = (each[0][0] + each[1][1] + each[2][2] + each[3][3] for each in (first, second))
+        one_trace, other_trace = (
+            covariance[0][0] + covariance[1][1] + covariance[2][2] + covariance[3][3] for covariance in (first, second)
+        )
         both = one_trace + other_trace
         first, second = _scaled(first, both / other_trace), _scaled(second, both / one_trace)
-    return Track(one.stamp, *corrected(one.state, first, other.state, second))
+    return Track(track.stamp, *corrected(track.state, first, other.state, second))
 
 
 def _scaled(matrix: Matrix, factor: float) -> Matrix:

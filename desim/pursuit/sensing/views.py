@@ -39,10 +39,10 @@ class EvaderEstimate(NamedTuple):
 
     def distances(self, positions: Points) -> Floats:
         """Return the (N,) distances, m, from positions to the evader; see `distance`."""
-        found = lengths(self.position - positions)
+        distances = lengths(self.position - positions)
         if self.deviation:
-            found = np.array([expected_distance(each, self.deviation) for each in found.tolist()])
-        return found + self.uncertainty
+            distances = np.array([expected_distance(distance, self.deviation) for distance in distances.tolist()])
+        return distances + self.uncertainty
 
 
 class View:
@@ -143,11 +143,11 @@ class View:
         at_large = self.state.at_large
         if not self._options_last or self._options_at is not at_large:
             self._options, self._options_at = {}, at_large
-        known = self._options.get(pursuer)
-        if known is None:
-            known = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
-            self._options[pursuer] = known
-        return known
+        options = self._options.get(pursuer)
+        if options is None:
+            options = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
+            self._options[pursuer] = options
+        return options
 
     def reckoned(
         self, start: MotionState, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0

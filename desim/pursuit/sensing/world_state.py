@@ -132,7 +132,7 @@ class WorldState:
     def capture(self, body: EvaderBody) -> None:
         """Mark an evader as captured: it stands still, and its chasers stop and become inactive."""
         body.captured = self.now
-        self.at_large = tuple(each for each in self.at_large if each != body.number)
+        self.at_large = tuple(evader for evader in self.at_large if evader != body.number)
         chasing = self.actions == body.number
         for pursuer in chasing.nonzero()[0].tolist():
             self.acting_since[pursuer] = self.now

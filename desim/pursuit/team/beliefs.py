@@ -130,16 +130,16 @@ class Beliefs(Knowledge):
         if self._judge is not None:
             chasing = [j for j in chasing if self._judge.believes(matching[j][1])]
         if self.senses_others:
-            own, *times = self._view.capture_times_of([self.id, *chasing], evader)
+            own_time, *times = self._view.capture_times_of([self.id, *chasing], evader)
         else:
-            (own,) = self._view.capture_times_of([self.id], evader)
+            (own_time,) = self._view.capture_times_of([self.id], evader)
             times = [self._capture_time(matching[j][1], evader) for j in chasing]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
-            ignored = ignored_by(self._judge, own, claims)
+            ignored = ignored_by(self._judge, own_time, claims)
             chasing = [j for j in chasing if j not in ignored]
             times = [claims[j] for j in chasing]
-        return own, chasing, times
+        return own_time, chasing, times
 
     def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
@@ -159,8 +159,8 @@ class Beliefs(Knowledge):
         }
         if self._judge is None:
             return beliefs
-        (own,) = self._view.capture_times_of([self.id], evader)
-        ignored = ignored_by(self._judge, own, {j: belief.capture_time for j, belief in beliefs.items()})
+        (own_time,) = self._view.capture_times_of([self.id], evader)
+        ignored = ignored_by(self._judge, own_time, {j: belief.capture_time for j, belief in beliefs.items()})
         return {j: belief for j, belief in beliefs.items() if j not in ignored}
 
     def team_estimate(self, evader: int = 1) -> TeamEstimate:
@@ -181,7 +181,7 @@ class Beliefs(Knowledge):
             else view.capture_time_from(j, motion, evader)
             for j, motion in zip(ids, motions, strict=True)
         ]
-        return TeamEstimate(ids, np.array([each.position for each in motions]), state.speeds[ids], np.array(phi))
+        return TeamEstimate(ids, np.array([motion.position for motion in motions]), state.speeds[ids], np.array(phi))
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
@@ -189,10 +189,12 @@ class Beliefs(Knowledge):
         Raises:
             ValueError: if a user's utility returns no number, or nan.
         """
-        own, rivals, times = self._rivals(evader)
+        own_time, rivals, times = self._rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
-        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
-        gain: Any = utility(own, others, self._state.time_left(self._clock.stamp))
+        other_times = [
+            phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)
+        ]
+        gain: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
         if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
             return gain
         if not isinstance(gain, (float, int, np.number)) or gain != gain:

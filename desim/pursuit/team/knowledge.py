@@ -101,8 +101,8 @@ class Knowledge:
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""
-        found: list[int] = self._network.topology.neighbours(self.id if of is None else of).tolist()
-        return found
+        receivers: list[int] = self._network.topology.neighbours(self.id if of is None else of).tolist()
+        return receivers
 
     @property
     def mean_degree(self) -> float:

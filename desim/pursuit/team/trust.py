@@ -64,11 +64,11 @@ class Judge:
         """Return whether the pursuer believes a record, the newest of its source; called at each read."""
         return True
 
-    def ignored(self, own: float, claims: Mapping[int, float]) -> Collection[int]:
+    def ignored(self, own_time: float, claims: Mapping[int, float]) -> Collection[int]:
         """Return the teammates whose claims the pursuer ignores.
 
         Args:
-            own: its own capture time, s.
+            own_time: its own capture time, s.
             claims: by teammate, the capture time, s; nan if unknown.
         """
         return ()
@@ -118,15 +118,17 @@ def judge_of(trust: Trust, witness: Observer) -> Judge | None:
     return judge  # type: ignore[no-any-return]
 
 
-def ignored_by(judge: Judge, own: float, claims: Mapping[int, float]) -> Collection[int]:
+def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Collection[int]:
     """Return the teammates whose claims a judge ignores; see `Judge.ignored`.
 
     Raises:
         ValueError: if the judge of a user returns something else.
     """
-    ignored: Any = judge.ignored(own, claims)
+    ignored: Any = judge.ignored(own_time, claims)
     if not isinstance(ignored, Collection) or isinstance(ignored, str):
-        raise ValueError(f"ignored(own, claims) of a judge should return a collection of pursuers, got {ignored!r}")
+        raise ValueError(
+            f"ignored(own_time, claims) of a judge should return a collection of pursuers, got {ignored!r}"
+        )
     return ignored
 
 
@@ -263,11 +265,11 @@ class _Trimming(Judge):
     def __init__(self, liars: int):
         self._liars = liars
 
-    def ignored(self, own: float, claims: Mapping[int, float]) -> Collection[int]:
+    def ignored(self, own_time: float, claims: Mapping[int, float]) -> Collection[int]:
         """Return the teammates with the F least claims below the own capture time, and the F greatest above it."""
         ranked = sorted((phi, j) for j, phi in claims.items() if phi == phi)
-        below = [j for phi, j in ranked if phi < own]
-        above = [j for phi, j in ranked if phi > own]
+        below = [j for phi, j in ranked if phi < own_time]
+        above = [j for phi, j in ranked if phi > own_time]
         return {*below[: self._liars], *above[max(len(above) - self._liars, 0) :]}
 
 
