@@ -65,19 +65,19 @@ def offer(me: Agent, evader: int = 1) -> Bid:
     return Bid(me.id, -phi) if me.may_chase(evader) and phi < me.time_left() else NO_BID
 
 
-def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
+def chosen(me: Agent, rival_bids: Sequence[Bid]) -> tuple[int, list[Bid]]:
     """Return the action of a pursuer, and the (M,) best bids with its own included.
 
     Among the evaders for which it outbids all others, the action is the one with its highest bid; 0 if there is none.
 
     Args:
         me: the bidder.
-        others: (M,) the best bid of the other pursuers for each evader.
+        rival_bids: (M,) the best bid of the other pursuers for each evader.
     """
     offers = {evader: offer(me, evader) for evader in me.evaders()}
-    won = [evader for evader, bid in offers.items() if bid.rank > others[evader - 1].rank]
+    won = [evader for evader, bid in offers.items() if bid.rank > rival_bids[evader - 1].rank]
     action = max(won, key=lambda evader: offers[evader].rank, default=0)
-    return action, [offers[action] if evader == action else bid for evader, bid in enumerate(others, start=1)]
+    return action, [offers[action] if evader == action else bid for evader, bid in enumerate(rival_bids, start=1)]
 
 
 def lists_of(bids: Sequence[Bid]) -> tuple[tuple[int, ...], tuple[float, ...]]:
@@ -92,8 +92,10 @@ def bids_of(claim: Any) -> list[Bid]:
 
 def falsified_lists(bids: Sequence[Bid], pursuer: int, action: int, phi: float) -> dict[str, Any]:
     """Return the lists of a claim, by field, in which a pursuer bids -phi for the evader `action` (0: for none)."""
-    others = [NO_BID if bid.winner == pursuer else bid for bid in bids]
-    winners, amounts = lists_of([Bid(pursuer, -phi) if j == action else bid for j, bid in enumerate(others, start=1)])
+    remaining = [NO_BID if bid.winner == pursuer else bid for bid in bids]
+    winners, amounts = lists_of(
+        [Bid(pursuer, -phi) if j == action else bid for j, bid in enumerate(remaining, start=1)]
+    )
     return {"winners": winners, "amounts": amounts}
 
 

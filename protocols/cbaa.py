@@ -64,7 +64,7 @@ class CBAA(Auction):
         """Yield the evader that the pursuer has won, or 0, at each turn."""
         bids, read = [NO_BID] * me.evader_count, dict[int, int]()
         while True:
-            claims = {each.src: bids_of(each.body) for each in unread(me, read, Claim)}
+            claims = {record.src: bids_of(record.body) for record in unread(me, read, Claim)}
             for k, best in enumerate(bids):
                 update = bid_updater(me, k + 1)
                 claimed = {j: update(claim[k]) for j, claim in claims.items()}

@@ -97,8 +97,8 @@ class CBBA(Auction):
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))
             late = [bid.winner != NO_WINNER and me.now - since[bid.winner] > self.winner_timeout for bid in bids]
-            others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
-            action, bids = chosen(me, others)
+            rival_bids = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
+            action, bids = chosen(me, rival_bids)
             stamps[me.id] = me.now
             me.set_payload(StampedClaim(action, *lists_of(bids), tuple(stamps)))
             yield action

@@ -111,8 +111,8 @@ class Gossip(Value):
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement with all known records to the neighbours."""
-        known = me.latest_records().values()
-        me.send(None, Forwarded((me.record(announcement), *known)), PORT)
+        records = me.latest_records().values()
+        me.send(None, Forwarded((me.record(announcement), *records)), PORT)
 
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""

@@ -61,7 +61,7 @@ class FictitiousPlay(LearningRule):
     def _counted_times(self, me: Agent, beliefs: dict[int, Belief]) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that counts in the utility, if that time is finite."""
         counted = me.counted_teammates(self.utility.scope)
-        return {j: each.capture_time for j, each in beliefs.items() if j in counted and each.capture_time < inf}
+        return {j: belief.capture_time for j, belief in beliefs.items() if j in counted and belief.capture_time < inf}
 
 
 class JointStrategyFictitiousPlay(LearningRule):

@@ -70,17 +70,17 @@ class Geometric(Value):
 
     def __call__(self, me: Agent) -> Process:
         """Chase an evader while the pursuer is its owner."""
-        of = {evader: self.measure(me, evader) for evader in me.evaders()}
+        measure_of = {evader: self.measure(me, evader) for evader in me.evaders()}
         owner = dict[int, int]()
         for tick in ticks(me, self.slot):
             yield me.at(tick)
             measures, present = dict[int, Floats](), dict[int, Collection[int | None]]()
             for evader in me.evaders():
-                known = me.team_estimate(evader)
-                found = of[evader](known)
-                measures[evader] = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
+                team = me.team_estimate(evader)
+                values = measure_of[evader](team)
+                measures[evader] = np.where((team.capture_times < me.time_left()) & ~np.isnan(values), values, inf)
                 present[evader] = [owner.get(evader)] if me.senses_others else announced_chasers(me, evader)
-            owner = owners(known.ids, measures, present, self.hysteresis)
+            owner = owners(team.ids, measures, present, self.hysteresis)
             action = next((evader for evader, pursuer in owner.items() if pursuer == me.id), 0)
             if me.action != action:
                 me.assign(action)
@@ -100,7 +100,7 @@ class Voronoi(Geometric):
 
     def measure(self, me: Agent, evader: int) -> Measure:
         """Return the function that computes the distance, m, of each pursuer to the evader."""
-        return lambda known: lengths(me.evader(evader) - known.positions)
+        return lambda team: lengths(me.evader(evader) - team.positions)
 
 
 class Argmin(Geometric):
@@ -122,15 +122,15 @@ class Argmin(Geometric):
     def measure(self, me: Agent, evader: int) -> Measure:
         """Return the function that computes the capture or intercept time, s, of each pursuer."""
         if self.by == "capture_time":
-            return lambda known: known.capture_times
+            return lambda team: team.capture_times
         velocity = Velocity(self.time_constant, me.environment)
 
-        def intercept(known: TeamEstimate) -> Floats:
+        def intercept(team: TeamEstimate) -> Floats:
             place, now = me.evader(evader), me.now
             relative = np.array([velocity(now, place)])
             if not me.environment.is_still:
-                relative = relative + me.environment.relative(place, known.positions, now)
-            return intercept_times(place - known.positions, relative, known.speeds, me.radius)
+                relative = relative + me.environment.relative(place, team.positions, now)
+            return intercept_times(place - team.positions, relative, team.speeds, me.radius)
 
         return intercept
 
@@ -159,9 +159,9 @@ class Velocity:
                 start = environment.carried(start, nanoseconds(before), nanoseconds(now))
             elapsed = now - before
             mean = (place - start) / elapsed
-            known = mean if self._velocity is None else self._velocity
+            latest = mean if self._velocity is None else self._velocity
             remains = exp(-elapsed / self._time_constant) if self._time_constant else 0.0
-            self._velocity = mean + (known - mean) * remains
+            self._velocity = mean + (latest - mean) * remains
         self._seen = now, place
         return self._velocity or 0j
 
@@ -182,16 +182,16 @@ def owners(
         present: for each evader, its present owner or owners; None stands for no owner.
         hysteresis: share by which the measure of a challenger must be below that of the present owner to take over.
     """
-    found: dict[int, int] = {}
+    owner_of: dict[int, int] = {}
     while measures:
-        firsts = {evader: first(ids, each, present[evader], hysteresis) for evader, each in measures.items()}
+        firsts = {evader: first(ids, column, present[evader], hysteresis) for evader, column in measures.items()}
         ranked = [(measures[evader][ids.index(i)], i, evader) for evader, i in firsts.items() if i is not None]
         if not ranked:
             break
         _, pursuer, evader = min(ranked)
-        found[evader] = pursuer
-        measures = {k: np.where(np.equal(ids, pursuer), inf, each) for k, each in measures.items() if k != evader}
-    return found
+        owner_of[evader] = pursuer
+        measures = {k: np.where(np.equal(ids, pursuer), inf, column) for k, column in measures.items() if k != evader}
+    return owner_of
 
 
 def first(ids: Sequence[int], measures: Floats, present: Collection[int | None], hysteresis: float) -> int | None:

@@ -41,9 +41,9 @@ class LocalMin(Rule):
 
     def _is_first(self, me: Agent, evader: int, near: set[int]) -> bool:
         """Return whether the pursuer would be in time and comes before all neighbours that chase the evader."""
-        own = me.capture_time(evader), me.id
+        claim = me.capture_time(evader), me.id
         active = [(phi, j) for j, phi in me.believed_chasers(evader).items() if j in near]
-        return own[0] < me.time_left() and all(own < other for other in active)
+        return claim[0] < me.time_left() and all(claim < other for other in active)
 
 
 class ArgminKnown(Rule):
@@ -60,7 +60,7 @@ class ArgminKnown(Rule):
         """Yield the evader that the greedy assignment gives to the pursuer, or 0, at each turn."""
         while True:
             phi = {
-                evader: {j: each.capture_time for j, each in me.beliefs(evader=evader).items()}
+                evader: {j: belief.capture_time for j, belief in me.beliefs(evader=evader).items()}
                 | {me.id: me.capture_time(evader)}
                 for evader in me.evaders()
             }

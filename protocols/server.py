@@ -149,10 +149,10 @@ class Server(Value):
         effect = now if static else nanoseconds(me.now + delay)
         phi: list[dict[int, float]] = []
         for evader in range(1, me.evader_count + 1):
-            known = me.beliefs(self.period, evader, orders)
+            beliefs = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
-            for j in orders.keys() & known.keys():
-                times[j] = known[j].capture_time + seconds(idle(known[j].active, orders[j], evader, now, effect))
+            for j in orders.keys() & beliefs.keys():
+                times[j] = beliefs[j].capture_time + seconds(idle(beliefs[j].active, orders[j], evader, now, effect))
             phi.append(times)
         # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
         ids = sorted(set().union(*phi))

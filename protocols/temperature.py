@@ -108,24 +108,25 @@ class AdaptiveTau(Value):
         Slots are counted from the start of the run, or from the last restart of the pursuer without memory, until the
         first reheating event after it.
         """
-        since, known, first = me.now if me.restarts else 0.0, None, [me.id]
+        since, teammates, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()
             ahead = [_first(me, evader) for evader in me.evaders()]
-            is_reheated = known is not None and (
-                ("new_teammate" in self.reheat_on and bool(beliefs.keys() - known))
-                or ("silence" in self.reheat_on and bool(known - beliefs.keys()))
+            is_reheated = teammates is not None and (
+                ("new_teammate" in self.reheat_on and bool(beliefs.keys() - teammates))
+                or ("silence" in self.reheat_on and bool(teammates - beliefs.keys()))
                 or ("order" in self.reheat_on and ahead != first)
             )
             since = me.now if is_reheated else since
-            known, first = beliefs.keys(), ahead
+            teammates, first = beliefs.keys(), ahead
             yield max(me.now - since, 0.0) / slot
 
 
 def _first(me: Agent, evader: int) -> int:
     """Return the pursuer with the least known capture time for an evader; unknown capture times (nan) do not count."""
-    known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
-    return min([*known, (me.capture_time(evader), me.id)])[1]
+    times = {j: belief.capture_time for j, belief in me.beliefs(evader=evader).items()}
+    candidates = [(time, j) for j, time in times.items() if not isnan(time)]
+    return min([*candidates, (me.capture_time(evader), me.id)])[1]
 
 
 TEMPERATURES = OneOf(

@@ -293,8 +293,8 @@ class TokenNode:
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
         token = self._probes.send_due(token._replace(visits=visited(token, me.id)))
-        known = me.latest_records().values()
-        token = token._replace(records=(me.record(me.announcement()), *known))
+        records = me.latest_records().values()
+        token = token._replace(records=(me.record(me.announcement()), *records))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
             me.send(None, TokenNotice(*age_of(token)), PORT)
