@@ -276,8 +276,8 @@ class _Team:
             if len(self._open_crashes[crash.node]) == 1:
                 self._world.crash(crash.node)
                 self._recoveries[crash.node] = self._env.event()
-                relay, own = self.processes[crash.node]
-                for process in (relay, own) if self._embodied else (relay,):
+                relay, protocol = self.processes[crash.node]
+                for process in (relay, protocol) if self._embodied else (relay,):
                     if process.is_alive:
                         process.interrupt(self._recoveries[crash.node])
 

@@ -83,8 +83,8 @@ class Steering:
                         law, place - here, aim - here, evader_velocity, speed[pursuer]
                     )
                 else:
-                    given = place - here, aim - here, evader_velocity, speed[pursuer]
-                    velocities[pursuer] = self._command(pursuer, *given, now, duration)
+                    geometry = place - here, aim - here, evader_velocity, speed[pursuer]
+                    velocities[pursuer] = self._command(pursuer, *geometry, now, duration)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         for relay, motion in self._relays.items():
@@ -109,8 +109,8 @@ class Steering:
             velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
         else:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
-            given = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
-            velocities[pursuer] = self._command(pursuer, *given, now, duration)
+            geometry = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
+            velocities[pursuer] = self._command(pursuer, *geometry, now, duration)
         drifts = self._players.drifts
         if drifts is not None:
             drifts = drifts.copy()

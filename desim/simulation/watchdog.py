@@ -205,9 +205,9 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
     from desim.kernel.core.units import seconds  # slow to import, and needed only here
 
     due = env.scheduled()
-    alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
+    alive = [(pursuer, process) for pursuer, several in processes.items() for process in several if process.is_alive]
     head = f"at {seconds(env.now):.9g} s of simulated time, in {place_of(error)}; {len(alive):,} processes wait"
-    lines = [f"pursuer {pursuer}: {_line(each)}{_until(each, due)}" for pursuer, each in alive[:MAX_LISTED]]
+    lines = [f"pursuer {pursuer}: {_line(process)}{_until(process, due)}" for pursuer, process in alive[:MAX_LISTED]]
     more = [f"... and {len(alive) - MAX_LISTED:,} more"] if len(alive) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))
 
@@ -229,5 +229,5 @@ def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:
     from desim.kernel.core.clock import parts_of
     from desim.kernel.core.units import seconds
 
-    times = [due[id(each)] for each in parts_of(process.target) if id(each) in due]
+    times = [due[id(event)] for event in parts_of(process.target) if id(event) in due]
     return f", at {seconds(min(times)):.9g} s" if times else ""

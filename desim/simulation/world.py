@@ -69,7 +69,7 @@ class World:
         self._sampling = scenario.record.trajectory
         self._tracking = sensor if isinstance(sensor, NoisySensor) and scenario.record.estimates else None
         self._step = nanoseconds(scenario.motion.step)
-        self._records = [each.record for each in scenario.evaders if each.record] + [*state.relays.values()]
+        self._records = [evader.record for evader in scenario.evaders if evader.record] + [*state.relays.values()]
         self._needed = scenario.capture.captures_to_end or state.evader_count
         self._choices = range(state.evader_count + 1)
         first = scenario.motion.order == "evader_first"
@@ -252,7 +252,7 @@ def _kinematics(env: Clock, scenario: Scenario, seed: int) -> Kinematics:
         return Kinematics(env, places, static=static)
     dynamics = [Simple() if pursuer in team.relays else team.dynamics for pursuer in range(team.count)]
     headings = [*team.headings(seed), *(evader.heading(seed, index) for index, evader in enumerate(evaders))]
-    return InertialKinematics(env, places, [*dynamics, *(each.dynamics for each in evaders)], np.array(headings))
+    return InertialKinematics(env, places, [*dynamics, *(evader.dynamics for evader in evaders)], np.array(headings))
 
 
 def _needs_whole_paths(scenario: Scenario) -> bool:
