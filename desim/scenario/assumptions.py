@@ -166,8 +166,8 @@ def positions_known(scenario: "Scenario") -> str | None:
 
 ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
     {
-        each.__name__: each
-        for each in (
+        assumption.__name__: assumption
+        for assumption in (
             undivided,
             connected,
             everyone_heard,
@@ -239,7 +239,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     if is_complete(graph):
         return None
     lengths = nx.all_pairs_shortest_path_length(graph)
-    widest = max(max(found.values()) for _, found in lengths)
+    widest = max(max(hops.values()) for _, hops in lengths)
     return (
         f"some pursuers are {widest} hops apart at the start, but announcements travel at most {hops:g}"
         if widest > hops

@@ -67,8 +67,8 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
         keys: the keys of the grid.
         scenarios: the scenario of each configuration.
     """
-    known = dict(latency_warnings([base]))
-    yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in known)
+    of_base = dict(latency_warnings([base]))
+    yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in of_base)
     reported = any(not scenario.sensing.is_perfect for scenario in scenarios)  # limited sensing: sightings are sent
     tables = ("announce.",) if reported else ("network.", "announce.")
     unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
@@ -105,18 +105,18 @@ def _unused_warnings(model: BaseModel, above: str = "") -> Iterator[tuple[str, s
         if fields[name] != type(model).model_fields[name].get_default(call_default_factory=True):
             yield f"{above}{name}", f"it has no effect with {why}"
     for name, value in fields.items():
-        for place, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
-            if isinstance(item, BaseModel):
-                yield from _unused_warnings(item, f"{above}{name}." if place is None else f"{above}{name}.{place}.")
+        for place, part in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+            if isinstance(part, BaseModel):
+                yield from _unused_warnings(part, f"{above}{name}." if place is None else f"{above}{name}.{place}.")
 
 
 def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
     """Yield the key, the value and the markers of every number in a model and its nested models."""
     for name, field in type(model).model_fields.items():
         value, markers = dict(model)[name], markers_of(field)
-        for place, each in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+        for place, part in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
             key = f"{above}{name}" if place is None else f"{above}{name}.{place}"
-            if isinstance(each, BaseModel):
-                yield from _numbers(each, f"{key}.")
-            elif isinstance(each, int | float):
-                yield key, each, markers
+            if isinstance(part, BaseModel):
+                yield from _numbers(part, f"{key}.")
+            elif isinstance(part, int | float):
+                yield key, part, markers

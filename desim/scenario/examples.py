@@ -22,11 +22,11 @@ def example(name: str) -> Path:
     Raises:
         ValueError: if there is no such example.
     """
-    known = examples()
+    paths = examples()
     stem = name.removesuffix(".toml")
-    if stem not in known:
-        raise ValueError(f"there is no example {name!r}{did_you_mean(stem, known)}; allowed: {', '.join(known)}")
-    return known[stem]
+    if stem not in paths:
+        raise ValueError(f"there is no example {name!r}{did_you_mean(stem, paths)}; allowed: {', '.join(paths)}")
+    return paths[stem]
 
 
 def first_sentence(path: Path) -> str:
@@ -53,20 +53,20 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
     """
     source = example(name)
     file = target if target.suffix == ".toml" and not target.is_dir() else target / source.name
-    copies = {file: source} | {file.parent / each.name: each for each in _named_files(source)}
-    write_new({path: each.read_bytes() for path, each in copies.items()})
+    copies = {file: source} | {file.parent / companion.name: companion for companion in _named_files(source)}
+    write_new({path: source_file.read_bytes() for path, source_file in copies.items()})
     return list(copies)
 
 
 def _named_files(path: Path) -> list[Path]:
     """Return the files that a scenario file names: each string in it that is the path of a file in its folder."""
-    beside = (path.parent / each for each in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
-    return sorted({each for each in beside if each.is_file()})
+    beside = (path.parent / text for text in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
+    return sorted({path for path in beside if path.is_file()})
 
 
 def _texts(value: Any) -> Iterator[str]:
     """Yield every string nested in a value."""
     if isinstance(value, str):
         yield value
-    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        yield from _texts(each)
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _texts(inner)

@@ -55,11 +55,11 @@ def _keys(
         if name == "kind":
             continue
         choices: list[tuple[str | None, type[BaseModel]]] = [
-            each for choice in choices_of(field) for each in choice.choices().items()
+            (kind, inner) for choice in choices_of(field) for kind, inner in choice.choices().items()
         ]
         yield Key((*above, name), tuple(kind for kind, _ in choices if kind), owner)
         below = (*above, name, *(["0"] if get_origin(field.annotation) is tuple else []))
-        for kind, inner in choices or [(None, each) for each in models_in(field.annotation)]:
+        for kind, inner in choices or [(None, inner) for inner in models_in(field.annotation)]:
             if inner not in outer:
                 yield from _keys(inner, below, kind, (*outer, model))
 
@@ -71,8 +71,8 @@ def homes_of(name: str, whole: type[BaseModel]) -> list[Key]:
     """
     names = {key.place[-1] for key in all_keys(whole)}
     wanted = name if name in names else next(iter(close_to(name, names, cutoff=0.8)), None)
-    found = [key for key in all_keys(whole) if key.place[-1] == wanted]
-    return [key for key in found if len(key.place) == len(found[0].place)]
+    matches = [key for key in all_keys(whole) if key.place[-1] == wanted]
+    return [key for key in matches if len(key.place) == len(matches[0].place)]
 
 
 UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
@@ -81,8 +81,8 @@ UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(
 
 def unit_in(field: FieldInfo) -> str | None:
     """Return the unit in the description of a field; None if it has none."""
-    found = UNIT.search(field.description or "")
-    return found[1] if found else None
+    match = UNIT.search(field.description or "")
+    return match[1] if match else None
 
 
 @cache
@@ -94,7 +94,7 @@ def unit_of_key(key: str, whole: type[BaseModel]) -> str | None:
     """
     fields: list[FieldInfo] = []
     models: list[type[BaseModel]] = [whole]
-    for part in (each for each in key.split(".") if not each.isdigit()):
+    for part in (part for part in key.split(".") if not part.isdigit()):
         fields = [fields_of(model)[part] for model in models if part in model.model_fields]
         models = [model for field in fields for model in _models_of(field)]
     units = {unit_in(field) for field in fields if field.annotation is not str}

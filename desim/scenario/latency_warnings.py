@@ -25,15 +25,15 @@ def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str
     on purpose. With several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in
     all scenarios where it is positive, or reaches the horizon in one.
     """
-    found: dict[str, list[tuple[float, float]]] = {}
+    by_key: dict[str, list[tuple[float, float]]] = {}
     for scenario in scenarios:
         for key, mean in _mean_latencies(scenario):
             if mean > 0.0:
-                found.setdefault(key, []).append((mean, scenario.horizon))
-    for key, each in found.items():
-        mean, horizon = max(each, key=lambda one: one[0] / one[1])
+                by_key.setdefault(key, []).append((mean, scenario.horizon))
+    for key, pairs in by_key.items():
+        mean, horizon = max(pairs, key=lambda pair: pair[0] / pair[1])
         share = "not less than" if mean >= horizon else "more than a tenth of"
-        if mean >= horizon or all(value > LONG_LATENCY * limit for value, limit in each):
+        if mean >= horizon or all(value > LONG_LATENCY * limit for value, limit in pairs):
             of_edge = " of an edge" if key == "network.graph" else ""
             yield (
                 key,
@@ -50,7 +50,8 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
     for key, model in models.items():
         if (mean := mean_latency(model)) is not None:
             yield key, mean
-    means = [mean_latency(as_model("latency", own["latency"])) for own in edge_attributes(scenario) if "latency" in own]
+    edges = [edge for edge in edge_attributes(scenario) if "latency" in edge]
+    means = [mean_latency(as_model("latency", edge["latency"])) for edge in edges]
     yield "network.graph", max((mean for mean in means if mean is not None), default=0.0)
     if (before := mean_latency(network.processing.sender)) is not None:
         yield "network.processing", before + network.processing.receiver

@@ -71,7 +71,8 @@ def _graph_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 def edge_attributes(scenario: Scenario) -> Iterator[dict[str, Any]]:
     """Yield the attributes of each link of the graph that has some."""
-    yield from (own for _, _, own in links_with_attributes(scenario.network.make_graph(scenario.team.count)))
+    graph = scenario.network.make_graph(scenario.team.count)
+    yield from (attributes for _, _, attributes in links_with_attributes(graph))
 
 
 def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -98,7 +99,7 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
-    owners = [("network", dict(scenario.network)), *(("network.graph", own) for own in edge_attributes(scenario))]
+    owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
     numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
     spans: dict[str, float] = {}

@@ -144,13 +144,13 @@ def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         sizes["a message of the schedule"] = message_size(count, scenario.announcement_size)
     if not sizes:
         return
-    what, size = max(sizes.items(), key=lambda each: each[1])
+    message, size = max(sizes.items(), key=lambda entry: entry[1])
     airtime, guard = nanoseconds(airtime_of(medium, size)), nanoseconds(access.guard)
     free = nanoseconds(access.slot) - guard
     if airtime > free:
         least = -(-(airtime + guard) // 1000) / 1e6
         yield (
             ("network", "medium", "access", "slot"),
-            f"{what} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
+            f"{message} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"
             f" only {seconds(free):g} s: it should be at least {least:.10g} s (got {access.slot:g})",
         )

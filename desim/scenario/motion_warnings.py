@@ -117,8 +117,8 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     sensing = scenario.sensing
     if sensing.is_perfect:
         default = dict(Sensing())
-        others = [key for key, value in sensing if value != default[key]]
-        yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
+        changed = [key for key, value in sensing if value != default[key]]
+        yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in changed)
         return
     if isinstance(sensing.estimator, Estimator):
         diffusion = sensing.estimator.velocity_diffusion

@@ -67,14 +67,14 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     return NamedMetric(name=name, given=value, of=of)
 
 
-def _check_called(given: str, of: Any) -> None:
+def _check_called(name: str, of: Any) -> None:
     """Raise ValueError if an object cannot be called with one argument, or is a class."""
     if not callable(of) or isinstance(of, type):
-        raise ValueError(f"{given!r} should be a function of a result (got {of!r})")
+        raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
     try:
         signature(of).bind("result")
     except TypeError as error:
-        raise ValueError(f"{given!r} should accept one argument, the result of a run: {error}") from error
+        raise ValueError(f"{name!r} should accept one argument, the result of a run: {error}") from error
 
 
 MetricName = Annotated[

@@ -44,11 +44,11 @@ def _form_of_speeds(value: Any) -> str:
     return "list" if isinstance(value, list | tuple) else "number"
 
 
-def _speeds_in(given: Any) -> tuple[float, ...]:
+def _speeds_in(speeds: Any) -> tuple[float, ...]:
     """Return the different speeds, m/s, that `team.speeds` contains."""
-    if isinstance(given, Speeds):
-        return given.default, given.last
-    return given if isinstance(given, tuple) else (given,)
+    if isinstance(speeds, Speeds):
+        return speeds.default, speeds.last
+    return speeds if isinstance(speeds, tuple) else (speeds,)
 
 
 def _form_of_positions(value: Any) -> str:
@@ -94,11 +94,11 @@ class Team(Value):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _count_positions(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+    def _count_positions(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         starts = positions = None
-        if isinstance(given, dict) and "positions" in given:
-            positions = as_python(given["positions"])
-            given = given | {"positions": positions}
+        if isinstance(data, dict) and "positions" in data:
+            positions = as_python(data["positions"])
+            data = data | {"positions": positions}
         if isinstance(positions, dict):
             try:
                 starts = RecordedPositions.read(positions, info)
@@ -106,10 +106,10 @@ class Team(Value):
                 pass  # the validator of the field raises it, with its place
             else:
                 positions = starts.positions
-                given = given | {"positions": positions}
-        if isinstance(positions, list | tuple) and positions and "count" not in given:
-            given = given | {"count": len(positions)}
-        made = make(given)
+                data = data | {"positions": positions}
+        if isinstance(positions, list | tuple) and positions and "count" not in data:
+            data = data | {"count": len(positions)}
+        made = make(data)
         if starts is not None:  # neither is a part of its identity
             made.__dict__["has_heights"], made.__dict__["names"] = starts.has_heights, starts.names
             made.__dict__["is_in_file_order"] = starts.is_in_file_order
@@ -117,8 +117,8 @@ class Team(Value):
 
     @field_validator("positions", mode="before")
     @classmethod
-    def _of_record(cls, given: Any, info: ValidationInfo) -> Any:
-        return RecordedPositions.read(given, info).positions if isinstance(given, dict) else given
+    def _of_record(cls, positions: Any, info: ValidationInfo) -> Any:
+        return RecordedPositions.read(positions, info).positions if isinstance(positions, dict) else positions
 
     @cached_property
     def has_heights(self) -> bool:
@@ -155,30 +155,30 @@ class Team(Value):
 
     @field_validator("relay")
     @classmethod
-    def _are_pursuers(cls, given: tuple[RelayNode, ...], info: ValidationInfo) -> tuple[RelayNode, ...]:
-        count, pursuers = info.data.get("count"), [each.pursuer for each in given]
+    def _are_pursuers(cls, relays: tuple[RelayNode, ...], info: ValidationInfo) -> tuple[RelayNode, ...]:
+        count, pursuers = info.data.get("count"), [relay.pursuer for relay in relays]
         for pursuer in pursuers:
             if count is not None and pursuer >= count:
                 raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {count - 1}")
             if pursuers.count(pursuer) > 1:
                 raise ValueError(f"pursuer {pursuer} is named twice")
-        return given
+        return relays
 
     @field_validator("positions", "speeds")
     @classmethod
-    def _one_per_pursuer(cls, given: Any, info: ValidationInfo) -> Any:
+    def _one_per_pursuer(cls, values: Any, info: ValidationInfo) -> Any:
         count = info.data.get("count")
-        if isinstance(given, tuple) and count is not None and len(given) != count:
-            raise ValueError(f"should be one per pursuer: count is {count}, there are {len(given)}")
-        return given
+        if isinstance(values, tuple) and count is not None and len(values) != count:
+            raise ValueError(f"should be one per pursuer: count is {count}, there are {len(values)}")
+        return values
 
     @field_validator("dynamics")
     @classmethod
-    def _can_move(cls, given: Dynamics, info: ValidationInfo) -> Dynamics:
+    def _can_move(cls, dynamics: Dynamics, info: ValidationInfo) -> Dynamics:
         speeds = info.data.get("speeds")
-        if not given.is_simple and speeds is not None and not max(_speeds_in(speeds), default=0.0):
+        if not dynamics.is_simple and speeds is not None and not max(_speeds_in(speeds), default=0.0):
             raise ValueError("has no effect, because all speeds (team.speeds) are 0")
-        return given
+        return dynamics
 
     @property
     def has_inertia(self) -> bool:
@@ -192,7 +192,7 @@ class Team(Value):
     @property
     def relays(self) -> dict[int, RecordedMotion]:
         """The motion of each pursuer in `relay`, by its number."""
-        return {each.pursuer: each.motion for each in self.relay}
+        return {relay.pursuer: relay.motion for relay in self.relay}
 
     def all_speeds(self) -> list[float]:
         """Return the (N,) speeds while they chase, m/s; 0 for relays."""
@@ -251,19 +251,19 @@ class Evader(Value):
 
     @field_validator("dynamics")
     @classmethod
-    def _can_follow(cls, given: Dynamics, info: ValidationInfo) -> Dynamics:
-        if not given.is_simple and isinstance(info.data.get("strategy"), RecordedMotion):
+    def _can_follow(cls, dynamics: Dynamics, info: ValidationInfo) -> Dynamics:
+        if not dynamics.is_simple and isinstance(info.data.get("strategy"), RecordedMotion):
             raise ValueError("has no effect, because the record determines the motion")
-        if not given.is_simple and info.data.get("speed") == 0.0:
+        if not dynamics.is_simple and info.data.get("speed") == 0.0:
             raise ValueError("has no effect, because the speed is 0")
-        return given
+        return dynamics
 
     @field_validator("motion_error")
     @classmethod
-    def _has_looks(cls, given: float, info: ValidationInfo) -> float:
-        if given > 0.0 and info.data.get("motion_interval") == 0.0:
+    def _has_looks(cls, motion_error: float, info: ValidationInfo) -> float:
+        if motion_error > 0.0 and info.data.get("motion_interval") == 0.0:
             raise ValueError("has no effect without a motion_interval: the evader knows who chases")
-        return given
+        return motion_error
 
     @field_validator("strategy")
     @classmethod

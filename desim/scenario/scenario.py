@@ -183,7 +183,7 @@ class Scenario(Value):
         """Return a table for notebooks: the main keys, and all others that differ from their defaults."""
         main = {"name": self.name, "seed": self.seed, "horizon": self.horizon, "team.count": self.team.count}
         rows = main | {"protocol": self.protocol_name} | dict(_given(self))
-        return html_properties({key: each if isinstance(each, str) else repr(each) for key, each in rows.items()})
+        return html_properties({key: value if isinstance(value, str) else repr(value) for key, value in rows.items()})
 
     @property
     def evaders(self) -> tuple[Evader, ...]:
@@ -199,7 +199,7 @@ class Scenario(Value):
     @property
     def network_faults(self) -> tuple[Any, ...]:
         """The faults that are not Byzantine: those of robots, radios, clocks and the network."""
-        return tuple(each for each in self.fault if not is_lie(each))
+        return tuple(fault for fault in self.fault if not is_lie(fault))
 
     @property
     def protocol_name(self) -> str:
@@ -236,10 +236,10 @@ class Scenario(Value):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._number_by_names()
-        found = list(misfits(self))
-        if found:
-            text = "; ".join(f"{'.'.join(map(str, place))}: {why}" for place, why in found)
-            raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": found})
+        conflicts = list(misfits(self))
+        if conflicts:
+            text = "; ".join(f"{'.'.join(map(str, place))}: {why}" for place, why in conflicts)
+            raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": conflicts})
         return self
 
     def _number_by_names(self) -> None:

@@ -136,7 +136,7 @@ def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[s
         return
     beats = scenario.announces and announce.has_heartbeats and not announce.jitter
     delay = "give `network.processing.sender` a random delay"
-    for key, what, is_sent, advice in (
+    for key, messages, is_sent, advice in (
         ("announce.jitter", "heartbeats", beats, "give it some jitter"),
         ("sensing.period", "reports", not scenario.sensing.is_perfect, delay),
         ("announce.trust.period", "accusations", announce.trust.period is not None, delay),
@@ -145,7 +145,7 @@ def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[s
         if is_sent:
             yield (
                 key,
-                f"without jitter, {what} of {which} that overlap once on this channel overlap each time: {advice}",
+                f"without jitter, {messages} of {which} that overlap once on this channel overlap each time: {advice}",
             )
 
 
@@ -170,7 +170,7 @@ def _drawn(model: Any, rng: np.random.Generator) -> Floats:
 def _clock_error(scenario: Scenario) -> float:
     """Return the standard deviation of the clocks of all pursuers in the middle of a run, s."""
     skews = drawn_skews(scenario.fault)
-    return hypot(*(part for each in skews for part in (each.offset, each.drift * scenario.horizon / 2.0)))
+    return hypot(*(part for skew in skews for part in (skew.offset, skew.drift * scenario.horizon / 2.0)))
 
 
 def _as_percent(share: float) -> str:

@@ -20,12 +20,12 @@ def _flat(grid: Any, above: str = "") -> Any:
     if not isinstance(grid, Mapping):
         return grid
     flat: dict[str, Any] = {}
-    for key, each in grid.items():
+    for key, value in grid.items():
         name = f"{above}{key}"
-        found = _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
-        if twice := flat.keys() & found.keys():
+        entries = _flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
+        if twice := flat.keys() & entries.keys():
             raise ValueError(f"{min(twice)} is given twice")
-        flat |= found
+        flat |= entries
     return flat
 
 
@@ -77,12 +77,12 @@ def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
         if isinstance(value, dict):
             yield value.get("kind")
-        for each in inner:
-            yield from inside(each)
+        for entry in inner:
+            yield from inside(entry)
 
     for key, values in grid.items():
-        found = [*inside(values), *(values if key.split(".")[-1].strip("\"'") == "kind" else ())]
-        yield from ((key, kind) for kind in found)
+        kinds = [*inside(values), *(values if key.split(".")[-1].strip("\"'") == "kind" else ())]
+        yield from ((key, kind) for kind in kinds)
 
 
 def _as_json(value: Any) -> Any:
@@ -90,9 +90,9 @@ def _as_json(value: Any) -> Any:
     if isinstance(value, Value):
         return value.model_dump()
     if isinstance(value, dict):
-        return {key: _as_json(each) for key, each in value.items()}
+        return {key: _as_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_as_json(each) for each in value]
+        return [_as_json(entry) for entry in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return {"kind": import_name(definition_of(value))}

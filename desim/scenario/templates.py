@@ -56,8 +56,8 @@ def _is_installed(name: str) -> bool:
 def _names_in(module: str) -> set[str]:
     """Return the names that the source of a module imports, defines or reads."""
     nodes = list(ast.walk(ast.parse(module)))
-    defined = {each.name for each in nodes if isinstance(each, ast.alias | ast.FunctionDef | ast.ClassDef)}
-    return defined | {each.id for each in nodes if isinstance(each, ast.Name)}
+    defined = {node.name for node in nodes if isinstance(node, ast.alias | ast.FunctionDef | ast.ClassDef)}
+    return defined | {node.id for node in nodes if isinstance(node, ast.Name)}
 
 
 def _class_name(name: str) -> str:

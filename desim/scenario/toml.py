@@ -69,12 +69,12 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
     source = replace(source, tables=_in_folder(source.tables, file.parent))  # a grid is validated later, elsewhere
     seen = {file.resolve()}
     while BASE in source.tables:
-        where, given = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
+        where, base_path = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
         yield source
-        if not isinstance(given, str):
-            raise ScenarioError(Problem(f"should be the path of a scenario file (got {given!r})", where=where))
+        if not isinstance(base_path, str):
+            raise ScenarioError(Problem(f"should be the path of a scenario file (got {base_path!r})", where=where))
         try:
-            base = path_in(file.parent, given, is_trusted=allow_import)
+            base = path_in(file.parent, base_path, is_trusted=allow_import)
             source = _parsed(base, allow_import)
             source = replace(source, tables=_in_folder(source.tables, base.parent))
         except OSError as error:
@@ -95,9 +95,9 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
 def _in_folder(node: Any, folder: Path) -> Any:
     """Return tables in which the names of code say the folder in which their modules are looked up."""
     if isinstance(node, dict):
-        return {key: _in_folder(item, folder) for key, item in node.items()}
+        return {key: _in_folder(value, folder) for key, value in node.items()}
     if isinstance(node, list):
-        return [_in_folder(item, folder) for item in node]
+        return [_in_folder(value, folder) for value in node]
     return CodeName(node, folder) if isinstance(node, str) and ":" in node else node
 
 
@@ -114,17 +114,17 @@ def _relocate(source: Source, node: Any, above: KeyPath) -> None:
         above: the place of this value: the keys and list indices that lead to it.
     """
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, each in inner:
+    for key, value in inner:
         place = (*above, key)
-        _relocate(source, each, place)
+        _relocate(source, value, place)
         *parts, last = ".".join(map(str, place)).split(".")  # a key of the grid is dotted
         if last != "file" or place not in source.files:
             continue
         folder = os.path.relpath(Path(source.files[place]).parent, Path(source.name).parent)
-        if isinstance(each, str) and _has_installed_kind(node):
-            node[key] = str(Path(folder, each))
-        elif isinstance(each, list) and parts[:2] == ["sweep", "grid"] and _has_installed_kind(source.at(parts[2:])):
-            node[key] = [str(Path(folder, path)) if isinstance(path, str) else path for path in each]
+        if isinstance(value, str) and _has_installed_kind(node):
+            node[key] = str(Path(folder, value))
+        elif isinstance(value, list) and parts[:2] == ["sweep", "grid"] and _has_installed_kind(source.at(parts[2:])):
+            node[key] = [str(Path(folder, path)) if isinstance(path, str) else path for path in value]
 
 
 def _has_installed_kind(table: Any) -> bool:
@@ -174,9 +174,9 @@ def _read_text(file: Path) -> str:
 
 def _syntax_error(file: str | Path, message: str, text: str) -> str:
     """Return the error message for a text that is not TOML, with file and line, given the message of `tomllib`."""
-    found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
+    match = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
-    if not found and (unread := unreadable(text)):  # a message without a line
+    if not match and (unread := unreadable(text)):  # a message without a line
         return f"{file}:{unread}: not TOML that can be read: {message}"
-    line = min(int(found[1]), last) if found and found[1] else last
-    return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
+    line = min(int(match[1]), last) if match and match[1] else last
+    return f"{file}:{line}: not TOML: {message[: match.start()] if match else message}"

@@ -66,7 +66,7 @@ def deep_key(text: str) -> int | None:
 
     Text within strings and comments is not a key, however many dots it has.
     """
-    return next((found.start() for found in _DEEP_KEY.finditer(text) if found["key"]), None)
+    return next((match.start() for match in _DEEP_KEY.finditer(text) if match["key"]), None)
 
 
 # The four kinds of strings, and comments. They are matched as a whole, because a dot, a bracket or a line end within
@@ -121,6 +121,6 @@ def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int])
 def _places(value: Any, place: KeyPath = ()) -> Iterator[KeyPath]:
     """Yield the place of every value nested in a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, each in inner:
+    for key, entry in inner:
         yield (*place, key)
-        yield from _places(each, (*place, key))
+        yield from _places(entry, (*place, key))
