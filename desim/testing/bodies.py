@@ -130,13 +130,13 @@ class _Body:
         piece = self.piece(call)
         for when in (0.0, 0.3, 0.7):
             cut = _Call(piece.at(when), piece.course_at(when), call.command)
-            rest = self.piece(cut)
+            remainder = self.piece(cut)
             for t in (0.1, 1.0):
-                expected, found = piece.at(when + t), rest.at(t)
+                expected, actual = piece.at(when + t), remainder.at(t)
                 self.tested.require(
-                    abs(found - expected) <= TOLERANCE * (1.0 + abs(expected)),
+                    abs(actual - expected) <= TOLERANCE * (1.0 + abs(expected)),
                     f"{call}: if the command is given again after {when:g} s, the position {t:g} s later is"
-                    f" {found:.6g}, expected {expected:.6g} as without it, because every piece is cut at each motion"
+                    f" {actual:.6g}, expected {expected:.6g} as without it, because every piece is cut at each motion"
                     " step",
                 )
 
@@ -164,15 +164,15 @@ class _Body:
     def check_contacts(self) -> None:
         """Compare the first contact of two pieces with the positions at many instants."""
         times = np.linspace(0.0, 4.0, 4_001).tolist()
-        for one, other in pairwise(_calls()):
-            first, second = self.piece(one), self.piece(other)
+        for call, other in pairwise(_calls()):
+            first, second = self.piece(call), self.piece(other)
             gaps = [abs(first.at(t) - second.at(t)) for t in times]
             radius = (min(gaps) + gaps[0]) / 2.0
             sampled = next(t for t, gap in zip(times, gaps, strict=True) if gap <= radius * (1.0 + 1e-9))
-            found = first_contact(first, second, radius, 0.0, 5.0)
+            contact = first_contact(first, second, radius, 0.0, 5.0)
             self.tested.require(
-                found is not None and found <= sampled + TOLERANCE and sampled - found <= 1e-3 + TOLERANCE,
-                f"{one} and {other} come within {radius:.4g} m at {sampled:.4g} s, and the search finds {found}",
+                contact is not None and contact <= sampled + TOLERANCE and sampled - contact <= 1e-3 + TOLERANCE,
+                f"{call} and {other} come within {radius:.4g} m at {sampled:.4g} s, and the search finds {contact}",
             )
 
     def check_headings(self) -> None:

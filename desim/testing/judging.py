@@ -59,8 +59,8 @@ class Subject(NamedTuple):
         if isinstance(error, StateWarning):
             raise ContractError(f"{self.name}: {where} depends on an earlier run: {error}") from error
         notes = " ".join(["", *getattr(error, "__notes__", ())])
-        what = "breaks an invariant" if isinstance(error, AssertionError) else f"raises {type(error).__name__}"
-        raise ContractError(f"{self.name}: {where} {what}: {error}{notes}") from error
+        complaint = "breaks an invariant" if isinstance(error, AssertionError) else f"raises {type(error).__name__}"
+        raise ContractError(f"{self.name}: {where} {complaint}: {error}{notes}") from error
 
     @contextmanager
     def fresh(self) -> Iterator[Any]:
@@ -96,13 +96,13 @@ def _state_of_numpy() -> tuple[Any, ...]:
     return state[0], state[1].tobytes(), *state[2:]
 
 
-def subject(model: Any, family: OneOf, what: str) -> Subject:
+def subject(model: Any, family: OneOf, noun: str) -> Subject:
     """Return the model that a user gives to a check, and its name.
 
     Args:
         model: an object, a class that needs no parameters, a table with a `kind`, a kind, or "module:name".
         family: the kinds of the family.
-        what: the noun of the family, for error messages.
+        noun: the noun of the family, for error messages.
 
     Raises:
         ContractError: if a scenario would refuse it, or it cannot be sent to another process.
@@ -113,15 +113,15 @@ def subject(model: Any, family: OneOf, what: str) -> Subject:
         context = {"allow_import": True, "folder": Path.cwd()}
         made = TypeAdapter(Annotated[Any, family]).validate_python(made, context=context)
     except ValidationError as error:
-        raise ContractError(f"{name} is not a {what}: {'; '.join(map(_problem, error.errors()))}") from error
+        raise ContractError(f"{name} is not a {noun}: {'; '.join(map(_problem, error.errors()))}") from error
     except TypeError as error:
         raise ContractError(f"{name} needs parameters, so give an object: {error}") from error
-    found = Subject(made, name)
+    tested = Subject(made, name)
     try:
         cloudpickle.loads(cloudpickle.dumps(made))
     except Exception as error:  # code of an object may raise anything
         raise ContractError(f"{name} cannot be pickled, which the workers of a sweep need: {error}") from error
-    return found
+    return tested
 
 
 def _problem(error: Any) -> str:
@@ -147,8 +147,8 @@ def twice(
     lines: list[list[str]] = []
     for _ in range(2):
         with tested.judged(where, limit):
-            own = [create() for create in watchers]
-            result = watched(scenario(), SEED, *own)
+            extra = [create() for create in watchers]
+            result = watched(scenario(), SEED, *extra)
             lines.append(list(map(line_of, result.trace)))
     for first, second in zip_longest(*lines, fillvalue="the end of the trace"):
         if first != second:

@@ -34,25 +34,25 @@ TOLERANCE = 1e-6
 class _Links:
     """Draws of a model of links between `nodes` nodes on a circle; each call of `replies` is one run."""
 
-    def __init__(self, tested: Subject, nodes: int, what: str, radius: float = RADIUS):
-        self.tested, self.nodes, self.what = tested, nodes, what
+    def __init__(self, tested: Subject, nodes: int, noun: str, radius: float = RADIUS):
+        self.tested, self.nodes, self.noun = tested, nodes, noun
         angles = 2.0 * pi * np.arange(nodes) / nodes
         self._places = radius * np.column_stack((np.cos(angles), np.sin(angles)))
 
     def targets(self, src: int) -> list[int]:
         """Return the receivers to which the model has a link from a node."""
-        others = [dst for dst in range(self.nodes) if dst != src]
+        receivers = [dst for dst in range(self.nodes) if dst != src]
         check = LinkTraits.of(self.tested.model).check_links
         if check is None:
-            return others
+            return receivers
         linked = []
-        for dst in others:
+        for dst in receivers:
             with suppress(ValueError):
                 check(self.nodes, [(src, dst)])
                 linked.append(dst)
         if not linked:
             try:
-                check(self.nodes, [(src, dst) for dst in others])
+                check(self.nodes, [(src, dst) for dst in receivers])
             except ValueError as error:
                 self.tested.blame(f"check_links({self.nodes}, links)", error)
         return linked
@@ -82,7 +82,7 @@ class _Links:
     def _reply(self, model: Any, context: LinkContext, rng: np.random.Generator) -> NDArray[Any]:
         dst, places = context.dst.tolist(), self._places.copy()
         context.positions = lambda: places
-        call = f"{self.what}(context, rng) with context.dst = {dst}"
+        call = f"{self.noun}(context, rng) with context.dst = {dst}"
         try:
             reply = model(context, rng)
         except Exception as error:
@@ -110,7 +110,7 @@ class _Links:
         for (src, dst), before, after in zip(calls, first, second, strict=True):
             self.tested.require(
                 np.array_equal(before, after, equal_nan=True),
-                f"{self.what}(context, rng) from {src} to {list(dst)} returns {before} in a first run and {after} in a"
+                f"{self.noun}(context, rng) from {src} to {list(dst)} returns {before} in a first run and {after} in a"
                 " second one, though both generators are in the same state: draw from rng only, and let start_run(size)"
                 " return a model with fresh state",
             )
@@ -241,11 +241,11 @@ class _Losses(_Links):
             replies = np.concatenate(list(self.replies([(0, [node]) for node in dst * 2], run + draws, step=0.01 / 3)))
             alone[run] = replies.reshape(2, len(dst))
         for k, node in enumerate(dst):
-            for what, of in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
+            for messages, of in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
                 first, second = (sample[:, of, k].all(axis=1).astype(float) for sample in (together, alone))
                 self.tested.require(
                     not is_off(first - second, 0.0, 0.0),
-                    f"loss(context, rng) from 0 to {node} loses {what} in {first.mean():.3f} of the runs with"
+                    f"loss(context, rng) from 0 to {node} loses {messages} in {first.mean():.3f} of the runs with"
                     f" context.dst = {dst}, and in {second.mean():.3f} with context.dst = [{node}]: the state and the"
                     " probability of a link should belong to (context.src, context.dst[k]), and not to k",
                 )

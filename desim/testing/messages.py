@@ -145,10 +145,10 @@ class Conservation:
     def _count(self, event: MessageCounts) -> None:
         self._settle(event.t + 1)
         in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
-        found = (self._sent, self._delivered, self._lost.total(), in_flight)
+        observed = (self._sent, self._delivered, self._lost.total(), in_flight)
         counted = (event.sent, event.delivered, event.lost, event.in_flight)
-        same = found == counted and self._lost == Counter(event.lost_by)
-        _require(same, f"sent, delivered, lost, in flight are {found}, lost by cause {dict(self._lost)}", event)
+        same = observed == counted and self._lost == Counter(event.lost_by)
+        _require(same, f"sent, delivered, lost, in flight are {observed}, lost by cause {dict(self._lost)}", event)
 
     def judge(self) -> None:
         """Check the deliveries before the time of the last event; call it after a run without `MessageCounts`."""

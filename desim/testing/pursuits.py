@@ -51,15 +51,15 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
         AssertionError: if an invariant is broken.
     """
     stopwatches = ActiveTimeWatcher()
-    own: list[Watcher] = [
+    standard: list[Watcher] = [
         Conservation(),
         DeliveredOnce(),
         stopwatches,
         MotionWatcher(scenario),
         InertiaWatcher(scenario),
     ]
-    own += [ApolloniusWatcher(scenario)] if ApolloniusWatcher.applies(scenario) else []
-    result = run(scenario, seed, *own, *watchers)
+    standard += [ApolloniusWatcher(scenario)] if ApolloniusWatcher.applies(scenario) else []
+    result = run(scenario, seed, *standard, *watchers)
     stopwatches.judge(result)
     return result
 
@@ -103,9 +103,9 @@ class ActiveTimeWatcher:
 
     def judge(self, result: Result) -> None:
         """Raise AssertionError if the active time or the energy of the run differs from the stopwatches."""
-        own = self.until(self.end) / SECOND
-        _require_same("active time", active_time(result), float(own.sum()))
-        _require_same("energy", energy(result), fsum(np.square(self._speeds) * own))
+        active_times = self.until(self.end) / SECOND
+        _require_same("active time", active_time(result), float(active_times.sum()))
+        _require_same("energy", energy(result), fsum(np.square(self._speeds) * active_times))
 
     def _start(self, event: Started) -> None:
         self.profile, self._speeds = list(event.active), event.speeds
@@ -147,8 +147,8 @@ class MotionWatcher:
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
         self._places, self._environment = RelativePlaces(scenario), scenario.environment
-        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
-        self._brakes = [player for player, each in enumerate(dynamics) if coasts(each)]
+        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(evader.dynamics for evader in scenario.evaders)]
+        self._brakes = [player for player, body in enumerate(dynamics) if coasts(body)]
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
@@ -202,11 +202,11 @@ class InertiaWatcher:
 
     def __init__(self, scenario: Scenario):
         self._places = RelativePlaces(scenario)
-        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(each.dynamics for each in scenario.evaders)]
+        dynamics = [*[scenario.team.dynamics] * scenario.team.count, *(evader.dynamics for evader in scenario.evaders)]
         self._limited = {
-            player: each
-            for player, each in enumerate(dynamics)
-            if _has_known_limit(each) and player not in scenario.team.relays and self._places.are_known[player]
+            player: model
+            for player, model in enumerate(dynamics)
+            if _has_known_limit(model) and player not in scenario.team.relays and self._places.are_known[player]
         }
         self._evader_speeds = [evader.speed for evader in scenario.evaders]
         self._samples: list[tuple[int, Points]] = []
@@ -236,23 +236,23 @@ class InertiaWatcher:
     ) -> None:
         """Compare two successive displacements (m) of a player, and the times (s) that they take."""
         slack, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
-        what = dynamics.limits
-        if what == "acceleration":
+        quantity = dynamics.limits
+        if quantity == "acceleration":
             if abs(steps[0] - steps[1]) > ROUNDING:
                 return
-            found, slack = abs(second - first) / duration**2, slack / duration**2
+            rate, slack = abs(second - first) / duration**2, slack / duration**2
         else:
             shortest = min(abs(first), abs(second))
             if shortest <= slack or dynamics.limit * duration >= 1.0:
                 return
-            found, share = abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
+            rate, share = abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
             at_full_speed = min(abs(first) / steps[0], abs(second) / steps[1]) >= self._speeds[player] * (1.0 - share)
-            found *= 1.0 if at_full_speed else 0.5
+            rate *= 1.0 if at_full_speed else 0.5
             slack = slack / shortest / duration + dynamics.limit * share
         self.judged += 1
-        if not found <= dynamics.limit + slack:
+        if not rate <= dynamics.limit + slack:
             raise AssertionError(
-                f"no player exceeds its {what}: player {player} (the pursuers come first) {found} > {dynamics.limit}"
+                f"no player exceeds its {quantity}: player {player} (the pursuers come first) {rate} > {dynamics.limit}"
             )
 
 
@@ -305,7 +305,7 @@ class ApolloniusWatcher:
         self._active(event)
         if isinstance(event, Decided | BrokeDown | Captured):
             profile = self._active.profile
-            self._discs = {j: each for j, each in self._discs.items() if profile[j] == each[0]}
+            self._discs = {j: disc for j, disc in self._discs.items() if profile[j] == disc[0]}
         elif isinstance(event, Started | Sampled):
             self._compare(event)
 
