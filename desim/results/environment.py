@@ -63,10 +63,15 @@ def computing_versions() -> dict[str, str]:
 def _versions() -> dict[str, str | None]:
     """Return the versions of Python, desim, the packages of `NUMERICS`, and the installed plugins of desim."""
     points = entry_points()
-    ours = [each for group in points.groups if group.startswith("desim.") for each in points.select(group=group)]
-    plugged = {each.dist.name for each in ours if each.dist is not None} - {"pursuit-desim"}
-    own = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
-    return own | {name: _version(name) for name in (*NUMERICS, *sorted(plugged))}
+    ours = [
+        entry_point
+        for group in points.groups
+        if group.startswith("desim.")
+        for entry_point in points.select(group=group)
+    ]
+    plugged = {entry_point.dist.name for entry_point in ours if entry_point.dist is not None} - {"pursuit-desim"}
+    versions = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
+    return versions | {name: _version(name) for name in (*NUMERICS, *sorted(plugged))}
 
 
 def _version(distribution: str) -> str | None:
@@ -107,11 +112,11 @@ def _checkout() -> tuple[str | None, bool | None]:
 
 def _git(folder: Path, *words: str) -> str | None:
     """Return the output of a git command in a folder; None if it fails: no git, no repository, or a time-out."""
-    found = {key: each for key, each in os.environ.items() if key not in GIT_VARIABLES}
+    environment = {key: value for key, value in os.environ.items() if key not in GIT_VARIABLES}
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *words],
-            env=found | {"GIT_OPTIONAL_LOCKS": "0"},
+            env=environment | {"GIT_OPTIONAL_LOCKS": "0"},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=GIT_TIMEOUT,

@@ -60,7 +60,7 @@ class ProvenanceError(ValueError):
 
 
 def document(
-    what: str,
+    made_by: str,
     scenario: "Scenario | None" = None,
     *,
     seed: int,
@@ -71,7 +71,7 @@ def document(
     """Return the provenance of results as a JSON document.
 
     Args:
-        what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
+        made_by: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of the study that made the results.
         scenario: the scenario of the runs, if there is only one.
         seed: seed of the run; of several runs, a sweep, an explanation or a merge, the root seed. It replaces the seed
             in the recorded scenario.
@@ -82,7 +82,7 @@ def document(
     """
     return {
         "format": FORMAT,
-        "what": what,
+        "what": made_by,
         "seed": seed,
         "runs": runs,
         "scenario": None if scenario is None else scenario.plain() | {"seed": seed},
@@ -131,15 +131,15 @@ def read(path: Path) -> Document:
     if missing := [key for key in SHAPE if key not in made]:
         raise ProvenanceError(f"{path}: is not a {FILE}: missing keys {', '.join(missing)}")
     if errors := list(_errors(made)):
-        raise ProvenanceError("\n".join(f"{path}: {each}" for each in errors))
+        raise ProvenanceError("\n".join(f"{path}: {error}" for error in errors))
     return made
 
 
-def other_format(found: object, expected: int) -> str:
+def other_format(version: object, expected: int) -> str:
     """Return the error message for a file of another format; files without a format number predate the first format."""
     return (
-        f"has {'no format number' if found is None else f'format {found!r}'}, and this version of desim reads format "
-        f"{expected}: use the version that wrote it, or run the scenario again (scenario.toml beside it)"
+        f"has {'no format number' if version is None else f'format {version!r}'}, and this version of desim reads"
+        f" format {expected}: use the version that wrote it, or run the scenario again (scenario.toml beside it)"
     )
 
 
@@ -164,11 +164,11 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     from desim.scenario.scenario import Scenario
 
     if made["what"] != RUN or made["scenario"] is None:
-        what = made["what"]
-        if what in OTHER_COMMANDS:
-            origin = f"was written by desim {what}"
+        made_by = made["what"]
+        if made_by in OTHER_COMMANDS:
+            origin = f"was written by desim {made_by}"
         else:
-            origin = "records a run without its scenario" if what == RUN else f"records the study {what!r}"
+            origin = "records a run without its scenario" if made_by == RUN else f"records the study {made_by!r}"
         by = shlex.join(map(str, made["argv"]))
         raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {by}")
     folder = home(path, made) if allow_import else path.parent
@@ -182,15 +182,15 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
 
 def differences(then: Document, now: Document) -> list[str]:
     """Return the reasons why results may differ: changed versions, platform or code, and unrecorded parameters."""
-    found = [
+    reasons = [
         f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
         for name in sorted({*then[key], *now[key]})
         if then[key].get(name) != now[key].get(name)
     ]
     if then["code"] != now["code"]:
-        found.append(f"the code of desim was {_commit(then)} and is {_commit(now)}")
-    return found + [f"the parameters of {key} are not recorded" for key in then["unrecorded"]]
+        reasons.append(f"the code of desim was {_commit(then)} and is {_commit(now)}")
+    return reasons + [f"the parameters of {key} are not recorded" for key in then["unrecorded"]]
 
 
 def _commit(made: Document) -> str:
@@ -219,22 +219,22 @@ def _given(scenario: Document) -> Document:
     from desim.kernel.models.links import Links
     from desim.kernel.models.presets import PRESETS
 
-    tables: Document = {key: each if key == "name" else from_json(each) for key, each in scenario.items()}
+    tables: Document = {key: value if key == "name" else from_json(value) for key, value in scenario.items()}
     network = tables.get("network")
     if isinstance(network, dict) and ((preset := network.get("preset")) is None or str(preset) in PRESETS):
         usual = from_json(Links(preset=preset).plain())
-        tables["network"] = {key: each for key, each in network.items() if key == "preset" or each != usual.get(key)}
+        tables["network"] = {key: value for key, value in network.items() if key == "preset" or value != usual.get(key)}
     return tables
 
 
 def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Yield (key path, error) for each model that cannot be imported, such as one defined in a script."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, each in inner:
-        if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):
-            text = f"{each!r} was defined in a script or in a function and cannot be imported; move it to a module"
+    for key, value in inner:
+        if key == "kind" and isinstance(value, str) and (value.startswith("__main__:") or "<" in value):
+            text = f"{value!r} was defined in a script or in a function and cannot be imported; move it to a module"
             yield place, f"{'.'.join(map(str, place))}: {text}"
-        yield from _not_importable(each, (*place, key))
+        yield from _not_importable(value, (*place, key))
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
@@ -248,7 +248,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
         for name, value in node:
             yield from _unrecorded(value, (*place, name))
     elif isinstance(node, tuple):
-        for k, each in enumerate(node):
-            yield from _unrecorded(each, (*place, str(k)))
+        for k, entry in enumerate(node):
+            yield from _unrecorded(entry, (*place, str(k)))
     elif callable(node) and not isinstance(node, FunctionType) and not is_dataclass(node) and node.__getstate__():
         yield ".".join(place)

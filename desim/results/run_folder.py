@@ -85,8 +85,8 @@ class _RunTrace(TraceFile):
             raise _write_error(error) from error
 
     @writing()
-    def __exit__(self, error: type[BaseException] | None, *others: object) -> None:
-        super().__exit__(error, *others)
+    def __exit__(self, error: type[BaseException] | None, *more: object) -> None:
+        super().__exit__(error, *more)
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
@@ -206,7 +206,7 @@ def _matches_start(result: Result) -> bool:
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
         return False
     there = *starts[0].pursuers, *starts[0].evaders
-    wanted = *team.start(result.seed), *(each.start(result.seed, k) for k, each in enumerate(evaders))
+    wanted = *team.start(result.seed), *(evader.start(result.seed, k) for k, evader in enumerate(evaders))
     return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
 
 
@@ -265,14 +265,14 @@ def streamed(folder: str | Path, *, allow_import: bool = False) -> StreamedResul
     return StreamedResult(Path(folder), allow_import)
 
 
-def _complete(found: Iterable[Event]) -> Iterator[Event]:
+def _complete(trace: Iterable[Event]) -> Iterator[Event]:
     """Yield the events of a trace.
 
     Raises:
         ValueError: if an event has too many or too few arrivals, or the trace does not end as that of a whole run.
     """
     before, last = None, None
-    for number, event in enumerate(found, start=1):
+    for number, event in enumerate(trace, start=1):
         if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
             raise ValueError(f"line {number} has {len(event.dst)} receivers and {len(event.arrival)} arrivals")
         before, last = last, type(event)
@@ -310,14 +310,14 @@ def _limits(start: Any) -> Limits:
     }
 
 
-def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
+def _inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
-    size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
+    size, t, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
     lost = defaultdict[tuple[int, int], list[int]](
         list
     )  # by transmission and receiver, the lines of those without Lost
-    for number, event in enumerate(found, start=1):
+    for number, event in enumerate(trace, start=1):
         if event.t < t:
             yield number, "is earlier than the line before"
         t = event.t
