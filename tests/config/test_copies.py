@@ -49,6 +49,17 @@ def test_a_field_that_does_not_exist_is_refused_with_what_may_be_meant(model):
         model(**{f"{name}x": 1})
 
 
+def test_a_model_is_validated_to_itself_and_what_is_neither_a_model_nor_a_table_is_refused():
+    """Also where the model has a validator of its own for what is given."""
+    models = [model for model in MODELS if len(model.__pydantic_decorators__.model_validators) > 1]
+    assert len(models) > 5
+    for model in models:
+        original = made(model)
+        assert model.model_validate(original) is original
+        with pytest.raises(ValidationError):
+            model.model_validate(object())
+
+
 def test_tables_become_models_and_fields_that_contradict_each_other_are_refused():
     scenario = Scenario(team=Team(count=3, speeds=(1.0, 2.0, 3.0)))
     assert scenario.model_copy(update={"network": {"latency": 0.5}}).network == Links(latency=0.5)
