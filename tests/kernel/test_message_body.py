@@ -171,6 +171,19 @@ def test_a_body_arrives_as_it_was_sent(way, name):
     assert len(told) >= (0 if way in {"initial belief", "relayed"} else 1)
 
 
+@pytest.mark.parametrize("way", sorted(IS_RECORD))
+def test_a_reader_of_matching_records_changes_only_a_copy(way):
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), predicate=lambda _: True)
+    WAYS[way](network, [1])
+    clock.run(until=4 * SECOND)
+    for _ in range(2):
+        body = network.matching(1)[0][1].body
+        assert body == [1]
+        body.append(99)
+    assert network.latest_records(1)[0][1].body == [1]
+
+
 class Cell:
     """Refers to itself."""
 
