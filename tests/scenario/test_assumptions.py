@@ -6,7 +6,8 @@ import networkx as nx
 import pytest
 from pydantic import ValidationError
 
-from desim import Scenario
+from desim import Scenario, run
+from desim.kernel.core.events import LOST, Broadcast
 from desim.kernel.models.access import CsmaCa, Tdma
 from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.models.graphs import Edge, Edges, Link, Ring
@@ -26,6 +27,7 @@ from desim.scenario.assumptions import (
     equal_speeds,
     everyone_heard,
     host_in_range,
+    initial_graph,
     messages_get_through,
     no_crashes,
     one_at_a_time,
@@ -35,7 +37,7 @@ from desim.scenario.assumptions import (
 )
 from desim.scenario.checks import warnings
 from desim.scenario.players import Evader, Speeds, Team
-from desim.scenario.scenario import PROTOCOLS, Motion
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.best_response import BestResponse, BetterReply
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, ReliableOneHop
 from protocols.fictitious_play import FictitiousPlay
@@ -174,6 +176,17 @@ def test_information_gets_through_without_loss_or_with_heartbeats(trigger, given
         assert_reason(messages_get_through(silent), "nothing is ever announced")
     else:
         assert_reason(found, "never repeated" if lost and trigger == "change" else None)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("fading", ["per_link", "message"])
+def test_the_initial_graph_has_the_links_over_which_messages_travel_while_nobody_moves(fading):
+    links = Links(range=3.0, reception=QuasiUnitDisk(certain=0.0), fading=fading)
+    scenario = four(network=links, motion=Motion(static=True), horizon=5.0, record=Recording(messages=True))
+    graph, broadcasts = initial_graph(scenario), run(scenario).trace.of(Broadcast)
+    heard = {(broadcast.src, dst) for broadcast in broadcasts for dst, arrival in broadcast.fates() if arrival != LOST}
+    assert heard == {*graph.edges}
+    assert (len(heard) == 12) == (fading == "message")
 
 
 def test_a_pursuer_that_comes_into_range_has_missed_earlier_announcements():
