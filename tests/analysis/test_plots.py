@@ -1,7 +1,9 @@
 """Pictures: their structure and their bytes, not their pixels."""
 
+import base64
 import os
 import re
+import struct
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -10,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from desim.analysis.drawing.plots import save, size_of, styled, trajectory
+from desim.analysis.drawing.plots import html_image, save, size_of, styled, trajectory
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Ended, Sampled, Started
@@ -168,6 +170,15 @@ def test_a_styled_figure_has_its_size_in_inches():
     with styled((3.0, 2.0)) as figure:
         assert figure.get_size_inches().tolist() == [3.0, 2.0]
         assert mpl.rcParams["svg.fonttype"] == "none"
+
+
+def test_an_image_of_a_page_has_the_size_of_its_figure_and_twice_the_pixels():
+    """72 points of CSS are an inch: 2 in x 1 in are 144 wide on the page, and 288 x 144 pixels in the PNG."""
+    with styled(figsize=(2.0, 1.0)) as figure:
+        image = html_image(figure, 'a "name"')
+    width, png = re.search(r'width="(.*?)"', image)[1], base64.b64decode(re.search(r"base64,([^\"]*)", image)[1])
+    assert (width, struct.unpack(">II", png[16:24])) == ("144", (288, 144))
+    assert ElementTree.fromstring(image.replace(">", "/>")).get("alt") == 'a "name"'
 
 
 @pytest.mark.slow
