@@ -25,7 +25,7 @@ from desim.config.model import Time, Value
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.message_size import size_of
 from desim.kernel.core.ports import ReservedPort
-from desim.kernel.models.transport import Coded, Depth, Reliable, Transport, Window
+from desim.kernel.models.transport import Coded, Depth, Reliable, SendWindow, Transport
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded
 
@@ -129,7 +129,7 @@ class ReliableOneHop(Reliable):
 
     hops: ClassVar[int] = 1
     kind: Literal["reliable"] = "reliable"
-    window: Window = 1
+    window: SendWindow = 1
     """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait."""
     depth: Depth = 1
     """Number of messages that `keep_last` keeps."""

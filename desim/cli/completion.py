@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from desim.config.packages import check_visible, folder_of
+from desim.config.packages import check_visible, package_folder
 from desim.config.trust import write_whole
 
 
@@ -45,11 +45,11 @@ def _cache_folder() -> Path:
 
 def _state() -> str:
     """Return a line that changes with the source of desim and with the kinds of other distributions."""
-    sources = [path for package in ("desim", "protocols") for path in folder_of(package).rglob("*.py")]
+    sources = [path for package in ("desim", "protocols") for path in package_folder(package).rglob("*.py")]
     points = entry_points()
     groups = sorted(group for group in points.groups if group.startswith("desim."))
     installed = [f"{group}:{name}" for group in groups for name in sorted(points.select(group=group).names)]
-    return " ".join([str(folder_of("desim")), str(max(path.stat().st_mtime_ns for path in sources)), *installed])
+    return " ".join([str(package_folder("desim")), str(max(path.stat().st_mtime_ns for path in sources)), *installed])
 
 
 def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:

@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import ADDING, COLLECTIONS, changes, defaults_of
+from desim.config.shared_state import ADDING, COLLECTIONS, defaults_of, shared_changes
 from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
@@ -62,7 +62,7 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
     Raises:
         StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
     """
-    if is_built_in(model):  # as a rule
+    if _is_built_in(model):  # as a rule
         yield model
         return
     users = dict(_of_users(model))
@@ -76,7 +76,7 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
             raise _refusal(users, error) from error
         reader = _Reader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
-    with changes([*kept, *functions, *users.values()], _snapshot) if is_run else nullcontext():
+    with shared_changes([*kept, *functions, *users.values()], _snapshot) if is_run else nullcontext():
         yield copied
 
 
@@ -116,7 +116,7 @@ def _is_ours(value: Any) -> bool:
     return type(value) is FunctionType and value.__closure__ is None and _never_changes(value.__module__)
 
 
-def is_built_in(model: Any) -> bool:
+def _is_built_in(model: Any) -> bool:
     """Return whether a model and all that it holds are built-in models and constants, which have no state."""
     values = [model]
     for value in values:
@@ -158,7 +158,7 @@ def _is_constant(value: Any) -> bool:
     """Return whether a default of a function cannot change."""
     if type(value) in {tuple, frozenset}:
         return all(map(_is_constant, value))
-    return is_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
+    return _is_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
 
 
 def _is_collection(held: Any) -> bool:
@@ -174,7 +174,7 @@ def _is_collection(held: Any) -> bool:
 
 
 LARGE = 10_000
-"""Number of items of a collection from which on its changes are not looked for, because this would take long."""
+"""Number of items of a collection from which on its shared_changes are not looked for, because this would take long."""
 
 
 def _snapshot(value: Any) -> Any:

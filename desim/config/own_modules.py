@@ -81,7 +81,7 @@ def _is_needed(top: str, beside: ModuleSpec) -> bool:
     return place is None or Path(place).resolve() != Path(beside.origin).resolve()
 
 
-def folder_of(name: str) -> Path | None:
+def folder_in_name(name: str) -> Path | None:
     """Return the folder in the name of a module; None if it has a plain name."""
     _, at, place = name.partition(".")[0].partition("@")
     return Path(place.replace("%40", "@").replace("%2E", ".").replace("%25", "%")) if at else None
@@ -94,7 +94,7 @@ class _Finder:
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
         """Return the specification of a module; None if its name has no folder, or the folder no such module."""
-        folder = folder_of(name)
+        folder = folder_in_name(name)
         if folder is None:
             return None
         spec = PathFinder.find_spec(plain_name(name).rpartition(".")[2], [str(folder)] if path is None else path)
@@ -116,7 +116,7 @@ class _Loader(SourceFileLoader):
 
     def get_code(self, fullname: str) -> CodeType:
         """Return the code; it is not cached, because other programs import the file under its plain name."""
-        tree = _Renaming(folder_of(fullname) or Path()).visit(ast.parse(self.get_data(self.path), self.path))
+        tree = _Renaming(folder_in_name(fullname) or Path()).visit(ast.parse(self.get_data(self.path), self.path))
         return self.source_to_code(ast.fix_missing_locations(tree), self.path)
 
 

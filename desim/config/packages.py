@@ -21,14 +21,14 @@ class HiddenPackageError(ImportError):
     """Raised when another package or module of the same name hides a package that is installed beside `desim`."""
 
 
-def folder_of(package: str) -> Path:
+def package_folder(package: str) -> Path:
     """Return the folder of a package that is installed beside `desim`, even if another package hides it."""
     return _SITE / package
 
 
 def check_visible(package: str) -> None:
     """Raise HiddenPackageError if another package or module of this name would be imported; import nothing."""
-    ours = folder_of(package)
+    ours = package_folder(package)
     spec = find_spec(package)
     if spec is None or spec.origin is None or not ours.is_dir():
         return

@@ -33,7 +33,7 @@ _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
 
 
 @contextmanager
-def changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
+def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
     """Warn of each variable that an earlier block has changed, and that this block finds as it was left there.
 
     These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the

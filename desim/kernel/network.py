@@ -23,7 +23,7 @@ from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.estimates import Estimates
-from desim.kernel.link_layer.link_layer import LinkLayer, Listener
+from desim.kernel.link_layer.link_layer import LinkLayer, TransmissionListener
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
 from desim.kernel.models.transport import Transport
@@ -279,8 +279,8 @@ class Network(ReceivingNodes):
         self._seq[src] = seq = self._seq[src] + 1
         return _new(Record, (src, seq, self._env.now if stamp is None else stamp, self._own(body)))
 
-    def overhear(self, listener: Listener) -> None:
-        """Register a function to call whenever a transmission starts; see `link_layer.Listener`."""
+    def overhear(self, listener: TransmissionListener) -> None:
+        """Register a function to call whenever a transmission starts; see `link_layer.TransmissionListener`."""
         self._link_layer.overhear(listener)
 
     # Faults and counts.

@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from desim.config.packages import folder_of
+from desim.config.packages import package_folder
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import write_new
 
 
 def examples() -> Mapping[str, Path]:
     """Return the path of each example scenario file by its name, sorted; use it as in `load(examples()["relay"])`."""
-    return {path.stem: path for path in sorted(folder_of("scenarios").glob("*.toml"))}
+    return {path.stem: path for path in sorted(package_folder("scenarios").glob("*.toml"))}
 
 
 def example(name: str) -> Path:

@@ -9,9 +9,9 @@ import sys
 from importlib.util import find_spec
 from keyword import iskeyword
 
-from desim.config.packages import folder_of
+from desim.config.packages import package_folder
 
-_FOLDER = folder_of("scenarios") / "templates"
+_FOLDER = package_folder("scenarios") / "templates"
 TEMPLATES = ("scenario", "protocol", "latency", "evader", "metric")
 """The names of the templates."""
 

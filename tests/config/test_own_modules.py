@@ -9,7 +9,7 @@ from multiprocessing import get_context
 import pytest
 
 from desim import load, run, summary, sweep
-from desim.config.own_modules import folder_of, module_beside, plain_name
+from desim.config.own_modules import folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
 from desim.scenario.toml import dump, read, validate
@@ -178,9 +178,9 @@ def test_names_can_be_read_back(folders):
     for folder in folders:
         name = module_beside("shapes.names", folder)
         assert plain_name(name) == "shapes.names"
-        assert folder_of(name) == folder
+        assert folder_in_name(name) == folder
         assert name.count(".") == 1
-    assert folder_of("shapes.names") is None
+    assert folder_in_name("shapes.names") is None
 
 
 def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
@@ -206,9 +206,9 @@ def test_a_base_in_another_folder_runs_its_own_code(folders, tmp_path):
         assert dump(scenario) == dump(loaded(folder))
         assert codes(summary(run(scenario.with_({"seed": 2})))) == (number, number)
         own = load(file, ['protocol="myrule:Rule"', "network.latency.kind='myrule:Latency'"], allow_import=True)
-        assert folder_of(type(own.protocol).__module__) == folder_of(type(own.network.latency).__module__)
-        assert folder_of(type(own.protocol).__module__) == file.parent
-        assert folder_of(own.evader.strategy.__module__) == folder
+        assert folder_in_name(type(own.protocol).__module__) == folder_in_name(type(own.network.latency).__module__)
+        assert folder_in_name(type(own.protocol).__module__) == file.parent
+        assert folder_in_name(own.evader.strategy.__module__) == folder
 
 
 def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
@@ -218,4 +218,4 @@ def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
     (folders[1] / "over.toml").write_text(f"base = '{folders[0] / 'grid.toml'}'\n")
     (swept,) = configurations(read(folders[1] / "over.toml", allow_import=True))
     for model in (swept.scenario.protocol, swept.scenario.network.latency):
-        assert folder_of(type(model).__module__) == folders[0]
+        assert folder_in_name(type(model).__module__) == folders[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from desim.config import packages
-from desim.config.packages import HiddenPackageError, check_visible, folder_of
+from desim.config.packages import HiddenPackageError, check_visible, package_folder
 
 ROOT = Path(__file__).parents[2]
 RULE = "from desim import Scenario\nfrom protocols.sap import SpatialAdaptivePlay\n"
@@ -72,7 +72,7 @@ def test_a_folder_that_is_no_package_hides_nothing(tmp_path):
 
 def test_a_package_of_desim_is_found_where_it_is_installed(monkeypatch, tmp_path):
     check_visible("protocols")
-    assert folder_of("scenarios") == ROOT / "scenarios"
+    assert package_folder("scenarios") == ROOT / "scenarios"
     (tmp_path / "protocols").mkdir()
     monkeypatch.setattr(packages, "_SITE", tmp_path)
     with pytest.raises(

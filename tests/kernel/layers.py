@@ -4,7 +4,7 @@ from unittest.mock import patch
 
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.link_layer.arrivals import Arrivals
-from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.link_layer.link_layer import LinkLayer, MessageLog
 from desim.kernel.network import Network
 
@@ -13,12 +13,12 @@ def network_over(layer):
     """Return a function that creates a network as `Network` does, with another class in place of a part.
 
     Args:
-        layer: a subclass of `ArrivalLosses`, `Arrivals`, `Delivery`, `MessageLog` or `LinkLayer`.
+        layer: a subclass of `ArrivalLosses`, `Arrivals`, `MessageDelivery`, `MessageLog` or `LinkLayer`.
     """
     places = {
         ArrivalLosses: "link_layer.arrivals.ArrivalLosses",
         Arrivals: "link_layer.delivery.Arrivals",
-        Delivery: "link_layer.link_layer.Delivery",
+        MessageDelivery: "link_layer.link_layer.MessageDelivery",
         MessageLog: "link_layer.link_layer.MessageLog",
         LinkLayer: "network.LinkLayer",
     }

@@ -44,7 +44,7 @@ from desim.kernel.core.positions import PositionSource
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.arrivals import Arrivals
-from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
@@ -438,7 +438,7 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
 # arrivals of records are decided together, later.
 
 
-class OnArrival(Delivery):
+class OnArrival(MessageDelivery):
     """Every outcome is decided on arrival."""
 
     def _settled(self, transmission, reached, arrival, airtime):

@@ -38,7 +38,7 @@ from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.inbox import Message
-from desim.kernel.transport.frames import Acknowledgement, Piece, Segment, Skip
+from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip
 from desim.pursuit.team.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
 from desim.testing.messages import Conservation, DeliveredOnce, OneToken
@@ -244,8 +244,8 @@ def test_the_bytes_of_frames_are_those_of_their_layout():
     for model, frames in (
         (STOP_AND_WAIT, {Segment: 32, Acknowledgement: 24}),
         (SELECTIVE, {Segment: 32, Acknowledgement: 32}),
-        (Coded(pieces=2, needed=2), {Piece: 28}),
-        (BestEffort(deadline=9.0), {Piece: 24}),
+        (Coded(pieces=2, needed=2), {CodedPiece: 28}),
+        (BestEffort(deadline=9.0), {CodedPiece: 24}),
     ):
         lab = Lab(model).send(0.0, 1).run(1.0)
         assert {type(each.body): each.size for each in lab.trace.of(Sent)} == frames
@@ -378,7 +378,7 @@ def test_what_a_frame_carries_is_seen_by_those_that_look_at_messages():
         with nullcontext() if hop == 3 else pytest.raises(AssertionError, match="an epoch has one token"):
             watch(event)
     evader = Eavesdropper([0])
-    evader(Message(0, 0, Piece("port", True, 0, 1, 1, Forwarded((Record(0, 1, 0, Assignment(1)),)))), 10)
+    evader(Message(0, 0, CodedPiece("port", True, 0, 1, 1, Forwarded((Record(0, 1, 0, Assignment(1)),)))), 10)
     assert evader.hands_over(9)
 
 

@@ -66,7 +66,7 @@ def content(value: Any) -> Any:
     number, path or UUID as text; a function or a class by its name. Any other object is a dict of its attributes with
     its class as `class_name`.
     """
-    if (fields := fields_of(value)) is not None:
+    if (fields := content_fields(value)) is not None:
         return fields
     kind: Any = type(value)
     if converts_itself(kind):
@@ -84,7 +84,7 @@ def content(value: Any) -> Any:
     return Fields({name: kind.__name__} | attributes)
 
 
-def fields_of(value: Any) -> Fields | None:
+def content_fields(value: Any) -> Fields | None:
     """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None: it is neither."""
     kind: Any = type(value)
     names = _field_names(kind)
@@ -140,7 +140,7 @@ content.register(UserString, str)
 @content.register(tuple)
 @content.register(Sequence)
 def _items(items: Sequence[Any]) -> Any:
-    fields = fields_of(items)
+    fields = content_fields(items)
     return list(items) if fields is None else fields
 
 

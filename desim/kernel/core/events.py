@@ -18,7 +18,7 @@ LOST = -1
 # from a trace file are validated; see `desim.kernel.core.trace_file`.
 Nanoseconds = Annotated[int, "time"]
 """A time, ns."""
-Arrival = Annotated[int, "arrival"]
+ArrivalTime = Annotated[int, "arrival"]
 """A time, ns, or `LOST`."""
 NodeId = Annotated[int, "node"]
 """The id of a node, 0 .. n - 1."""
@@ -84,7 +84,7 @@ class Broadcast(NamedTuple):
     src: NodeId
     seq: Count
     dst: tuple[NodeId, ...]
-    arrival: tuple[Arrival, ...]
+    arrival: tuple[ArrivalTime, ...]
     """Arrival time at each node of `dst`, ns, or `LOST`; one entry if all are equal. A message can still be lost on
     arrival."""
     created: Nanoseconds
@@ -111,7 +111,7 @@ class Sent(NamedTuple):
     """The number of the transmission, the same for all its receivers."""
     src: NodeId
     dst: NodeId
-    arrival: Arrival
+    arrival: ArrivalTime
     """Arrival time at `dst`, ns, or `LOST`; the message can still be lost on arrival."""
     created: Nanoseconds
     """When `send` was called, ns; earlier than t if the message waited or is acknowledged."""

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.python_numbers import whole
-from desim.kernel.core.body_content import Fields, attributes_of, content, fields_of
+from desim.kernel.core.body_content import Fields, attributes_of, content, content_fields
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Record
 
@@ -93,7 +93,7 @@ def size(body: Any) -> int:
     simpler = content(body)
     if type(simpler) is not Fields:
         return _size(simpler)
-    fields = fields_of(body)
+    fields = content_fields(body)
     parts = attributes_of(body) if fields is None else fields
     return portable_sum(map(_size, parts.values())) if parts or fields is not None else _no_size(body)
 

@@ -22,7 +22,7 @@ from pydantic_core import to_json
 
 from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
-from desim.kernel.core.events import LOST, Arrival, Body, Broadcast, Count, Event, Nanoseconds, NodeId
+from desim.kernel.core.events import LOST, ArrivalTime, Body, Broadcast, Count, Event, Nanoseconds, NodeId
 from desim.kernel.core.units import SECOND, nanoseconds
 
 Limits = Mapping[str, Any]
@@ -210,8 +210,8 @@ def _keys_json(kind: type) -> tuple[str, ...] | None:
 
 _CONVERSIONS: Mapping[Any, Callable[[Any], str]] = {
     Nanoseconds: _time_json,
-    Arrival: _time_json,
-    tuple[Arrival, ...]: _times_json,
+    ArrivalTime: _time_json,
+    tuple[ArrivalTime, ...]: _times_json,
     NodeId: str,
     Count: str,
     tuple[NodeId, ...]: _nodes_json,

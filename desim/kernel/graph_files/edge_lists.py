@@ -24,7 +24,7 @@ PAIR = re.compile(r"""\s*(['"])(.*?)\1\s*:\s*(?:(['"])(.*?)\3|([\w.+-]+))\s*""")
 """Matches the name and the value of an item: a text or a word, such as a number."""
 
 
-class Row(NamedTuple):
+class EdgeRow(NamedTuple):
     """A line of a list."""
 
     line: int
@@ -33,7 +33,7 @@ class Row(NamedTuple):
     """The attributes that it gives as a dict."""
 
 
-Edge = tuple[str, str, dict[str, Any]]
+NamedEdge = tuple[str, str, dict[str, Any]]
 """The ends and the attributes of an edge."""
 ENDS = (
     *(("source", "target"), ("src", "dst"), ("from", "to"), ("sender", "receiver"), ("tx", "rx"), ("u", "v")),
@@ -65,7 +65,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
             )
     lower = [name.lower() for name in header]
     src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
-    kinds, nodes, edges = set[str](), list[str](), list[Edge]()
+    kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
         if len(cells) == 1:
             nodes.append(cells[0])
@@ -91,7 +91,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
     """Return the graph in an adjacency list: each line is a node and its neighbours; see `read_edge_list`."""
     rows = _rows(file, text, "")
-    edges: list[Edge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
+    edges: list[NamedEdge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
     return _graph(file, [row.cells[0] for row in rows], edges, directed)
 
 
@@ -103,7 +103,7 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
     """
     import networkx as nx
 
-    labels, edges, parts, part = dict[str, str](), list[Edge](), list[str](), ""
+    labels, edges, parts, part = dict[str, str](), list[NamedEdge](), list[str](), ""
     for number, line in enumerate(text.split("\n"), 1):
         place = f"{file}, line {number}"
         cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|\S+', line.partition("%")[0])]
@@ -143,7 +143,7 @@ def _delimiter(text: str) -> str:
     return separator_in(first.partition("{")[0])
 
 
-def _rows(file: Path, text: str, delimiter: str) -> list[Row]:
+def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
     """Return the lines of a list with their cells, without comments.
 
     A comment that names the columns is kept.
@@ -154,17 +154,17 @@ def _rows(file: Path, text: str, delimiter: str) -> list[Row]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
     split: Callable[[str], list[str]] = cells_of if delimiter else str.split
-    rows: list[Row] = []
+    rows: list[EdgeRow] = []
     for number, line in enumerate(lines, 1):
         bare = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
         if bare and bare[0] in "#%":
             names = split(bare.lstrip("#% "))
             if not rows and _names_ends(names):
-                rows.append(Row(number, names, {}))
+                rows.append(EdgeRow(number, names, {}))
         elif match := None if delimiter else WITH_DICT.fullmatch(bare):
-            rows.append(Row(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
+            rows.append(EdgeRow(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
         elif bare.strip():
-            rows.append(Row(number, split(bare), {}))
+            rows.append(EdgeRow(number, split(bare), {}))
     return rows
 
 
@@ -183,7 +183,7 @@ def _names_ends(cells: Sequence[str]) -> bool:
     return any(a in lower and b in lower for a, b in ENDS)
 
 
-def _header_of(rows: list[Row]) -> tuple[list[str], list[Row]]:
+def _header_of(rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
     """Return the names of the columns, empty if they are not named, and the other rows."""
     if not rows or len(rows[0].cells) < 2:
         return [], rows
@@ -211,7 +211,7 @@ def _attribute(name: str, cell: str, place: str) -> Any:
         return cell
 
 
-def _graph(file: Path, nodes: Sequence[str], edges: Sequence[Edge], directed: bool | None) -> "nx.Graph[Any]":
+def _graph(file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None) -> "nx.Graph[Any]":
     """Return the graph of a list; an undirected edge may be listed in both directions."""
     import networkx as nx
 

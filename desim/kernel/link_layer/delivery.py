@@ -26,7 +26,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Lose, Transmission
 
 
-class Delivery:
+class MessageDelivery:
     """Schedules the arrivals of transmissions in the records and inboxes of their receivers.
 
     Args:

@@ -17,7 +17,7 @@ from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.records import Arrival, Record, per_receiver
-from desim.kernel.link_layer.delivery import Delivery
+from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.link_layer.departure import Departure
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
@@ -26,7 +26,7 @@ from desim.kernel.state.inbox import Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Transmission
 
-Listener = Callable[[Record | Message, int], object]
+TransmissionListener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
@@ -75,7 +75,7 @@ class LinkLayer:
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
         arrival times, ns, and the losses that were drawn."""
-        self.delivery = Delivery(
+        self.delivery = MessageDelivery(
             state,
             links,
             self._transmitter,
@@ -98,10 +98,10 @@ class LinkLayer:
             self._hosts = Hosts(env, links.processing.sender, state.topology.size, seed, self._enqueue)
             self._enqueue = self._process
         self._duplicates = sampler.duplicates_messages
-        self._listeners: list[Listener] = []
+        self._listeners: list[TransmissionListener] = []
         self._numbers = count()
 
-    def overhear(self, listener: Listener) -> None:
+    def overhear(self, listener: TransmissionListener) -> None:
         """Register a listener, which is called whenever a transmission starts."""
         self._listeners.append(listener)
 

@@ -11,12 +11,12 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
-from desim.config.error_texts import text_of as text_of_error
+from desim.config.error_texts import text_of
 from desim.config.model import Flag, Time, Value
 from desim.config.traits import is_ours, positions
 from desim.config.trust import resolve_path
 from desim.kernel.core.units import SECOND
-from desim.kernel.measured.csv_tables import header_of, place_of, select, text_of
+from desim.kernel.measured.csv_tables import csv_header, csv_text, row_place, select
 from desim.kernel.measured.measurements import Columns, Meaning, Measurements, Unit, measurements_of
 
 Name = Annotated[str, Field(min_length=1)]
@@ -83,9 +83,9 @@ class LinkTrace(Value):
             if text is not None:
                 raise ValueError("should have a file or a table, not both")
             path = resolve_path(data["file"], info)
-            text, read_from = text_of(path, names.used()), path.name
+            text, read_from = csv_text(path, names.used()), path.name
         name = read_from or TABLE
-        columns = _columns_in(header_of(str(text), name), names, data, name)
+        columns = _columns_in(csv_header(str(text), name), names, data, name)
         read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
         parameters = {key: value for key, value in data.items() if key not in {"file", "read_from"}}
         return parameters | read | ({"read_from": read_from} if read_from else {})
@@ -164,7 +164,7 @@ class LinkTrace(Value):
         try:
             return self.model_copy(update={"nodes": names})
         except ValidationError as error:
-            raise ValueError(text_of_error(error.errors(include_url=False)[0])) from error
+            raise ValueError(text_of(error.errors(include_url=False)[0])) from error
 
     @property
     def is_replayed(self) -> bool:
@@ -190,7 +190,7 @@ class LinkTrace(Value):
         nodes = np.maximum(measured.src, measured.dst)
         if nodes.max() >= size:
             link = int((nodes >= size).argmax())
-            where = f"{self.name}, {place_of(int(measured.line[link]), self.name)}"
+            where = f"{self.name}, {row_place(int(measured.line[link]), self.name)}"
             raise ValueError(f"{where}: there is no node {nodes[link]}: the nodes are 0 .. {size - 1}")
         measured_links = set(zip(measured.src.tolist(), measured.dst.tolist(), strict=True))
         for src, dst in links:

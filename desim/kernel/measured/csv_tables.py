@@ -67,7 +67,7 @@ class Cells(NamedTuple):
 
     def place(self, row: int) -> str:
         """Return the place of a row in the file."""
-        return place_of(self.lines[row], self.table)
+        return row_place(self.lines[row], self.table)
 
     def error(self, row: int, text: str) -> ValueError:
         """Return an error about a row."""
@@ -80,7 +80,7 @@ def cells_of(table: str, name: str) -> Cells:
     Raises:
         ValueError: if the table has no rows.
     """
-    lines, flat, header = list[int](), list[str](), header_of(table, name)
+    lines, flat, header = list[int](), list[str](), csv_header(table, name)
     for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
         lines.append(line)
         flat += row_cells
@@ -90,7 +90,7 @@ def cells_of(table: str, name: str) -> Cells:
     return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
 
 
-def text_of(path: Path, columns: Collection[str]) -> str:
+def csv_text(path: Path, columns: Collection[str]) -> str:
     """Return the text of a CSV file, or a file of another format as CSV.
 
     The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
@@ -136,7 +136,7 @@ def _csv_of(parquet: bytes, columns: tuple[str, ...]) -> str:
     return text.getvalue()
 
 
-def header_of(text: str, name: str) -> list[str]:
+def csv_header(text: str, name: str) -> list[str]:
     """Return the names of the columns of CSV text; see `select`.
 
     Raises:
@@ -160,7 +160,7 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
         ValueError: if the text is empty or is not CSV, a column is missing or occurs twice, a row is too short or too
             long, or numbers have both decimal commas and decimal points.
     """
-    header = header_of(text, name)
+    header = csv_header(text, name)
     for column in columns:
         if header.count(column) != 1:
             problem = "no column" if column not in header else "several columns"
@@ -179,7 +179,7 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
         if len(cells) != len(header):
             hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
             problem = f"has {len(cells)} cells, but the table has {len(header)} columns"
-            raise ValueError(f"{name}, {place_of(line, name)}: {problem}{hint}")
+            raise ValueError(f"{name}, {row_place(line, name)}: {problem}{hint}")
         if line > below:
             kept.write("\n" * (line - below))
         writer.writerow(chosen(cells))
@@ -227,7 +227,7 @@ def with_points(
         if len(seen) > 1:
             (_, first), (where, other) = sorted(seen.values(), key=lambda place: place[0])
             why = f"numbers should have either decimal points or decimal commas (got {first} and {other})"
-            raise ValueError(f"{name}, {place_of(where, name)}: {why}")
+            raise ValueError(f"{name}, {row_place(where, name)}: {why}")
         yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
 
 
@@ -267,6 +267,6 @@ def rows_of(text: str, name: str, separator: str = "") -> Iterator[tuple[int, li
         raise ValueError(f"{name}, line {reader.line_num}: {error}") from error
 
 
-def place_of(line: int, table: str) -> str:
+def row_place(line: int, table: str) -> str:
     """Return the place of a line in a table, given the name of the table; a Parquet file has no lines."""
     return f"row {line - 1}" if table.lower().endswith(".parquet") else f"line {line}"

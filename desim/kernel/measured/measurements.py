@@ -22,7 +22,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
 from desim.config.number_files import hint_of, integer_of, is_plain, not_a_number, number_of
 from desim.kernel.core.units import SECOND
-from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, select, text_of
+from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, csv_text, select
 
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -177,7 +177,7 @@ def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[li
         ValueError: if the file cannot be read, lacks a column, or has a cell that is not a finite number.
     """
     names, time = tuple(columns), columns[0]
-    cells = cells_of(select(text_of(file, names), names, str(file)), str(file))
+    cells = cells_of(select(csv_text(file, names), names, str(file)), str(file))
     times = cells.numbers(time, partial(time_of, unit=unit))
     start = start_of(times)
     numbers = [cells.numbers(name, _finite) for name in names[1:]]

@@ -18,7 +18,7 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, Extent, FirstError, Limit, NotEmpty, Period, Time, Value
 from desim.kernel.core.units import nanoseconds
 
-Window = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
+ContentionWindow = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 Owner = Annotated[int, Field(ge=0, strict=True)]
 
 
@@ -110,7 +110,7 @@ class CsmaCa(CarrierSensing):
     """Short interframe space between a frame and its acknowledgement, s; less than `difs`."""
     difs: Time = 28e-6
     """Distributed interframe space: time for which the channel must be idle before slots are counted, s."""
-    window: Window = 16
+    window: ContentionWindow = 16
     """Smallest contention window W: the number of slots is uniform on 0 .. W - 1."""
     doublings: Annotated[int, Field(ge=0, le=16, strict=True)] = 6
     """Number of times that failed attempts can double the window."""

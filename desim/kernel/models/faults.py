@@ -29,13 +29,13 @@ MIN_DRIFT = -0.99
 """Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
 
 
-Nodes = Mapping[str, Sequence[int]]
+NamedNodes = Mapping[str, Sequence[int]]
 """The nodes that a fault names, by the key of a scenario file."""
 Undo = Callable[[], object]
 """A function that ends what a fault has begun."""
 Sketch = dict[str, Any]
 """JSON values from which a page draws a fault; see `Window.sketch`."""
-NO_NODES: Nodes = MappingProxyType({})
+NO_NODES: NamedNodes = MappingProxyType({})
 
 
 class FaultSite(Protocol):
@@ -89,7 +89,7 @@ class Window(Value):
             raise ValueError(f"should be later than start (got {end:g} and {info.data['start']:g})")
         return end
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the nodes that the fault names, by key: errors about a node that does not exist name the key."""
         return NO_NODES
 
@@ -151,7 +151,7 @@ class Crash(Fault):
         """Take the node down."""
         return site.crash(self)
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the node."""
         return {"node": [self.node]}
 
@@ -187,7 +187,7 @@ class Partition(Fault):
         """Separate the groups."""
         return site.partition(self.groups)
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the nodes of all groups."""
         return {"groups": [node for group in self.groups for node in group]}
 
@@ -236,7 +236,7 @@ class Misbehaviour(Window):
     number: Annotated[int, Field(ge=0, strict=True)]
     """Number of the misbehaviour in the run, from 0 on."""
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the node."""
         return {"node": [self.node]}
 
@@ -261,7 +261,7 @@ class CustomFault(Window):
     drawn: Sketch
     """What a page draws; see `Window.sketch`."""
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the nodes."""
         return {"nodes": self.nodes}
 
@@ -298,7 +298,7 @@ class ClockSkew(Value):
 
     breaks: ClassVar[frozenset[str]] = frozenset({"equal_clocks"})
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the node, if one is given."""
         return NO_NODES if self.node is None else {"node": [self.node]}
 
@@ -335,7 +335,7 @@ def cause_of(fault: Fault) -> Cause:
     return traits.cause or (traits.kind or type(fault).__name__).rpartition(":")[2]
 
 
-def nodes_of(fault: object) -> Nodes:
+def nodes_of(fault: object) -> NamedNodes:
     """Return the nodes that a fault, a clock error or a plan names, by key."""
     named = FaultTraits.of(fault).named
     return NO_NODES if named is None else named()

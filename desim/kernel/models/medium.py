@@ -20,7 +20,7 @@ TUNING = 0.25
 4.1.5)."""
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
-Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
+Overhead = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
 
 
@@ -147,7 +147,7 @@ class Bitrate(Radio):
     kind: Literal["bitrate"] = "bitrate"
     bitrate: Annotated[float, Field(ge=1, le=1e15, strict=True)]
     """bit/s"""
-    header: Count = 0
+    header: Overhead = 0
     """Bytes that the link layer adds to every message."""
 
     def __call__(self, size: int) -> float:
@@ -178,7 +178,7 @@ class LoRa(Radio):
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
     """CR: the code rate is 4 / (4 + CR), from 4/5 to 4/8."""
-    preamble: Count = 8
+    preamble: Overhead = 8
     """Number of preamble symbols."""
     crc: Flag = True
     """Whether the payload has a checksum."""

@@ -23,11 +23,11 @@ from desim.config.model import MIN_PERIOD, Counted, Duration, Flag, Limit, Time,
 
 MAX_WINDOW = 1024
 """Largest window of a reliable transport."""
-Interval = Annotated[float, Field(ge=MIN_PERIOD, strict=True), BeforeValidator(from_json), Counted]
+MaxInterval = Annotated[float, Field(ge=MIN_PERIOD, strict=True), BeforeValidator(from_json), Counted]
 """A time of at least `MIN_PERIOD`, s; inf = never."""
 
 
-Window = Annotated[int, Field(ge=1, le=MAX_WINDOW, strict=True)]
+SendWindow = Annotated[int, Field(ge=1, le=MAX_WINDOW, strict=True)]
 """A number of successive messages."""
 Depth = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 """A number of messages."""
@@ -49,10 +49,10 @@ class Quality(Value):
     lifespan: Timeout = inf
     """Time after its sending, s, from which on a message is neither transmitted nor delivered. The receiver compares
     its own clock with the time stamp of the sender."""
-    deadline: Interval = inf
+    deadline: MaxInterval = inf
     """Longest time between two messages of a sender at a port, s. A receiver that has received one and waits longer
     for the next misses a deadline."""
-    lease: Interval = inf
+    lease: MaxInterval = inf
     """Lease of liveliness, s: a node loses the liveliness of another if it receives no transmission from it at a port
     for this long."""
 
@@ -98,7 +98,7 @@ class Reliable(Quality):
     """Time-out up to which it grows, s; a longer first time-out stays as it is."""
     max_repeats: Annotated[Limit, AfterValidator(_whole)] = inf
     """Largest number K of retransmissions of a message to a receiver, then it is given up; inf = unlimited."""
-    window: Window = 10
+    window: SendWindow = 10
     """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait."""
     ordered: Flag = True
     """Whether messages of a sender at a port are delivered in the order sent, so that a missing one delays the later

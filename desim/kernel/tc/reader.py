@@ -9,18 +9,19 @@ from pydantic import ValidationError
 from desim.config.error_texts import text_of
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem_tables import TABLES
-from desim.kernel.tc.syntax import FORM, HEADERS, LINK, Command, Device, TcError, Way, commands, order_of
+from desim.kernel.models.own_links import Way
+from desim.kernel.tc.syntax import FORM, HEADERS, LINK, Command, Device, TcError, commands, order_of
 from desim.kernel.tc.units import shortest, steps_of, to_bad
 
 NONE = {"latency": {"kind": "constant", "value": 0.0}, "loss": {"kind": "bernoulli", "p": 0.0}, "order": "overtaking"}
 """The models of a link without imperfections."""
-Table = dict[str, Any]
+TomlTable = dict[str, Any]
 
 
 class Reading(NamedTuple):
     """The content of commands of tc."""
 
-    network: Table
+    network: TomlTable
     """The table `[network]`."""
     ignored: list[str]
     """Descriptions of what has no effect in desim, with line and column."""
@@ -44,7 +45,7 @@ def read_script(text: str, source: str = "tc", folder: Path | None = None) -> Re
     disciplines = _disciplines(commands(text, source))
     if not disciplines:
         raise TcError(f"{source}: no command adds netem, so nothing is read; {FORM.partition('; ')[2]}")
-    tables: dict[Way | None, Table] = {}
+    tables: dict[Way | None, TomlTable] = {}
     ignored: list[str] = []
     for where, way, _, _, _, options in disciplines:
         try:
@@ -114,14 +115,14 @@ def _changed(before: Command, command: Command) -> Command:
     return command._replace(way=way, handle=command.handle or before.handle, options=kept | command.options)
 
 
-def _correlation(options: Table) -> bool:
+def _correlation(options: TomlTable) -> bool:
     """Return whether the options of a command have a correlation of delay, loss or duplicate."""
     model, values = options.get("loss", ("", []))
     delay, duplicate = options.get("delay", (0.0, 0.0, 0.0)), options.get("duplicate", (0.0, 0.0))
     return bool(delay[2] or duplicate[1] or (model == "random" and values[1:] not in ([], [0.0])))
 
 
-def _network(options: dict[str, Any], folder: Path) -> Table:
+def _network(options: dict[str, Any], folder: Path) -> TomlTable:
     """Return the table `[network]` of the options of a command; `folder` is that of the tables.
 
     Raises:
@@ -139,7 +140,7 @@ def _network(options: dict[str, Any], folder: Path) -> Table:
     return {key: table for key, table in tables.items() if table}
 
 
-def _latency(options: dict[str, Any], folder: Path) -> Table:
+def _latency(options: dict[str, Any], folder: Path) -> TomlTable:
     """Return the table of the latency, of the simplest kind; empty if there is none."""
     delay, jitter, correlation = options.get("delay", (0.0, 0.0, 0.0))
     reorder, reorder_correlation = options.get("reorder", (0.0, 0.0))
@@ -158,7 +159,7 @@ def _latency(options: dict[str, Any], folder: Path) -> Table:
     return {key: value for key, value in table.items() if value or key == "delay"}
 
 
-def _loss(model: str, values: list[float]) -> Table:
+def _loss(model: str, values: list[float]) -> TomlTable:
     """Return the table of a loss model; empty if nothing is lost. The defaults of its values are those of tc."""
     first, *more = values
     if model == "random":
@@ -173,7 +174,7 @@ def _loss(model: str, values: list[float]) -> Table:
     return {"kind": "four_state", "p13": first, "p31": p31, "p32": p32, "p23": p23, "p14": p14}
 
 
-def _bursts(p: float, r: float) -> Table:
+def _bursts(p: float, r: float) -> TomlTable:
     """Return the table of a Gilbert-Elliott model with the transition probabilities p to bad and r to good.
 
     Raises:
@@ -188,14 +189,14 @@ def _bursts(p: float, r: float) -> Table:
     return {"kind": "gilbert_elliott", "share": share, "burst": max(burst, share / (1.0 - share), 1.0)}
 
 
-def _random(p: float, correlation: float) -> Table:
+def _random(p: float, correlation: float) -> TomlTable:
     """Return the table of a loss model with a probability and a correlation; empty if nothing is lost."""
     if not p:
         return {}
     return {"kind": "correlated", "p": p, "correlation": correlation} if correlation else {"kind": "bernoulli", "p": p}
 
 
-def _medium(options: dict[str, Any]) -> Table:
+def _medium(options: dict[str, Any]) -> TomlTable:
     """Return the table of the medium; empty without a rate."""
     if "rate" not in options:
         return {}
@@ -204,7 +205,7 @@ def _medium(options: dict[str, Any]) -> Table:
     return {"kind": "bitrate", "bitrate": bitrate, "header": HEADERS + overhead, **limit}
 
 
-def _link(way: Way, table: Table, network: Table, source: str) -> Table:
+def _link(way: Way, table: TomlTable, network: TomlTable, source: str) -> TomlTable:
     """Return the table of a link, with the models in which it differs from the network.
 
     Raises:
@@ -217,9 +218,9 @@ def _link(way: Way, table: Table, network: Table, source: str) -> Table:
     return {"src": way[0], "dst": way[1]} | differing
 
 
-def _merged(links: list[Table]) -> list[Table]:
+def _merged(links: list[TomlTable]) -> list[TomlTable]:
     """Return the tables of links, with one table for the two ways of a link that follow each other and are equal."""
-    merged: list[Table] = []
+    merged: list[TomlTable] = []
     for link in links:
         if merged and merged[-1] == link | {"src": link["dst"], "dst": link["src"]}:
             merged[-1] |= {"both_ways": True}
@@ -232,7 +233,7 @@ def _name(way: tuple[int, int] | tuple[str, str]) -> str:
     return LINK.format(src=way[0], dst=way[1])
 
 
-def _checked(network: Table) -> Table:
+def _checked(network: TomlTable) -> TomlTable:
     """Return a table `[network]`.
 
     Raises:

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 from desim.kernel.models.graphs import Order
-from desim.kernel.tc.units import rate_of, share_of, time_of
+from desim.kernel.models.own_links import Way
+from desim.kernel.tc.units import duration_of, rate_of, share_of
 
 LINK = "link {src} -> {dst}"
 """The comment above the command of a link with models of its own."""
@@ -28,8 +29,6 @@ NOT_MODELLED = {
 SYNONYMS = {"latency": "delay", "drop": "loss"}
 LOSSES = {"random": 2, "state": 5, "gemodel": 4}
 """The loss models of netem, with the largest number of their values."""
-Way = tuple[int, int]
-"""Sender and receiver of a link."""
 _COMMENT = re.compile(r"#\s*" + LINK.format(src=r"(\d+)", dst=r"(\d+)"))
 _Value = TypeVar("_Value")
 
@@ -283,7 +282,7 @@ def _options(words: _Words) -> dict[str, Any]:
 
 
 def _delay(words: _Words) -> tuple[float, float, float]:
-    delay, *more = words.values(time_of, 2)
+    delay, *more = words.values(duration_of, 2)
     correlation = words.value(share_of) if more and words.has_number else 0.0
     return delay, more[0] if more else 0.0, correlation
 

@@ -25,7 +25,7 @@ def time_word(seconds: float) -> str:
     return f"{_plain(Decimal(nanoseconds).scaleb(-TIMES[unit]))}{unit}"
 
 
-def time_of(word: str) -> float:
+def duration_of(word: str) -> float:
     """Return the time, s, that a word says.
 
     Raises:

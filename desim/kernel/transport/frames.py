@@ -59,7 +59,7 @@ class Acknowledgement(NamedTuple):
     """The numbers of the later messages that have been received, ascending."""
 
 
-class Piece(NamedTuple):
+class CodedPiece(NamedTuple):
     """One of the coded pieces of a message, or under best effort the whole message."""
 
     port: str
@@ -72,7 +72,7 @@ class Piece(NamedTuple):
     """The body of the message, which can be decoded only from enough pieces."""
 
 
-Frame = Segment | Skip | Acknowledgement | Piece
+TransportFrame = Segment | Skip | Acknowledgement | CodedPiece
 SKIP_SIZE = HEADER + FRAME
 """Bytes of a `Skip`."""
 
@@ -89,4 +89,4 @@ def piece_size(size: int, needed: int) -> int:
 
 def carried(body: Any) -> Any:
     """Return the body of the message that a transmission carries: that of a frame, or the body itself."""
-    return body.body if isinstance(body, Segment | Piece) else body
+    return body.body if isinstance(body, Segment | CodedPiece) else body

@@ -24,8 +24,15 @@ from desim.kernel.link_layer.estimates import Estimates
 from desim.kernel.models.transport import Reliable, Transport
 from desim.kernel.state.inbox import Inbox, Message
 from desim.kernel.state.network_state import NetworkState
-from desim.kernel.transport.frames import Acknowledgement, Frame, Piece, Segment, Skip, acknowledgement_size
-from desim.kernel.transport.log import Flow, TransportLog
+from desim.kernel.transport.frames import (
+    Acknowledgement,
+    CodedPiece,
+    Segment,
+    Skip,
+    TransportFrame,
+    acknowledgement_size,
+)
+from desim.kernel.transport.log import MessageFlow, TransportLog
 from desim.kernel.transport.receiver import CodedReceiver, Expectation, ReliableReceiver
 from desim.kernel.transport.sender import CodedSender, Endpoint, ReliableSender, Sender, first_timeout
 
@@ -42,8 +49,8 @@ class _Node:
     endpoint: Endpoint
     inbox: Inbox
     """Its inbox of frames."""
-    senders: dict[Flow, Sender] = field(default_factory=dict)
-    receivers: dict[Flow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
+    senders: dict[MessageFlow, Sender] = field(default_factory=dict)
+    receivers: dict[MessageFlow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
     expectations: dict[tuple[str, int, str], Expectation] = field(default_factory=dict)
     """By kind (a message, "deadline", or any frame, "lease"), sender and port."""
 
@@ -109,7 +116,7 @@ class TransportLayer:
         chosen = self._transports.setdefault(port, transport)
         if chosen is not transport and chosen != transport:
             raise ValueError(f"a port has one transport: {port!r} has {chosen!r} (got {transport!r})")
-        flow, node = Flow(src, dst, port), self._nodes[src]
+        flow, node = MessageFlow(src, dst, port), self._nodes[src]
         sender = node.senders.get(flow)
         if sender is None:
             kind = ReliableSender if isinstance(transport, Reliable) else CodedSender
@@ -145,7 +152,7 @@ class TransportLayer:
     def _is_up(self, node: int) -> bool:
         return self._fault_state is None or not self._fault_state.down(node)
 
-    def _send_frame(self, src: int, dst: int | None, stamp: int, frame: Frame, size: int) -> None:
+    def _send_frame(self, src: int, dst: int | None, stamp: int, frame: TransportFrame, size: int) -> None:
         self._transmit(src, dst, Message(src, stamp, frame), size, PORT)
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
@@ -168,19 +175,19 @@ class TransportLayer:
             if transport.lease < inf:
                 self._expect(node, "lease", src, frame.port, transport.lease)
             if isinstance(frame, Acknowledgement):
-                sender = self._nodes[node].senders.get(Flow(node, None if frame.to_all else src, frame.port))
+                sender = self._nodes[node].senders.get(MessageFlow(node, None if frame.to_all else src, frame.port))
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
             else:
                 self._take(node, src, stamp, frame, transport)
         self._listen(node)
 
-    def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | Piece, transport: Transport) -> None:
+    def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | CodedPiece, transport: Transport) -> None:
         """Deliver what a frame makes deliverable, and acknowledge the frame under a reliable transport.
 
         A frame of a sender that has lost its memory since is ignored.
         """
-        flow, receivers = Flow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
+        flow, receivers = MessageFlow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
         receiver = receivers.get(flow)
         if receiver is not None and receiver.session > frame.session:
             return
@@ -194,7 +201,9 @@ class TransportLayer:
             self._log.acknowledgements += 1
             self._send_frame(node, src, self._env.now, answer, acknowledgement_size(transport.window))
 
-    def _deliver(self, node: int, flow: Flow, seq: int, message: Message, attempt: int, transport: Transport) -> None:
+    def _deliver(
+        self, node: int, flow: MessageFlow, seq: int, message: Message, attempt: int, transport: Transport
+    ) -> None:
         """Put a message into the inbox of its port, unless its lifespan has ended by the clock of the receiver."""
         now = self._env.now
         if transport.lifespan < inf:
@@ -225,9 +234,9 @@ class TransportLayer:
             expectation.meet()
 
 
-def _receiver(frame: Segment | Skip | Piece, transport: Transport) -> ReliableReceiver | CodedReceiver:
+def _receiver(frame: Segment | Skip | CodedPiece, transport: Transport) -> ReliableReceiver | CodedReceiver:
     """Create the receiver of a flow, given its first frame."""
-    if isinstance(frame, Piece):
+    if isinstance(frame, CodedPiece):
         assert not isinstance(transport, Reliable)
         return CodedReceiver(frame.session, transport.needed)
     assert isinstance(transport, Reliable)

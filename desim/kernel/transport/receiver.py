@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from desim.kernel.core.clock import Clock, Timer
 from desim.kernel.state.inbox import Message
-from desim.kernel.transport.frames import Piece, Segment, Skip
+from desim.kernel.transport.frames import CodedPiece, Segment, Skip
 
 REMEMBERED = 64
 """Number of messages of a flow whose pieces a receiver remembers."""
@@ -76,7 +76,7 @@ class CodedReceiver:
         self._pieces: dict[int, set[int]] = {}
         """The numbers of the pieces received, by number of the message."""
 
-    def receive(self, src: int, stamp: int, piece: Piece) -> Iterator[Arrived]:
+    def receive(self, src: int, stamp: int, piece: CodedPiece) -> Iterator[Arrived]:
         """Take a piece with its time stamp, ns; yield its message if it can be decoded now, and could not before."""
         self._newest = max(self._newest, piece.seq)
         if piece.seq <= self._newest - REMEMBERED:

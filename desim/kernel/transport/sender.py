@@ -15,8 +15,17 @@ from desim.kernel.core.clock import NEVER, Clock, NodeClock, Phase, Timer
 from desim.kernel.core.events import GiveUp
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.kernel.state.inbox import Message
-from desim.kernel.transport.frames import FRAME, SKIP_SIZE, Acknowledgement, Frame, Piece, Segment, Skip, piece_size
-from desim.kernel.transport.log import Flow, TransportLog
+from desim.kernel.transport.frames import (
+    FRAME,
+    SKIP_SIZE,
+    Acknowledgement,
+    CodedPiece,
+    Segment,
+    Skip,
+    TransportFrame,
+    piece_size,
+)
+from desim.kernel.transport.log import MessageFlow, TransportLog
 
 MAX_GROWTH = 100
 """Number of attempts after which a time-out stops growing."""
@@ -42,7 +51,7 @@ class Endpoint:
     clock: NodeClock
     """Its own clock."""
     log: TransportLog
-    transmit: Callable[[int, int | None, int, Frame, int], object]
+    transmit: Callable[[int, int | None, int, TransportFrame, int], object]
     """Transmits a frame of the node (first argument) to one node, or to all (None), given its time stamp, ns, and its
     size, bytes."""
     auto_timeout: Callable[[Reliable, int, int], float]
@@ -88,7 +97,7 @@ class ReliableSender:
         endpoint: its node.
     """
 
-    def __init__(self, flow: Flow, model: Reliable, endpoint: Endpoint):
+    def __init__(self, flow: MessageFlow, model: Reliable, endpoint: Endpoint):
         self._flow, self._model, self._endpoint, self._log = flow, model, endpoint, endpoint.log
         self._capacity = model.depth if model.history == "keep_last" else inf
         self._entries: dict[int, Entry] = {}
@@ -250,7 +259,7 @@ class CodedSender:
         endpoint: its node.
     """
 
-    def __init__(self, flow: Flow, model: Coded | BestEffort, endpoint: Endpoint):
+    def __init__(self, flow: MessageFlow, model: Coded | BestEffort, endpoint: Endpoint):
         self._flow, self._model, self._endpoint = flow, model, endpoint
         self._spacing = endpoint.clock.span(model.spacing)
         self._next = 1
@@ -277,7 +286,7 @@ class CodedSender:
         while waiting and waiting[0][0] <= now:
             _, seq, part, message, size, count = heappop(waiting)
             if self._endpoint.is_up():
-                piece = Piece(flow.port, flow.dst is None, self._endpoint.session, seq, part, message.body)
+                piece = CodedPiece(flow.port, flow.dst is None, self._endpoint.session, seq, part, message.body)
                 self._endpoint.log.attempts += count
                 self._endpoint.transmit(flow.src, flow.dst, message.stamp, piece, size)
         if waiting:

@@ -20,7 +20,7 @@ from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probabili
 from desim.config.python_numbers import real
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, Nodes, Window
+from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, NamedNodes, Window
 from desim.kernel.models.graphs import Node
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
 from desim.pursuit.motion.capture import least_capture_time
@@ -131,7 +131,7 @@ class ByzantineFault(Window):
         drawn: list[int] = rng.permutation(size)[: round(self.share * size)].tolist()
         return sorted(drawn)
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the pursuers that it names, by key."""
         return {} if self.node is None else {"node": [self.node]}
 
@@ -225,7 +225,7 @@ class Spoof(FalseAnnouncements):
     action: Said = "opposite"
     """The action that is announced; "truth" and "opposite" refer to the action of the teammate."""
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the pursuers that it names, by key."""
         return {**super().named(), **({} if self.victim is None else {"victim": [self.victim]})}
 
@@ -294,7 +294,7 @@ class Slander(ByzantineFault):
     accused: Annotated[tuple[Node, ...], FirstError(), NotEmpty()]
     """The teammates that it accuses."""
 
-    def named(self) -> Nodes:
+    def named(self) -> NamedNodes:
         """Return the pursuers that it names, by key."""
         return {**super().named(), "accused": self.accused}
 

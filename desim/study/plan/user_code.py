@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.config.data_files import content_hash, opened_by
-from desim.config.own_modules import folder_of, module_beside, plain_name
+from desim.config.own_modules import folder_in_name, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
@@ -61,7 +61,7 @@ class UserCode:
         while key in self.code:  # a module of the same name beside another file
             key += "'"
         self.code[key] = content_hash(text)
-        parent, folder = name.rpartition(".")[0], folder_of(name)
+        parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
             names = sorted(_imported(text, name if file.stem == "__init__" else parent) | {parent} - {""})
             for each in names if folder is None else [module_beside(each, folder) for each in names]:
