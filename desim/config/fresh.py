@@ -174,7 +174,7 @@ def _is_collection(held: Any) -> bool:
 
 
 LARGE = 10_000
-"""Number of items of a collection from which on its shared_changes are not looked for, because this would take long."""
+"""Number of items of a collection from which on its changes are not looked for, because this would take long."""
 
 
 def _snapshot(value: Any) -> Any:

@@ -165,6 +165,7 @@ class Synchroniser:
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
         """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""
         clock, offsets = self._clocks[node], self._offsets[node]
+        # t1 and t4 are without the correction, so the offsets of a node do not depend on when it was corrected.
         offsets.append((received - sent + answered - clock.uncorrected) // 2)
         if len(offsets) < self._model.exchanges:
             return

@@ -43,7 +43,9 @@ class ClockWalk:
         self._rate, self._rng, self._last = rate, rng, -(-until // TICK)
         tick = seconds(TICK)
         self._drift_step = drift_walk * sqrt(tick)
-        self._offset_step = sqrt(offset_walk**2 * tick + drift_walk**2 * tick**3 / 12.0)  # given the step of the drift
+        # Given the drift at both ends of a tick, its integral is their mean times t plus that of a Brownian bridge, of
+        # variance b^2 t^3 / 12. So two independent draws for each tick are exact.
+        self._offset_step = sqrt(offset_walk**2 * tick + drift_walk**2 * tick**3 / 12.0)
         self._drift = 0.0
         self._errors = [0.0]
         self._shown = [0.0]
@@ -77,6 +79,7 @@ class ClockWalk:
                 change = self._drift_step * first
                 step = length * (self._drift + change / 2.0) + self._offset_step * second
                 self._drift += change
+                # What the clock shows always increases, so that `when` can bisect.
                 self._errors.append(self._errors[-1] + max(step, slowest))
                 self._shown.append(self._rate * (len(self._errors) - 1) * length + self._errors[-1])
         return self._errors[tick]

@@ -96,6 +96,7 @@ class _SlottedAloha(AccessMethod):
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
+        # The number of slots up to the first success is geometric: one draw and one event, not one for each slot.
         first = -(-round(clock.at(now) * SECOND) // self._slot)
         start = (first + int(self._rng.geometric(self._p)) - 1) * self._slot
         self._nodes.due[node] = min(max(clock.when(seconds(start)), now), NEVER)
@@ -117,6 +118,7 @@ class _Nonpersistent(AccessMethod):
         busy = due[self._nodes.busy[due] > 0]
         self._attempts[busy] += 1
         waits = self._rng.exponential(self._backoff, len(busy))
+        # At least 1 ns, so that a node does not sense the channel again and again at one instant.
         self._nodes.due[busy] = now + np.maximum(np.rint(np.minimum(waits, MAX_TIME) * SECOND).astype(np.int64), 1)
         return due[self._nodes.busy[due] == 0], busy[self._attempts[busy] >= self._limit]
 

@@ -74,6 +74,8 @@ def pair_uniform(
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
+    # The pair is mixed before the number is added: in a plain sum, one pair and number could equal another pair and
+    # number. The multiple of the golden ratio is the step of splitmix64.
     increment = (np.atleast_1d(number).astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed = _mix(_mix(pair + _key(seed, name)) + increment)
     # With 53 bits the largest draw would be rounded to 1, where most quantiles are infinite.
@@ -86,6 +88,7 @@ def _key(seed: int, name: str) -> np.uint64:
 
 
 def _sequence(seed: int, name: str, index: int) -> np.random.SeedSequence:
+    # CRC-32, because `hash` of a text differs from process to process.
     return np.random.SeedSequence(seed_of(seed), spawn_key=(zlib.crc32(name.encode()), index))
 
 

@@ -185,6 +185,7 @@ def _nested(value: Any) -> str:
         return _number(value) if isfinite(value) else _json(value)
     if kind in JSON_ATOMS:
         return _json(value)
+    # Lists, because `join` makes a list of a generator first; a trace has millions of these texts.
     if kind is Fields:
         return f"{{{', '.join([f'{_json(name)}: {_nested(field)}' for name, field in value.items()])}}}"
     keys = _keys_json(kind)

@@ -58,6 +58,7 @@ class KeptArrivals:
         Return whether all that are due should be decided, as many have been added since this was last the case.
         """
         first, of_node = self.first, self._of_node
+        # Two items of a flat list take less time and memory than a tuple.
         for node, when in zip(nodes, times, strict=True):
             kept = of_node[node]
             kept.append(when)

@@ -143,6 +143,7 @@ def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain
     last = arrival if isinstance(arrival, int) else max(arrival, default=0)
     unsure, lost = list[int](), list[int]()
     later = when_lost = arrival
+    # The late arrivals are set apart first: a receiver that is down now may be up when they are due.
     if last >= until:
         reached, arrival, unsure, later = _split(reached, arrival, lambda _, when: when < until)
     if down:
@@ -155,7 +156,7 @@ def _split(
 ) -> tuple[list[int], Arrival, list[int], Arrival]:
     """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
     holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
-    not_holding = [not holds for holds in holding]
+    not_holding = [not is_holding for is_holding in holding]
     parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, not_holding))]
     if isinstance(arrival, int):
         return parts[0], arrival, parts[1], arrival

@@ -124,6 +124,8 @@ class LinkSampler:
 
     def _drawn_losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Draw the losses from the loss models; see `losses`."""
+        # All receivers are drawn, also those with an override, whose draws have another stream: so an override changes
+        # the losses of no other link.
         if self._lossless:
             lost = None
         elif self._loss_buffer is not None:
@@ -179,6 +181,7 @@ class LinkSampler:
         else:
             delays = times_of(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
         if overrides:
+            # A copy: the buffer hands out a view of its block, and one number may stand for all receivers.
             delays = np.array(np.broadcast_to(delays, len(dst)))
             for k, node in enumerate(dst):
                 if node in overrides:
@@ -203,6 +206,7 @@ class LinkSampler:
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
         models = (self._latency, *(model for to in self._latency_overrides.values() for model in to.values()))
+        # The shortest of the spans, because a trace may end there, and have no latency later.
         spans = [span for model in models if (span := link_trait(model, "time_span")) is not None]
         latencies: list[int] = []
         for k, src in enumerate(list(range(size)) * rounds):

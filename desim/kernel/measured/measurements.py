@@ -214,6 +214,7 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
     is_first = np.concatenate(([True], (np.diff(src) != 0) | (np.diff(dst) != 0)))
     is_late = ~is_first[1:] & (np.diff(times[row]) <= 0)
     if is_late.any():
+        # The first late row of the table, not of the order by links, is the one that a reader of the file looks for.
         late = int(row[1:][is_late].min())
         before = cells.place(int(row[:-1][is_late & (row[1:] == late)][0]))
         raise cells.error(late, f"{columns.time} should increase; it is not later than in {before}, of the same link")
@@ -321,6 +322,8 @@ def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:
     """Return the (R,) values with the missing ones filled in, and which were missing; see `Measurements.values`."""
     is_missing, rows = np.isnan(values), np.arange(len(values))
     start, counts = first[:-1], np.diff(first)
+    # One running maximum over all links. Before the first value of a link it is a row of an earlier link, less than
+    # `start`, and is replaced by the row of the last value of the link.
     last_known = np.maximum.accumulate(np.where(is_missing, -1, rows))
     of_last_row = np.repeat(last_known[first[1:] - 1], counts)
     source = np.where(last_known < np.repeat(start, counts), of_last_row, last_known)

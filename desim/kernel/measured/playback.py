@@ -60,6 +60,7 @@ class Playback:
         finish = begin if repeats else values[last]
         keys = [links * self._width, np.repeat(links, counts) * self._width + measured.rank]
         keys += [(links + 1) * self._width - 1]
+        # Stable: a row of the table at time 0 comes after the added row with the same key, and so is the one in use.
         order = np.argsort(np.concatenate(keys), kind="stable")
         self._keys = np.concatenate(keys)[order]
         self._values = np.concatenate((begin, values, finish))[order]

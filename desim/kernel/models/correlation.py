@@ -43,6 +43,7 @@ class LinkMemory:
         """Put the links at hand aside, and take those to the (k,) nodes `dst`; new links are added first."""
         if dst is self.dst:
             return
+        # The present links are put aside before the look-up, because `_add` replaces the arrays.
         self._value[self._selected], self._since[self._selected] = self.value, self.since
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
@@ -90,6 +91,7 @@ class CorrelatedNumbers:
         if unused.any():
             row.value[unused] = _uniform(int(unused.sum()), rng)
         last = row.value.astype(np.uint64)  # a float holds such a number exactly
+        # No overflow: the weights add up to 2^32, and both numbers are less than 2^32.
         numbers = (new * (np.uint64(RANGE) - self._rho) + last * self._rho) >> np.uint64(32)
         row.value[:] = numbers
         return numbers

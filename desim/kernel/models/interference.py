@@ -228,6 +228,7 @@ class Sinr(Faded):
         received = self._power(overlap, overlap.frame)
         powers = [self._power(overlap, other) for other in overlap.others]
         worst = np.full(len(received), self.noise)
+        # Interference increases only where a frame begins, so its maximum is at one of these instants.
         for instant in sorted({max(other.begin, overlap.frame.begin) for other in overlap.others}):
             interference = np.full(len(received), self.noise)
             for other, power in zip(overlap.others, powers, strict=True):

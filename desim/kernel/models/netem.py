@@ -88,6 +88,7 @@ class Netem(Value):
         undelayed = self._undelayed
         if undelayed == 1.0:
             return np.zeros_like(u)
+        # Reordered messages are the fastest, so they take the lowest u: the quantile function stays monotone.
         return np.where(u < undelayed, 0.0, self._delayed(np.maximum(u - undelayed, 0.0) / (1.0 - undelayed)))
 
     def mean_latency(self) -> float | None:
@@ -163,6 +164,7 @@ class _NetemLinks:
         row = self._since[context.src]
         row.select(context.dst)
         reordered = row.value >= self._model.gap - 1
+        # Only links whose gap is over draw a number, as in Linux: the memory of the others must not advance.
         reordered[reordered] = self._reorders(_to(context, reordered), rng) <= self._limit
         row.value[:] = np.where(reordered, 0.0, row.value + 1.0)
         return reordered

@@ -56,6 +56,7 @@ class CellList:
 
         The result contains all nodes within the radius, and possibly others.
         """
+        # Two nodes that move towards each other approach by twice the drift of one.
         if 2.0 * self._drifted() > self._skin:
             self._hash()
         cell = tuple(self._cells[node].tolist())
@@ -80,6 +81,7 @@ class CellList:
         """Hash all nodes by their current positions."""
         self._when, self._at, self._drift = self._now(), self._positions().copy(), 0.0
         cells = self._cells_of(self._at)
+        # Few nodes change their cell in the time of half a skin, so the dicts are updated for these nodes only.
         moved = (cells != self._cells).any(axis=1).nonzero()[0]
         self._leave(moved.tolist(), self._cells[moved])
         self._enter(moved.tolist(), cells[moved])

@@ -139,6 +139,7 @@ class ReliableSender:
             elif owed.is_held != (entry.seq in received):  # a receiver that has lost its memory holds nothing any more
                 owed.is_held, acts = not owed.is_held, True
                 owed.due = NEVER if owed.is_held else now
+        # `_close_gap` comes first, because it must be called in any case.
         if self._close_gap(node) or acts:
             self.advance()
 
@@ -222,6 +223,7 @@ class ReliableSender:
         first = model.timeout
         if first == "auto":
             first = self._endpoint.auto_timeout(model, entry.size + FRAME, len(entry.owed))
+        # A bounded exponent: a float to a higher power raises OverflowError before `min` could bound it.
         grown = min(first * model.backoff ** min(attempts, MAX_GROWTH), model.max_timeout)
         return self._endpoint.clock.span(max(first, grown))
 
