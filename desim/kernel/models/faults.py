@@ -289,7 +289,8 @@ class ClockSkew(Value):
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
     drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
-    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99."""
+    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99. If in doubt,
+    2e-5, an ordinary quartz; 1e-6 with temperature compensation."""
     offset_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
     """Random walk of the offset, s per sqrt(s), from white noise of the frequency: after a time t its standard
     deviation is offset_walk sqrt(t). Each node has a walk of its own."""
@@ -368,9 +369,10 @@ class RandomCrashes(Value):
 
     kind: Literal["random_crashes"] = "random_crashes"
     rate: Rate = 0.1
-    """Crash rate of each node that is up, 1/s."""
+    """Crash rate of each node that is up, 1/s. If in doubt, 1 / (horizon of the run), about one crash of each node."""
     mean_downtime: Duration = 1.0
-    """Mean time until a crashed node recovers, s."""
+    """Mean time until a crashed node recovers, s. If in doubt, a few time-outs of the protocol: a node that is back
+    sooner is not missed."""
     scope: Literal["radio", "robot"] = "robot"
     """radio: the node neither sends nor receives; robot: it does not move or decide either."""
     memory: Flag = True
@@ -393,7 +395,8 @@ class RandomFaults(Value):
 
     kind: Literal["random"] = "random"
     rate: Rate = 1.0
-    """Rate of faults, 1/s."""
+    """Rate of faults, 1/s. If in doubt, about ten faults in a run; with rate times `mean_duration` above 1, several
+    overlap most of the time."""
     mean_duration: Duration = 1.0
     """Mean duration of a fault, s."""
     end: Extent = inf
