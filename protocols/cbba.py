@@ -94,6 +94,9 @@ class CBBA(Auction):
                     bid = updaters[task](bid)
                     verdict = decision(me.id, k, *mine, stamps, *bid, theirs)
                     bids[task] = {"update": bid, "reset": NO_BID, "leave": mine}[verdict]
+                # Heartbeats repeat a claim with its old stamps, but each is a sign of life: the stamp of the sender
+                # itself is the time of the record. Ages count from when a stamp last grew, because stamps are read from
+                # other clocks.
                 heard = [*theirs[:k], record.sent, *theirs[k + 1 :]]
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))

@@ -99,6 +99,7 @@ class Flooding(Value):
             for message in me.mail(PORT):
                 (record,), hops = message.body
                 me.merge_records([record])
+                # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
                 if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)

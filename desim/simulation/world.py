@@ -87,6 +87,7 @@ class World:
         """Record the start, start motion and sampling, and schedule the end of the run at the horizon."""
         state = self.state
         self._trace.append(Started(0, *self._places(), tuple(state.speeds.tolist()), tuple(state.profile)))
+        # After the captures of the same instant, so that a capture at the horizon counts.
         self._at(state.horizon, Phase.CAPTURE + 1, lambda _: self._end.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._forecast.update())
         if not state.static:

@@ -167,6 +167,7 @@ class _Body:
         for call, other in pairwise(_calls()):
             first, second = self.piece(call), self.piece(other)
             gaps = [abs(first.at(t) - second.at(t)) for t in times]
+            # Halfway between the least and the first gap: the circles meet on the way in, and do not only touch.
             radius = (min(gaps) + gaps[0]) / 2.0
             sampled = next(t for t, gap in zip(times, gaps, strict=True) if gap <= radius * (1.0 + 1e-9))
             contact = first_contact(first, second, radius, 0.0, 5.0)

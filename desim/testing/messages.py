@@ -82,6 +82,7 @@ class Conservation:
         fates = dict(event.fates())
         _require(isinstance(event, Sent) or len(fates) == len(event.dst), "a message is transmitted once", event)
         _require(event.created <= event.t, "no message is transmitted before it was created", event)
+        # LOST is less than any time, so for most events a single comparison is enough.
         if fates and min(fates.values()) < event.t:
             early = any(arrival < event.t for arrival in fates.values() if arrival != LOST)
             _require(not early, "no message arrives before it was transmitted", event)
@@ -102,6 +103,7 @@ class Conservation:
         self._flying[event.transmission] = event, fates
         if len(self._flying) > self._max_unchecked:
             self._settle(event.t)
+            # The limit doubles with what is in flight, so that the cost per event stays constant.
             self._max_unchecked = MIN_BATCH + 2 * len(self._flying)
 
     def _check_order(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:

@@ -97,6 +97,8 @@ class Witness:
             phi = body.phi(record.src)
         else:
             return False
+        # The time of a pursuer that is inactive may be that for any evader, so it is too short only if it is so for
+        # all.
         evaders = [action] if action else list(state.at_large)
         if not all(self._view.unlimited or self._view.sees(evader) for evader in evaders):
             return False

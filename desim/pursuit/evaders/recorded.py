@@ -67,6 +67,7 @@ class _Record(Value):
         (dx, dy), begin = self.offset, nanoseconds(self.start_time)
         if (self.start_time, self.scale, self.offset) == (0.0, 1.0, (0.0, 0.0)):
             return waypoints, 0
+        # In ns, the times of the simulation, so that no waypoint is a rounding error before the start.
         moved = [(nanoseconds(t) - begin, self.scale * x + dx, self.scale * y + dy) for t, x, y in waypoints]
         cut = max(sum(t <= 0 for t, _, _ in moved) - 1, 0)
         if moved[-1][0] < 0:

@@ -76,6 +76,9 @@ class Mean(Value):
         phi, q = np.asarray(other_times, dtype=float), np.asarray(chances, dtype=float)
         s, weight = _nodes(len(q) // 2 + 1)
         factors = 1.0 - q[:, None] * (1.0 - s)  # (K, nodes)
+        # Products up to j and from j on give the product without j. A division by the factor of j could be one by 0.
+        # The weights of the quadrature are in the first, and the factor 1 - s of the difference of both means in the
+        # second.
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
         beside = (before[:-1] * after[1:]).sum(axis=1)  # (K,), for each j without the factor of j

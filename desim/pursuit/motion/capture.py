@@ -99,6 +99,7 @@ def accelerated_capture_times(
     closing = along - evader_speed
     root = np.sqrt(closing**2 + 2.0 * gain * gap)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Two forms of the same root, each where nothing cancels; divisions by 0 are in the one that is not taken.
         time = np.where(closing > 0.0, 2.0 * gap / (closing + root), (root - closing) / gain)
         straight = (gap - (closing + lag / 2.0) * duration) / (speeds - evader_speed)
         time = np.where(time <= duration, time, duration + straight)
@@ -166,6 +167,7 @@ def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius:
     b = w_x * x + w_y * y - radius * v
     c = x**2 + y**2 - radius**2
     discriminant = b**2 - a * c
+    # The lesser root is c / (sqrt(b^2 - a c) - b). This form also holds at a = 0, where the usual one divides by 0.
     denominator = np.sqrt(np.maximum(discriminant, 0.0)) - b
     meets = (discriminant >= 0.0) & (denominator > 0.0)
     time = np.full(b.shape, inf)

@@ -103,6 +103,8 @@ class EvaderTrack:
             began, origin = t, motion
             motion = self._chase(motion, segment, speed, t, end)
             t = end
+        # The start of the last step is kept and not its end: the next call may ask for a later time in the same step,
+        # and the course within a step follows from its start. Inserting it again makes it the most recently used.
         self._retracings[chase] = (began, origin)
         if len(self._retracings) > MAX_RETRACINGS:
             del self._retracings[next(iter(self._retracings))]  # the least recently used
@@ -113,6 +115,8 @@ class EvaderTrack:
         place, course = motion
         step, duration = seconds(segment.end - begin), seconds(end - begin)
         wind = self._environment.drift(place, 0j, begin, step)
+        # Guidance is relative to the medium: it aims upstream by the way that the flow carries the pursuer in this
+        # step.
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
         if course is not None:

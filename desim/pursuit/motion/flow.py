@@ -233,6 +233,7 @@ class RecordedFlow(UniformFlow):
         """Return the displacement since the first measurement, m; negative times included."""
         k = max(bisect_right(self._times, t) - 1, 0)
         since = t - self._times[k]
+        # The velocity is linear between two measurements, so the trapezoid is its integral.
         return self._integrals[k] + (self._values[k] + self.velocity_at(t)) * (since / 2.0)
 
     @cached_property

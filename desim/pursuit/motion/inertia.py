@@ -143,6 +143,7 @@ def first_contact(target: Piece, player: Piece, radius: float, begin: float, end
         stop = min((curve.curved for curve in curves), default=inf)
         velocity = target.velocity_at(t) - player.velocity_at(t)
         rate = (offset.real * velocity.real + offset.imag * velocity.imag) / distance
+        # The root is 2 f / (sqrt(...) - f'), in which nothing cancels while the gap closes (f' < 0).
         closing = sqrt(rate * rate + 2.0 * bound * gap) - rate
         t = min(t + 2.0 * gap / closing, stop) if closing > 0.0 else stop
         if t > end:

@@ -37,7 +37,9 @@ def shortest_paths(targets: Points, radii: Floats) -> tuple[Floats, Points]:
     x, y = targets.real, np.abs(targets.imag)
     squared = x * x + y * (y - 2.0 * radii)  # D^2 - rho^2
     line = np.sqrt(np.maximum(squared, 0.0))
+    # The argument of this product is theta - acos(rho / D): one angle in place of two, without an arc cosine near 1.
     turned = (radii - y + 1j * x) * (radii - 1j * line)
+    # By `math`, because the last bits of NumPy's functions of angles depend on the processor.
     angles = np.array([atan2(z.imag, z.real) % (2.0 * pi) for z in turned.tolist()])
     angles[angles > 2.0 * pi - ANGLE_ROUNDING] = 0.0
     path_lengths: Floats = radii * angles + line

@@ -241,6 +241,7 @@ class TrackingView(LimitedView):
         sensing = self._sensing
         assert not isinstance(sensing.estimator, Unfiltered)
         combined = self._filters[evader].at(now) if evader in self._filters else None
+        # By source, because the fusion of three tracks depends on their order, and arrivals may be in any.
         for _, reported in sorted((src, track) for (j, src), track in self._tracks.items() if j == evader):
             other = sensing.estimator.predict(reported, now)
             combined = other if combined is None else fused(combined, other, sensing.fusion)

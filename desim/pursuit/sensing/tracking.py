@@ -122,6 +122,8 @@ def corrected(state: list[float], covariance: Matrix, seen: list[float], errors:
     variances = [errors[k][k] for k in pending]
     deviations = [sqrt(max(line[i], 0.0)) for i, line in enumerate(covariance)]
     while pending:
+        # The greatest variance first, as in a Cholesky factorisation with pivots: no share exceeds 1, and a variance of
+        # which only rounding errors are left is 0, that of an exact entry.
         k = max(pending, key=lambda i: errors[i][i])
         pending.remove(k)
         variance = errors[k][k] if errors[k][k] > ROUNDING * variances[k] else 0.0

@@ -171,6 +171,7 @@ class View:
         if state.static or age == ended:
             return start
         now, captured = state.now, body.captured
+        # The capture of its evader ends a chase, at once if the evader was captured before the chase began.
         end = now - ended if captured is None else min(now - ended, max(captured, now - age))
         if exact and self.unlimited:
             reached = body.path.retrace(start, speed, now - age, end)

@@ -126,6 +126,8 @@ class Beliefs(Knowledge):
         The believed chasers are teammates. Capture times are in s; nan if unknown.
         """
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self.id)
+        # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
+        # bit.
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self._judge is not None:
             chasing = [j for j in chasing if self._judge.believes(matching[j][1])]
@@ -136,6 +138,7 @@ class Beliefs(Knowledge):
             times = [self._capture_time(matching[j][1], evader) for j in chasing]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
+            # Claims are judged together, and therefore after all records that are not believed are gone.
             ignored = ignored_by(self._judge, own_time, claims)
             chasing = [j for j in chasing if j not in ignored]
             times = [claims[j] for j in chasing]
@@ -230,6 +233,7 @@ class Beliefs(Knowledge):
             estimates, announcement = self._network.estimates, self._announcement()
             delay = estimates.latency + estimates.airtime(announcement)
             period = max(period, estimates.interval(announcement))
+            # Two announcements in a row may be lost before a teammate is given up.
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
@@ -256,9 +260,11 @@ class Beliefs(Knowledge):
         motion = body.motion
         ordered = orders.get(record.src, ())
         now = self._clock.stamp
+        # The clock of the sender may be ahead of this one.
         since = min(record.stamp, now)
         if not body.active and not any(action for _, action in ordered):
             return self._view.idle(motion, now - since)
+        # An order from before the announcement begins with it: its earlier effect is in the announced motion.
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
