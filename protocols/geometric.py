@@ -127,7 +127,7 @@ class Argmin(Geometric):
         """Return the function that computes the capture or intercept time, s, of each pursuer."""
         if self.by == "capture_time":
             return lambda team: team.capture_times
-        velocity = Velocity(self.time_constant, me.environment)
+        velocity = VelocityFilter(self.time_constant, me.environment)
 
         def intercept(team: TeamEstimate) -> Floats:
             place, now = me.evader(evader), me.now
@@ -139,7 +139,7 @@ class Argmin(Geometric):
         return intercept
 
 
-class Velocity:
+class VelocityFilter:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
     w is the estimate, x the position and T the time constant. The estimate is 0 until two successive positions are

@@ -51,7 +51,7 @@ PORT = ReservedPort("server", __name__)
 """The port at which reports and orders arrive."""
 
 
-class Order(NamedTuple):
+class TeamOrder(NamedTuple):
     """The assignment of pursuers to evaders."""
 
     number: int
@@ -99,7 +99,7 @@ class Server(Value):
 
     def _lead(self, me: Agent) -> Process:
         """Decide when reports have arrived, obey the decision, and send it to the others."""
-        current = Order(-1, ())
+        current = TeamOrder(-1, ())
         orders: dict[int, list[tuple[int, int]]] = {}
         delay = me.latency + me.airtime(me.located())
         report_period = max(self.period, me.interval(me.located()))
@@ -123,7 +123,9 @@ class Server(Value):
                     chasers = self._chasers(me, orders, delay)
                     changed = current.number < 0 or chasers != current.chasers
                     # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
-                    current = Order(max(nanoseconds(me.now), current.number + 1, 0), chasers) if changed else current
+                    current = (
+                        TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers) if changed else current
+                    )
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):
                     me.send(None, current, PORT)
@@ -183,7 +185,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
     return portable_sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(segments) if action != evader)
 
 
-def apply_order(me: Agent, order: Order) -> None:
+def apply_order(me: Agent, order: TeamOrder) -> None:
     """Chase the evader that the order assigns to the pursuer; be inactive if there is none or it has been captured."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0

@@ -99,7 +99,9 @@ class _Limit(AbstractContextManager[None]):
         if error is None:
             raise TimedOut(f"took longer than {self._limit:g} s: it ended by itself, but too late")
         is_described = isinstance(error, TimedOut) and not isinstance(error, self._raised)
-        raise TimedOut(f"took longer than {self._limit:g} s: {error if is_described else place_of(error)}") from error
+        raise TimedOut(
+            f"took longer than {self._limit:g} s: {error if is_described else code_place_of(error)}"
+        ) from error
 
 
 class _Alarm(_Limit):
@@ -173,7 +175,7 @@ def _is_in(error: BaseException | None, kind: type[BaseException]) -> bool:
     return error is not None
 
 
-def place_of(error: BaseException) -> str:
+def code_place_of(error: BaseException) -> str:
     """Return the file, line and function in which an error was raised."""
     places = list(walk_tb(error.__traceback__))
     frame, line = next((place for place in places[::-1] if place[0].f_code.co_filename != __file__), places[-1])
@@ -206,7 +208,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
 
     due = env.scheduled()
     alive = [(pursuer, process) for pursuer, several in processes.items() for process in several if process.is_alive]
-    head = f"at {seconds(env.now):.9g} s of simulated time, in {place_of(error)}; {len(alive):,} processes wait"
+    head = f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}; {len(alive):,} processes wait"
     lines = [f"pursuer {pursuer}: {_line(process)}{_until(process, due)}" for pursuer, process in alive[:MAX_LISTED]]
     more = [f"... and {len(alive) - MAX_LISTED:,} more"] if len(alive) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))

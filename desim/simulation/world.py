@@ -10,7 +10,7 @@ from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import nanoseconds
-from desim.pursuit.core.events import BrokeDown, Captured, Decided, Point, Sampled, Started
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Sampled, Started, TracePoint
 from desim.pursuit.core.state import complex_points, coordinates
 from desim.pursuit.evaders.evader import EvaderBody
 from desim.pursuit.motion.dead_reckoning import EvaderTrack
@@ -190,7 +190,7 @@ class World:
     def _at(self, when: int, priority: int, act: Callable[[simpy.Event], None]) -> None:
         Instant(self._env, when, priority).callbacks.append(act)
 
-    def _places(self) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
+    def _places(self) -> tuple[tuple[TracePoint, ...], tuple[TracePoint, ...]]:
         """Return the positions of the evaders and of the pursuers as (x, y), m."""
         places = tuple((x, y) for x, y in coordinates(self.state.players.positions()).tolist())
         return places[self.state.size :], places[: self.state.size]

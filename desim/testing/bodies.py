@@ -12,7 +12,7 @@ import numpy as np
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import DYNAMICS, Course, Courses, Piece, coasts
-from desim.pursuit.motion.inertia import first_contact
+from desim.pursuit.motion.inertia import first_contact_of_pieces
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Scenario
 from desim.testing.judging import Subject, subject, twice
@@ -170,7 +170,7 @@ class _Body:
             # Halfway between the least and the first gap: the circles meet on the way in, and do not only touch.
             radius = (min(gaps) + gaps[0]) / 2.0
             sampled = next(t for t, gap in zip(times, gaps, strict=True) if gap <= radius * (1.0 + 1e-9))
-            contact = first_contact(first, second, radius, 0.0, 5.0)
+            contact = first_contact_of_pieces(first, second, radius, 0.0, 5.0)
             self.tested.require(
                 contact is not None and contact <= sampled + TOLERANCE and sampled - contact <= 1e-3 + TOLERANCE,
                 f"{call} and {other} come within {radius:.4g} m at {sampled:.4g} s, and the search finds {contact}",
@@ -239,7 +239,7 @@ class _Body:
         time = self._times(np.array([offset]), courses, np.array([speed])).item()
         piece = self.piece(_Call(0j, at_rest, speed + 0j))
         evader = Piece(offset, Course(EVADER_SPEED + 0j))
-        moved = first_contact(evader, piece, CAPTURE_RADIUS, 0.0, 1e4)
+        moved = first_contact_of_pieces(evader, piece, CAPTURE_RADIUS, 0.0, 1e4)
         reached = inf if moved is None else moved
         self.tested.require(
             reached == time or abs(reached - time) <= 0.01 * reached,

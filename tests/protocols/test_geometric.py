@@ -22,7 +22,7 @@ from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
-from protocols.geometric import Argmin, Velocity, Voronoi, announced_chasers, first
+from protocols.geometric import Argmin, VelocityFilter, Voronoi, announced_chasers, first
 from protocols.geometric import owners as owners_of
 from tests.many import at_rest, by_evader, chased, times
 
@@ -281,7 +281,7 @@ def meets(gap, w, v, radius):
 @given(st.floats(0.01, 2.0), st.floats(0.01, 1.0), st.integers(1, 30))
 def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots):
     """At rest first, then at 2 + 1j m/s: the estimate lacks exp(-t / T) of it."""
-    velocity = Velocity(time_constant, STILL)
+    velocity = VelocityFilter(time_constant, STILL)
     assert velocity(0.0, 5j) == 0j
     assert velocity(slot, 5j) == 0j
     for k in range(1, slots + 1):
@@ -291,7 +291,7 @@ def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots)
 
 def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
     """Nor is the way between two sights with a gap between them taken for a velocity."""
-    velocity = Velocity(0.0, STILL)
+    velocity = VelocityFilter(0.0, STILL)
     velocity(1.0, 1 + 0j)
     assert velocity(1.5, 2 + 0j) == 2 + 0j
     assert velocity(2.0, complex(np.nan, np.nan)) == 2 + 0j
@@ -300,8 +300,8 @@ def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
 
 
 def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_follows_at_once():
-    assert [Velocity(9.0, STILL)(0.0, 1j), 0j] == [0j, 0j]
-    slow, quick = Velocity(9.0, STILL), Velocity(0.0, STILL)
+    assert [VelocityFilter(9.0, STILL)(0.0, 1j), 0j] == [0j, 0j]
+    slow, quick = VelocityFilter(9.0, STILL), VelocityFilter(0.0, STILL)
     for velocity in (slow, quick):
         velocity(1.0, 1 + 0j)
         assert velocity(1.5, 2 + 0j) == pytest.approx(2 + 0j)

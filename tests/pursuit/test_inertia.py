@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND, seconds
 from desim.pursuit.motion.dynamics import Acceleration, Course, Piece, Simple, TurnRate
-from desim.pursuit.motion.inertia import InertialKinematics, first_contact
+from desim.pursuit.motion.inertia import InertialKinematics, first_contact_of_pieces
 from desim.pursuit.motion.kinematics import Kinematics
 
 seeds = st.integers(0, 2**32 - 1)
@@ -32,7 +32,7 @@ def check_contact(target, player, radius, begin, end):
     def gap(t):
         return abs(target.at(t) - player.at(t)) - radius
 
-    found = first_contact(target, player, radius, begin, end)
+    found = first_contact_of_pieces(target, player, radius, begin, end)
     times = np.linspace(begin, end, 1_501)
     gaps = np.array([gap(t) for t in times.tolist()])
     before = times < (inf if found is None else begin + found - 1e-12)
@@ -65,7 +65,7 @@ def test_contacts_are_neither_late_nor_early(seed, radius):
 def test_of_random_pairs_some_meet():
     """So the property above is not one of pairs that never meet: of 300, 23 meet, and 8 are within the radius."""
     rng = np.random.default_rng(1)
-    found = [first_contact(piece_of(rng), piece_of(rng), 0.4, 0.0, 3.0) for _ in range(300)]
+    found = [first_contact_of_pieces(piece_of(rng), piece_of(rng), 0.4, 0.0, 3.0) for _ in range(300)]
     assert (sum(each is not None for each in found), found.count(0.0)) == (31, 8)
 
 
@@ -75,7 +75,7 @@ def test_contacts_are_exact_however_sharp_the_curve(limit):
     target = Piece(2.0 + 0j, Course())
     turned = TurnRate(limit=limit)(0j, Course(0j, 1j), 1.0 + 0j)
     pushed = Acceleration(limit=limit)(0j, Course(0j, 1.0 + 0j), 1.0 + 0j)
-    assert first_contact(target, pushed, 0.5, 0.0, 9.0) == pytest.approx(1.5 + 0.5 / limit, rel=1e-12)
+    assert first_contact_of_pieces(target, pushed, 0.5, 0.0, 9.0) == pytest.approx(1.5 + 0.5 / limit, rel=1e-12)
     found = check_contact(target, turned, 0.5, 0.0, 9.0)
     assert found == pytest.approx(1.5 + (pi / 2 - 1.0) / limit, abs=1e-12 + 2.0 / limit**2)
 

@@ -17,8 +17,8 @@ from desim.pursuit.sensing.tracking import (
     Track,
     corrected,
     fused,
-    gains,
     merged,
+    stationary_gains,
 )
 
 STEP = SECOND // 10
@@ -36,7 +36,7 @@ def test_the_gains_are_those_of_a_stationary_kalman_filter(index):
         covariance = f @ covariance @ f.T + push
         gain = covariance[:, 0] / (covariance[0, 0] + 1.0)
         covariance = covariance - np.outer(gain, covariance[0])
-    assert gains(index) == pytest.approx(tuple(gain), rel=1e-9)
+    assert stationary_gains(index) == pytest.approx(tuple(gain), rel=1e-9)
 
 
 def spread(rng, size):

@@ -29,7 +29,7 @@ from desim.scenario.scenario import Motion, Scenario
 from desim.simulation import run as run_module
 from desim.simulation import watchdog
 from desim.simulation.run import run
-from desim.simulation.watchdog import TimedOut, place_of, within
+from desim.simulation.watchdog import TimedOut, code_place_of, within
 from desim.study.sweeps.sweep import sweep
 from desim.study.workers import dispatch
 
@@ -299,7 +299,7 @@ def test_the_place_of_an_instruction_without_a_line_is_the_begin_of_its_function
     for table, line in ((code.co_linetable, code.co_firstlineno + 1), (b"", code.co_firstlineno)):
         with pytest.raises(ValueError) as caught:
             FunctionType(code.replace(co_linetable=table), {})()
-        assert place_of(caught.value) == f"simulation/test_watchdog.py:{line} (interrupted)"
+        assert code_place_of(caught.value) == f"simulation/test_watchdog.py:{line} (interrupted)"
 
 
 @pytest.mark.slow

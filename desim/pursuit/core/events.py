@@ -4,18 +4,18 @@ from typing import Annotated, Literal, NamedTuple
 
 from desim.kernel.core.events import Nanoseconds, NodeId
 
-Point = tuple[float, float]
+TracePoint = tuple[float, float]
 """m"""
 # The string in an annotation is a mark, by which trace files are validated; see `desim.kernel.core.events`.
-Evader = Annotated[int, "evader"]
+EvaderNumber = Annotated[int, "evader"]
 """The number of an evader, 1 .. M."""
 Action = Annotated[int, "action"]
 """The evader that a pursuer chases, 1 .. M, or 0 if it is inactive."""
 # Tuples with one entry for each pursuer, or for each evader.
-Points = Annotated[tuple[Point, ...], "pursuers"]
-Speeds = Annotated[tuple[float, ...], "pursuers"]
-Actions = Annotated[tuple[Action, ...], "pursuers"]
-Evaders = Annotated[tuple[Point, ...], "evaders"]
+PursuerPoints = Annotated[tuple[TracePoint, ...], "pursuers"]
+PursuerSpeeds = Annotated[tuple[float, ...], "pursuers"]
+PursuerActions = Annotated[tuple[Action, ...], "pursuers"]
+EvaderPoints = Annotated[tuple[TracePoint, ...], "evaders"]
 FORMAT = 2
 """The format number of traces. It changes when the fields of an event change."""
 
@@ -24,13 +24,13 @@ class Started(NamedTuple):
     """The pursuit began."""
 
     t: Nanoseconds
-    evaders: Evaders
+    evaders: EvaderPoints
     """m"""
-    pursuers: Points
+    pursuers: PursuerPoints
     """m"""
-    speeds: Speeds
+    speeds: PursuerSpeeds
     """m/s"""
-    active: Actions
+    active: PursuerActions
     """The action of each pursuer, as in `Decided`."""
     format: Annotated[int, "format"] = FORMAT
 
@@ -55,9 +55,9 @@ class Sampled(NamedTuple):
     """A sample of all positions."""
 
     t: Nanoseconds
-    evaders: Evaders
+    evaders: EvaderPoints
     """m; a captured evader stays where it was captured."""
-    pursuers: Points
+    pursuers: PursuerPoints
     """m"""
 
 
@@ -66,7 +66,7 @@ class Estimated(NamedTuple):
 
     t: Nanoseconds
     pursuer: NodeId
-    evader: Evader
+    evader: EvaderNumber
     x: float
     """m"""
     y: float
@@ -83,7 +83,7 @@ class Captured(NamedTuple):
     """An evader was captured; the pursuers that chased it are inactive until they decide again."""
 
     t: Nanoseconds
-    evader: Evader
+    evader: EvaderNumber
     """1 .. M"""
     capturer: NodeId
 

@@ -52,7 +52,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
     return (float(times[row]), row) if times[row] <= duration else None
 
 
-def within(offsets: Points, radius: float) -> int | None:
+def nearest_within(offsets: Points, radius: float) -> int | None:
     """Return the row of the shortest of (N,) offsets (m), or None if even that offset is longer than a radius (m)."""
     distances = lengths(offsets)
     row = int(distances.argmin())

@@ -37,7 +37,7 @@ NodeKey = Annotated[
     Discriminator(_form_of_node),
 ]
 """The number or the name of a node in a mobility file."""
-Points = Sequence[tuple[float, float, float]]
+Waypoints = Sequence[tuple[float, float, float]]
 """Waypoints [t, x, y] (s, m, m)."""
 
 
@@ -56,7 +56,7 @@ class _Record(Value):
     """Displacement [x, y] that is added to the positions after scaling, m: the negative of the position that becomes
     the origin."""
 
-    def placed(self, waypoints: Points) -> tuple[Points, int]:
+    def placed(self, waypoints: Waypoints) -> tuple[Waypoints, int]:
         """Return the waypoints as the simulation has them, and the number of those cut off at the beginning.
 
         The first of them is at time 0 if the record begins before `start_time`.
@@ -109,7 +109,7 @@ class RecordedMotion(_Record):
             raise ValueError("should have waypoints or a file of waypoints, not both")
         # With a file, the other keys are validated first, because they determine how it is read.
         checked = make(data | {"file": None, "waypoints": [(0.0, 0.0, 0.0)]} if has_file else data)
-        waypoints: Points = checked.waypoints
+        waypoints: Waypoints = checked.waypoints
         if has_file:
             file = resolve_path(data["file"], info)
             track = read_mobility(file, checked.dimensions).track(checked.node)

@@ -19,7 +19,7 @@ from typing import Literal
 
 from desim.config.number_files import number_of
 from desim.kernel.measured.measurements import start_of, time_of
-from desim.pursuit.mobility.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
+from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
 
 Dimensions = Literal[2, 3]
 """The coordinates of each waypoint of BonnMotion."""
@@ -59,7 +59,7 @@ class BonnMotionFile(MobilityFile):
             )
         return likely[0] if likely else 3
 
-    def _track(self, node: NodeName) -> Track:
+    def _track(self, node: NodeName) -> NodeTrack:
         line, row = self._rows[int(node)]
         place, width = f"{self.file}, line {line}", self._width
         if len(row) % width:
@@ -77,7 +77,7 @@ class BonnMotionFile(MobilityFile):
                 f"{self.file}: each line has one waypoint, at a time of its own: the first line of a table should name"
                 " its columns, t, x and y"
             )
-        return Track(waypoints, is_high)
+        return NodeTrack(waypoints, is_high)
 
 
 SHOULD_BE_TRIPLES = "should be t1 x1 y1 t2 x2 y2 ..., three numbers each"

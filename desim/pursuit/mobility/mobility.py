@@ -30,7 +30,7 @@ class Waypoint(NamedTuple):
     """The line of the file that it is from."""
 
 
-class Track(NamedTuple):
+class NodeTrack(NamedTuple):
     """The recorded motion of one node."""
 
     waypoints: list[Waypoint]
@@ -51,7 +51,7 @@ class MobilityFile:
         self.file = file
         self.nodes = tuple(nodes)
 
-    def track(self, node: NodeName) -> Track:
+    def track(self, node: NodeName) -> NodeTrack:
         """Return the motion of a node: one of `nodes` or, if these are names, also the index of a name.
 
         Raises:
@@ -68,7 +68,7 @@ class MobilityFile:
             raise ValueError(self._lacks(node))
         return self._track(node)
 
-    def _track(self, node: NodeName) -> Track:
+    def _track(self, node: NodeName) -> NodeTrack:
         raise NotImplementedError
 
     def _lacks(self, node: NodeName) -> str:

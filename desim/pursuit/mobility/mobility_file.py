@@ -8,7 +8,7 @@ from pathlib import Path
 from desim.config.number_files import text_of_file
 from desim.pursuit.mobility.bonnmotion_file import BonnMotionFile, Dimensions
 from desim.pursuit.mobility.mobility import MobilityFile
-from desim.pursuit.mobility.mobility_table import MobilityTable, header_of
+from desim.pursuit.mobility.mobility_table import MobilityTable, header_in
 from desim.pursuit.mobility.ns2_file import Ns2File, is_ns2
 
 
@@ -30,7 +30,7 @@ def read_mobility(file: Path, dimensions: Dimensions | None = None) -> MobilityF
             raise ValueError(f"{file} is not a mobility file of BonnMotion or ns-2, or a table: {hint}")
     if is_ns2(lines):
         made: MobilityFile = Ns2File(file, lines)
-    elif (header := header_of(lines)) is not None:
+    elif (header := header_in(lines)) is not None:
         made = MobilityTable(file, lines, *header)
     else:
         return BonnMotionFile(file, lines, dimensions)

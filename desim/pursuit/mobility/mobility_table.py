@@ -15,7 +15,7 @@ from typing import NamedTuple
 from desim.config.number_files import COMMAS
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
-from desim.pursuit.mobility.mobility import MobilityFile, NodeName, Track, Waypoint, append, coordinate, time
+from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
     "t": ("t", "time", "timestamp", "t_s", "time_s", "sec", "seconds", "date", "datetime"),
@@ -38,7 +38,7 @@ class Header(NamedTuple):
     units: list[str | None]
 
 
-def header_of(lines: Sequence[str]) -> tuple[int, str, Header] | None:
+def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
     """Return the line of a header, from 0, the delimiter of its table ("": white space), and the header.
 
     A header may be a comment, as numpy writes it. Return None if the first line is no header.
@@ -118,7 +118,7 @@ class MobilityTable(MobilityFile):
         except ValueError as error:
             raise ValueError(f"{self._file}, line {line}: {error}") from error
 
-    def _track(self, node: NodeName) -> Track:
+    def _track(self, node: NodeName) -> NodeTrack:
         start = start_of(self._time(row) for rows in self._rows.values() for row in rows)
         t, x, y = (self._columns[key] or 0 for key in "txy")
         z = self._columns["z"]
@@ -128,7 +128,7 @@ class MobilityTable(MobilityFile):
             new = Waypoint(time(cells[t], place, start), coordinate(cells[x], place), coordinate(cells[y], place), line)
             is_high |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
             append(waypoints, new, place)
-        return Track(waypoints, is_high)
+        return NodeTrack(waypoints, is_high)
 
 
 def _is_number(name: str) -> bool:

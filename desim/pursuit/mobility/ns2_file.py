@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.measurements import start_of, time_of
-from desim.pursuit.mobility.mobility import MobilityFile, NodeName, Track, Waypoint, coordinate, speed, time
+from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, coordinate, speed, time
 
 NODE = r"\$([A-Za-z_]\w*?)(?:\((\d+)\)|(\d+))"
 """Matches a node, its array and its number: $node_(0), $mnode_(0) or $n0."""
@@ -106,14 +106,14 @@ class Ns2File(MobilityFile):
         self._array = array
         return self._motions.setdefault(int(number), _Motion(name, {}, []))
 
-    def _track(self, node: NodeName) -> Track:
+    def _track(self, node: NodeName) -> NodeTrack:
         name, start, moves = self._motions[int(node)]
         if lacking := [axis for axis in "XY" if axis not in start]:
             raise ValueError(f"{self.file}: node {node} has no initial position: {name} set {lacking[0]}_ is missing")
         (x, _), (y, line) = start["X"], start["Y"]
         timed = [move._replace(t=time(text, f"line {move.line}", self._zero)) for text, move in moves]
         waypoints = list(legs(Waypoint(0.0, x, y, line), sorted(timed, key=lambda move: move.t)))
-        return Track(waypoints, start.get("Z", (0.0, 0))[0] != 0.0)
+        return NodeTrack(waypoints, start.get("Z", (0.0, 0))[0] != 0.0)
 
 
 def _statements(lines: Sequence[str]) -> Iterator[tuple[int, str]]:

@@ -25,9 +25,9 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.measurements import PER_SECOND, Unit, timed_rows
 
-Component = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
+VelocityComponent = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """A component of a velocity, m/s."""
-Velocity = tuple[Component, Component]
+FlowVelocity = tuple[VelocityComponent, VelocityComponent]
 CARRIED_STEP = 50_000_000
 """Longest step, ns, of the integration of the path of a player that the flow carries."""
 
@@ -99,7 +99,7 @@ class SteadyFlow(UniformFlow):
     """A flow of constant velocity."""
 
     kind: Literal["uniform"] = "uniform"
-    velocity: Velocity
+    velocity: FlowVelocity
     """Velocity [x, y], m/s."""
     top_acceleration: ClassVar[float] = 0.0
 
@@ -125,9 +125,9 @@ class HarmonicFlow(UniformFlow):
     """A flow that oscillates: velocity + amplitude sin(2 pi t / period + phase)."""
 
     kind: Literal["harmonic"] = "harmonic"
-    velocity: Velocity = (0.0, 0.0)
+    velocity: FlowVelocity = (0.0, 0.0)
     """Mean velocity [x, y], m/s."""
-    amplitude: Velocity
+    amplitude: FlowVelocity
     """Amplitude [x, y], m/s."""
     period: Duration
     """Period, s."""
@@ -168,7 +168,9 @@ class RecordedFlow(UniformFlow):
     """A measured flow, the same everywhere: linear in time between the measurements, and constant outside of them."""
 
     kind: Literal["recorded"] = "recorded"
-    velocities: Annotated[tuple[Annotated[tuple[Time, Component, Component], FirstError()], ...], FirstError()] = ()
+    velocities: Annotated[
+        tuple[Annotated[tuple[Time, VelocityComponent, VelocityComponent], FirstError()], ...], FirstError()
+    ] = ()
     """Measurements [t, x, y] (s, m/s, m/s), in order of time."""
     file: str | None = None
     """Instead of measurements: path of a CSV file with the columns t, x and y, relative to the scenario file. The file
@@ -268,7 +270,7 @@ class AffineFlow(Value):
     """
 
     kind: Literal["affine"] = "affine"
-    velocity: Velocity = (0.0, 0.0)
+    velocity: FlowVelocity = (0.0, 0.0)
     """Velocity [x, y] at the centre, m/s."""
     expansion: Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False, strict=True)] = 0.0
     """Rate of expansion a, 1/s; negative for a contraction."""

@@ -89,7 +89,7 @@ class InertialKinematics(Kinematics):
             gaps = [(abs(piece.at(end) - self._pieces[player].at(end)), player) for player in able]
             distance, nearest = min(gaps, default=(inf, 0))
             return (duration, nearest) if distance <= radius else None
-        times = [(first_contact(piece, self._pieces[player], radius, begin, end), player) for player in able]
+        times = [(first_contact_of_pieces(piece, self._pieces[player], radius, begin, end), player) for player in able]
         return min(((time, player) for time, player in times if time is not None), default=None)
 
     def command(self, velocities: Points, drifts: Points | None = None) -> None:
@@ -116,7 +116,7 @@ class InertialKinematics(Kinematics):
         return made._replace(drift=drift) if drift else made
 
 
-def first_contact(target: Piece, player: Piece, radius: float, begin: float, end: float) -> float | None:
+def first_contact_of_pieces(target: Piece, player: Piece, radius: float, begin: float, end: float) -> float | None:
     """Return the time from `begin` to the first contact of two players on their pieces up to `end`, s, or None.
 
     While the curves of both pieces last, the second derivative of the distance is at least -A, where A is the sum of

@@ -15,7 +15,7 @@ from desim.config.arrays import Integers, Points
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND
-from desim.pursuit.core.geometry import first_contact, within
+from desim.pursuit.core.geometry import first_contact, nearest_within
 from desim.pursuit.motion.dynamics import Course, Courses
 
 CaptureTest = Literal["segment", "sample"]
@@ -145,7 +145,7 @@ class Kinematics:
         offsets = np.where(broken, MAX_COORDINATE, offsets) if broken.any() else offsets
         if test == "segment":
             return first_contact(offsets, approach, radius, duration)
-        row = within(offsets + approach * duration, radius)
+        row = nearest_within(offsets + approach * duration, radius)
         return None if row is None else (duration, row)
 
     def command(self, velocities: Points, drifts: Points | None = None) -> None:

@@ -20,7 +20,7 @@ from desim.config.model import Value
 from desim.kernel.core.units import SECOND
 from desim.pursuit.sensing.noise import LEAST, Covariance
 
-Diffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
+VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
 ROUNDING = 1e-14
@@ -208,7 +208,7 @@ class _Diffusing(Value):
             " interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
         }
     )
-    velocity_diffusion: Diffusion = 0.3
+    velocity_diffusion: VelocityDiffusion = 0.3
     """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
     velocity_diffusion sqrt(t) (standard deviation), however many sightings there were. With a small value the track
     lags behind the turns of the evader; with a large one it follows the noise. If in doubt, use the change of velocity
@@ -237,7 +237,7 @@ class AlphaBeta(_Diffusing):
         x, y, vx, vy = _moved(track.state, period)
         deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
         is_exact = deviation < 2.0 * LEAST
-        alpha, beta = (1.0, 1.0) if is_exact else gains(period**1.5 * self.velocity_diffusion / deviation)
+        alpha, beta = (1.0, 1.0) if is_exact else stationary_gains(period**1.5 * self.velocity_diffusion / deviation)
         dx, dy, rate = seen.x - x, seen.y - y, beta / period
         return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
 
@@ -279,8 +279,8 @@ Estimator = AlphaBeta | Kalman
 ESTIMATORS = OneOf(Unfiltered, AlphaBeta, Kalman, is_closed=True)
 
 
-def gains(index: float) -> tuple[float, float]:
-    """Return the gains (alpha, beta) for a tracking index L = c T^(3/2) / s_v > 0.
+def stationary_gains(index: float) -> tuple[float, float]:
+    """Return the stationary gains (alpha, beta) for a tracking index L = c T^(3/2) / s_v > 0.
 
     T is the time between two sightings, s_v the standard deviation of a sighting and c the diffusion of the velocity.
     With w^2 = L^2 (1/3 + sqrt(1/12 + 4/L^2)) and s = (sqrt(w^2 + 4) - w) / 2 they are alpha = 1 - s^2 and beta = L s,

@@ -29,7 +29,7 @@ from desim.kernel.core.events import Broadcast, Event, Lost, Sent, Trace
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
-from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Point, Sampled, Started
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started, TracePoint
 from desim.results.run_folder import StreamedResult
 from desim.simulation.run import Result
 from desim.view.data.headings import Headings
@@ -121,7 +121,7 @@ class Scene:
 
     def __init__(self, headings: Headings | None = None) -> None:
         self._headings = headings
-        self._places: dict[str, Point] = {}
+        self._places: dict[str, TracePoint] = {}
         self._actions: list[int] = []
         self._captured: set[int] = set()
         self._size = 0.0
@@ -277,7 +277,7 @@ def _turned(heading: complex) -> Message:
     return {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
 
 
-def _point(place: Point) -> Message:
+def _point(place: TracePoint) -> Message:
     return {"x": place[0], "y": place[1], "z": 0.0}
 
 
