@@ -28,7 +28,7 @@ from desim.pursuit.motion.flow import RecordedFlow
 from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml import load, read
+from desim.scenario.toml import load, read_source
 from desim.study.plan.configurations import configurations
 from tests.command import JARGON
 from tests.golden import golden
@@ -382,7 +382,7 @@ def refusal(folder: Path, text: str, *overrides: str) -> str:
     file = folder / "f.toml"
     file.write_text(f"{text}\n")
     with pytest.raises(ScenarioError) as refused:
-        configurations(read(file, overrides)) if text.startswith(GRID) else load(file, overrides)
+        configurations(read_source(file, overrides)) if text.startswith(GRID) else load(file, overrides)
     said = str(refused.value).replace(f"{folder}/", "")
     assert not JARGON.search(said)
     given = [*text.removeprefix(GRID).splitlines(), *(f"--set {each}" for each in overrides)]

@@ -21,7 +21,7 @@ from desim.kernel.models.latency import Empirical
 from desim.kernel.models.links import Links
 from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.toml import read
+from desim.scenario.toml import read_source
 from desim.simulation.run import run
 from desim.study.ablation.explain import explain
 from desim.study.results.figures import waterfall
@@ -191,9 +191,9 @@ def test_a_loaded_grid_does_not_bypass_the_check(mark, written, grid):
     with pytest.raises(ScenarioError, match="names code"):
         desim.load(file)
     with pytest.raises(ScenarioError, match="names code"):
-        sweep(read(file), reps=1)
+        sweep(read_source(file), reps=1)
     assert not mark.exists()
-    assert sweep(read(file, allow_import=True), reps=1).groups[0].rows[0].ok
+    assert sweep(read_source(file, allow_import=True), reps=1).groups[0].rows[0].ok
     assert sweep(desim.load(file, allow_import=True), reps=1).groups[0].rows[0].ok
 
 

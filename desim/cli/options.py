@@ -162,10 +162,10 @@ def source_of(
     Print warnings, and end the program if the scenario is invalid; see `valid`.
     """
     from desim.scenario.overrides import ScenarioError
-    from desim.scenario.toml import read
+    from desim.scenario.toml import read_source
 
     try:
-        source = read(file, overrides, allow_import=is_import_allowed())
+        source = read_source(file, overrides, allow_import=is_import_allowed())
         for each in grid:
             source.vary(each)
         add_metrics(source, metrics)

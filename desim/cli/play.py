@@ -24,7 +24,7 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
     server, and so does closing the page. A run takes at most 30 s, unless --timeout says otherwise.
     """
     from desim.scenario.examples import example
-    from desim.scenario.toml import read
+    from desim.scenario.toml import read_source
     from desim.study.workers.workers import Processes
     from desim.view.pages.play_server import PlayServer, page
     from desim.view.pages.playground import Playground, Session
@@ -32,7 +32,7 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
     path = example("relay") if file is None else file
     source_of(path, overrides)  # ends the program if the file or an override is invalid
     limit = {} if timeout is None else {"timeout": timeout}
-    playground = Playground(read(path, allow_import=is_import_allowed()), path, overrides, **limit)
+    playground = Playground(read_source(path, allow_import=is_import_allowed()), path, overrides, **limit)
     with making("page to play with"):
         page(playground)
     workers = Processes(os.cpu_count() or 1, kept=True)

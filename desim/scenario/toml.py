@@ -34,10 +34,10 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
         ScenarioError: if the file, one of its bases or an override is not valid; the message has one line per error.
         OSError: if the file cannot be read.
     """
-    return validate(read(file, overrides, allow_import=allow_import))
+    return validate(read_source(file, overrides, allow_import=allow_import))
 
 
-def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
+def read_source(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
     """Return the source of a TOML file before validation, merged with its bases and overrides; see `load`.
 
     A base is another scenario file, which the key `base` names.

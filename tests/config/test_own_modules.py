@@ -12,7 +12,7 @@ from desim import load, run, summary, sweep
 from desim.config.own_modules import folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
-from desim.scenario.toml import dump, read, validate
+from desim.scenario.toml import dump, read_source, validate
 from desim.study.plan.config_hash import identify
 from desim.study.plan.configurations import configurations
 from desim.study.workers.serialization import called, packed
@@ -148,7 +148,7 @@ def test_recorded_runs_and_play_use_the_folder_of_the_file(folders, tmp_path):
         made = json.loads(json.dumps(provenance.document(provenance.RUN, scenario, seed=1, folder=folder)))
         again = validate(provenance.source(folder / "run.json", made, allow_import=True))
         assert lines(run(again, 1)) == lines(run(scenario, 1))
-        ground = Playground(read(folder / "s.toml", allow_import=True), folder / "s.toml")
+        ground = Playground(read_source(folder / "s.toml", allow_import=True), folder / "s.toml")
         assert codes(summary(ground.result(()))) == (number, number)
 
 
@@ -216,6 +216,6 @@ def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
         "base = 's.toml'\n[sweep.grid]\nprotocol = ['myrule:Rule']\n'network.latency.kind' = ['myrule:Latency']\n"
     )
     (folders[1] / "over.toml").write_text(f"base = '{folders[0] / 'grid.toml'}'\n")
-    (swept,) = configurations(read(folders[1] / "over.toml", allow_import=True))
+    (swept,) = configurations(read_source(folders[1] / "over.toml", allow_import=True))
     for model in (swept.scenario.protocol, swept.scenario.network.latency):
         assert folder_in_name(type(model).__module__) == folders[0]

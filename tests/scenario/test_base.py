@@ -9,7 +9,7 @@ from desim.kernel.models.latency import Gamma
 from desim.results import provenance
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml import dump, load, read
+from desim.scenario.toml import dump, load, read_source
 from desim.study.plan.configurations import configurations
 from protocols.cbba import CBBA
 from scenarios.studies.study import SCENARIOS
@@ -101,7 +101,7 @@ def test_overrides_come_last(files):
 def test_a_grid_is_merged_with_that_of_the_base(files):
     base = "[sweep]\nreps = 2\n[sweep.grid]\n'network.range' = [1.0, 2.0]\n'horizon' = [1.0]\n"
     mine = "base = 'other.toml'\n[sweep.grid]\n'network.range' = [3.0]\n"
-    grid = [each.settings for each in configurations(read(files(mine=mine, other=base)))]
+    grid = [each.settings for each in configurations(read_source(files(mine=mine, other=base)))]
     assert grid == [{"network.range": 3.0, "horizon": 1.0}]
 
 
@@ -188,13 +188,15 @@ def test_data_files_in_the_grid_of_a_base_in_another_folder_lie_beside_it(table,
     files(sub__deeper__c="")
     for name, edges in (("a", []), ("deeper/b", [{"source": 0, "target": 1}])):
         (tmp_path / f"sub/{name}.json").write_text(json.dumps(GRAPH | {"edges": edges}))
-    found = {each.settings["network.graph.file"]: each.scenario.network.graph for each in configurations(read(path))}
+    found = {
+        each.settings["network.graph.file"]: each.scenario.network.graph for each in configurations(read_source(path))
+    }
     assert [(name, len(graph.edges)) for name, graph in found.items()] == [("sub/a.json", 0), ("sub/deeper/b.json", 1)]
 
 
 def test_a_key_file_of_a_users_own_table_stays_as_it_is(files):
     base = "protocol = { kind = 'my:Rule', file = 'a' }\nsweep.grid.'protocol.file' = ['a', 'b']\n"
-    tables = read(files(mine="base = 'sub/b.toml'\n", sub__b=base)).tables
+    tables = read_source(files(mine="base = 'sub/b.toml'\n", sub__b=base)).tables
     assert (tables["protocol"]["file"], tables["sweep"]["grid"]) == ("a", {"protocol.file": ["a", "b"]})
 
 

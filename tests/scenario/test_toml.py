@@ -22,7 +22,7 @@ from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Evader, Speeds, Team
 from desim.scenario.scenario import Capture, Motion, Recording, Scenario
-from desim.scenario.toml import dump, load, read, validate
+from desim.scenario.toml import dump, load, read_source, validate
 from desim.scenario.toml_lines import key_lines
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
@@ -291,7 +291,7 @@ def test_a_file_without_deep_keys_is_refused_soon(text, tmp_path):
 )
 def test_the_value_of_an_override_is_toml_and_a_bare_word_is_a_string(written, override, expected):
     before = {"seed": 1, "horizon": 9.0, "team": {"count": 2}}
-    source = read(written(tomli_w.dumps(before)), [override])
+    source = read_source(written(tomli_w.dumps(before)), [override])
     assert source.tables == before | expected
 
 

@@ -23,7 +23,7 @@ from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
-from desim.scenario.toml import load, read
+from desim.scenario.toml import load, read_source
 from desim.study.plan import configurations as module
 from desim.study.plan.config_hash import identify
 from desim.study.plan.configurations import configurations, label
@@ -91,7 +91,7 @@ def refused(tmp_path):
         path = tmp_path / "f.toml"
         path.write_text(f"{base}[sweep.grid]\n{text}\n")
         with pytest.raises(ScenarioError) as error:
-            configurations(read(path))
+            configurations(read_source(path))
         return str(error.value).replace(str(path), "f").splitlines()
 
     return lines
@@ -122,8 +122,8 @@ def test_the_grid_of_a_file_is_that_of_a_script(tmp_path):
     path.write_text(f'{BASE}[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\nnetwork.range = [4.0, inf]\n')
     grid = {"network.latency.value": [0.0, 0.1], "network.range": [4.0, inf]}
     scenario = Scenario(horizon=1.0, team=Team(count=2), network=Links(latency=Constant(value=0.02)))
-    assert [cell.key for cell in configurations(read(path))] == [cell.key for cell in of(grid, scenario)]
-    assert [cell.key for cell in configurations(read(path), {"network.range": [1.0]})] == [
+    assert [cell.key for cell in configurations(read_source(path))] == [cell.key for cell in of(grid, scenario)]
+    assert [cell.key for cell in configurations(read_source(path), {"network.range": [1.0]})] == [
         cell.key for cell in of({"network.range": [1.0]}, scenario)
     ]
 
@@ -208,7 +208,7 @@ def test_a_preset_is_swept_from_a_script():
 def test_a_preset_is_swept_from_a_file(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text('[network]\npreset = "wifi"\n[sweep.grid]\nnetwork.preset = ["wifi", "lora_sf7"]\n')
-    assert [cell.scenario.network for cell in configurations(read(path))] == [
+    assert [cell.scenario.network for cell in configurations(read_source(path))] == [
         Links(preset="wifi"),
         Links(preset="lora_sf7"),
     ]
@@ -244,7 +244,7 @@ def test_a_fault_that_has_no_line_comes_first(tmp_path):
     file = tmp_path / "f.toml"
     file.write_text("sweep.grid.horizon = [-1.0, 1.0]\n")
     with pytest.raises(ScenarioError) as refused:
-        configurations(read(file, ["sweep.grid.team.count=[2, 0]"]))
+        configurations(read_source(file, ["sweep.grid.team.count=[2, 0]"]))
     first, second = str(refused.value).splitlines()
     assert first.startswith("--set sweep.grid.team.count=[2, 0]: ")
     assert second.startswith(f"{file}:1: ")
@@ -542,7 +542,7 @@ def test_what_is_refused_in_a_grid_is_told_with_its_place(tmp_path):
     }.items():
         path.write_text(f"team.count = 2\n{text}\n")
         with pytest.raises(ScenarioError, match=f"^{re.escape(where)}"):
-            configurations(read(path, allow_import=True))
+            configurations(read_source(path, allow_import=True))
     with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid: protocol: has no stable hash: "):
         of({"protocol": [Plain(threading.Lock())]})
 

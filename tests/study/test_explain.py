@@ -34,7 +34,7 @@ from desim.pursuit.sensing.tracking import Kalman
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
-from desim.scenario.toml import read, validate
+from desim.scenario.toml import read_source, validate
 from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
@@ -648,7 +648,7 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
         (tmp_path / "mine_of_explain.py").write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
         sys.modules.pop("mine_of_explain", None)
         importlib.invalidate_caches()
-        return validate(read(file, allow_import=True))
+        return validate(read_source(file, allow_import=True))
 
     store = tmp_path / "s.sqlite"
     assert explain(scenario(1), 2, store=store) == explain(scenario(1), 2, store=store)

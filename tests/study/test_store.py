@@ -27,7 +27,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.results import environment
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml import load, read
+from desim.scenario.toml import load, read_source
 from desim.simulation.run import run
 from desim.study.ablation.explain import explain
 from desim.study.results.result import SweepResult
@@ -372,7 +372,7 @@ def test_a_store_can_be_made_by_many_at_the_same_moment(tmp_path):
 
 
 def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
-    found = sweep(read(file, allow_import=True), store=tmp_path / "store.sqlite")
+    found = sweep(read_source(file, allow_import=True), store=tmp_path / "store.sqlite")
     with closing(sqlite3.connect(tmp_path / "store.sqlite")) as database:
         times = [time for (time,) in database.execute("SELECT active_time FROM results")]
     assert times == [time for group in found.groups for time in group.values("active_time")]

@@ -26,7 +26,7 @@ from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.sweep_table import Sweep
-from desim.scenario.toml import read
+from desim.scenario.toml import read_source
 from desim.study.results.result import SweepResult
 from desim.study.store.file import StoreError
 from desim.study.store.store import Store
@@ -459,7 +459,7 @@ def test_a_store_is_not_continued_with_other_code_of_a_rule(tmp_path, monkeypatc
         module_file.write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
         sys.modules.pop("mine_of_sweep", None)
         importlib.invalidate_caches()
-        return sweep(read(file, allow_import=True), reps=1, store=tmp_path / "s.sqlite")
+        return sweep(read_source(file, allow_import=True), reps=1, store=tmp_path / "s.sqlite")
 
     assert swept(1) == swept(1)
     with pytest.raises(StoreError, match=r"by another version: the code of mine_of_sweep was"):
@@ -512,7 +512,7 @@ def measured(tmp_path, monkeypatch):
             f'network.latency = {{ kind = "delay_of_sweep:Measured", lazy = "{lazy}" }}\n'
         )
         grid = grid or {"network.range": [9.0]}
-        return sweep(read(file, allow_import=True), grid, reps=1, store=tmp_path / "s.sqlite")
+        return sweep(read_source(file, allow_import=True), grid, reps=1, store=tmp_path / "s.sqlite")
 
     yield swept
     for name in ("delay_of_sweep", "delay_factor"):
@@ -560,11 +560,11 @@ def test_a_store_is_not_continued_with_another_file_of_a_built_in_model(tmp_path
     )
     (tmp_path / "delays.txt").write_text("0.3 0.3")
     options = {"grid": {"network.range": [9.0]}, "reps": 1, "store": tmp_path / "s.sqlite"}
-    sweep(read(tmp_path / "f.toml"), **options)
+    sweep(read_source(tmp_path / "f.toml"), **options)
     (tmp_path / "delays.txt").write_text(f"0.3 {edit}")
     refused = pytest.raises(StoreError, match=r"network\.latency\.values\.1 was 0\.3, is 1\.0")
     with nullcontext() if edit == "0.3" else refused:
-        sweep(read(tmp_path / "f.toml"), **options)
+        sweep(read_source(tmp_path / "f.toml"), **options)
 
 
 EDITED = r"network\.latency\.table was a text with the hash [0-9a-f]{16}, is a text with the hash [0-9a-f]{16};"
@@ -579,7 +579,7 @@ def test_a_store_is_not_continued_with_an_edited_table_of_measurements(tmp_path)
     for second, refused in (("0.3", nullcontext()), ("0.4", pytest.raises(StoreError, match=EDITED))):
         (tmp_path / "rtt.csv").write_text(f"t,value\n0,0.001\n1,{second}\n")
         with refused:
-            sweep(read(tmp_path / "f.toml"), **options)
+            sweep(read_source(tmp_path / "f.toml"), **options)
 
 
 def test_more_user_protocols_may_be_added(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from desim import Announcements, Links, Scenario, Team, load
 from desim.kernel.models.latency import Gamma
 from desim.scenario.overrides import Source
-from desim.scenario.toml import read, validate
+from desim.scenario.toml import read_source, validate
 from desim.view.pages.controls import FIRST, Slider, controls
 from scenarios.studies.study import SCENARIOS
 
@@ -31,7 +31,7 @@ FROM_FILES = {
 
 @pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
 def test_a_control_set_to_its_own_value_changes_nothing(file):
-    scenario, source = load(file), read(file)
+    scenario, source = load(file), read_source(file)
     source.tables.pop("sweep", None)
     for each in controls(scenario):
         from_file = each.key.startswith(FROM_FILES.get(file.stem, ()))

@@ -26,7 +26,7 @@ from desim import Scenario, Team, load, run, summary
 from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
 from desim.scenario.overrides import Source
-from desim.scenario.toml import read
+from desim.scenario.toml import read_source
 from desim.study.workers.batch import seeds_from
 from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
@@ -44,7 +44,7 @@ SET_SMALL = [word for each in SMALL for word in ("--set", each)]
 
 @pytest.fixture(scope="module")
 def small():
-    return Playground(read(RELAY), RELAY, SMALL)
+    return Playground(read_source(RELAY), RELAY, SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +108,10 @@ def test_a_wrong_value_is_reported_at_its_key_and_the_controls_stay(small, chang
 def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
     """The evader is faster than all pursuers, so the run would last to its horizon, which takes a minute."""
     endless = ["team.count=60", "evader.speed=5.0", "horizon=1000.0"]
-    assert "errors" not in Playground(read(RELAY), RELAY).answer([*endless, "horizon=0.1"], None)  # all is imported now
-    found = Playground(read(RELAY), RELAY, timeout=1.0).answer(endless, None)
+    assert "errors" not in Playground(read_source(RELAY), RELAY).answer(
+        [*endless, "horizon=0.1"], None
+    )  # all is imported now
+    found = Playground(read_source(RELAY), RELAY, timeout=1.0).answer(endless, None)
     assert found["errors"][""].startswith("The run took longer than 1 s: at ")
     assert "pursuer 0: " in found["errors"][""]
     assert "--set team.count=60" in found["texts"]["command"]
@@ -136,7 +138,7 @@ def measured(tmp_path, monkeypatch):
     file = tmp_path / "measured.toml"
     own = '["metrics_of_play:endless", "metrics_of_play:gain"]'
     file.write_text(f"team.count = 2\nhorizon = 0.2\nrecord.metrics = {own}\n")
-    return Playground(read(file, allow_import=True), file)
+    return Playground(read_source(file, allow_import=True), file)
 
 
 def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
@@ -162,7 +164,7 @@ def test_an_exception_of_a_users_rule_is_shown_with_its_last_calls(tmp_path):
     )
     (tmp_path / "fails.toml").write_text('protocol.kind = "rule_that_fails:rule"\n')
     file = tmp_path / "fails.toml"
-    found = Playground(read(file, allow_import=True), file).answer([], None)
+    found = Playground(read_source(file, allow_import=True), file).answer([], None)
     assert "ValueError: mine" in found["errors"][""]
     assert "rule_that_fails.py" in found["errors"][""]
 
@@ -202,7 +204,7 @@ def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
 
 def test_a_run_that_fails_leaves_no_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    session = Session(Playground(read(RELAY), RELAY), InProcess())
+    session = Session(Playground(read_source(RELAY), RELAY), InProcess())
     monkeypatch.setattr(Playground, "result", lambda *_: 1 // 0)
     assert session.save(SMALL)["error"].endswith("ZeroDivisionError: integer division or modulo by zero")
     monkeypatch.undo()
