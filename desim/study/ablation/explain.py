@@ -86,17 +86,21 @@ class Variants:
         """
         if (runs := whole(runs, "runs")) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-        own, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
+        added, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
-        configurations = {name: Configuration({"without": name}, each) for name, each in named.items()}
+        configurations = {name: Configuration({"without": name}, variant) for name, variant in named.items()}
         distinct: dict[str, Configuration] = {}
         for configuration in configurations.values():
             distinct.setdefault(configuration.key, configuration)
         return cls(
             SweepPlan(
-                scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else seed_of(seed), metrics=own
+                scenario,
+                tuple(distinct.values()),
+                runs,
+                scenario.seed if seed is None else seed_of(seed),
+                metrics=added,
             ),
             configurations,
         )
@@ -133,9 +137,9 @@ class Variants:
             for configuration, group in zip(plan.configurations, groups, strict=True)
         }
         rows = {name: by_key[configuration.key] for name, configuration in self.configurations.items()}
-        complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
+        complete = [k for k in range(plan.reps) if all(by_seed[k].ok for by_seed in rows.values())]
         if not complete:
-            failed = next(row for found in rows.values() for row in found.values() if not row.ok)
+            failed = next(row for by_seed in rows.values() for row in by_seed.values() if not row.ok)
             raise RunError(f"no seed completed in all variants; first failure: {failed.error}")
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
@@ -147,7 +151,7 @@ class Variants:
 
 def _cost(
     metric: str,
-    own: UsersMetrics,
+    added: UsersMetrics,
     rows: Mapping[str, Mapping[int, Row]],
     complete: list[int],
     absent: tuple[str, ...],
@@ -157,20 +161,20 @@ def _cost(
 
     `confidence` is the level of the interval that decides whether the imperfections interact.
     """
-    shared_seeds = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
-    values = {name: [float(found[k].value(metric)) for k in shared_seeds] for name, found in rows.items()}
+    shared_seeds = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in rows.values())]
+    values = {name: [float(by_seed[k].value(metric)) for k in shared_seeds] for name, by_seed in rows.items()}
     as_it_is = values.pop(AS_IT_IS)
-    saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
+    saved = {name: [a - b for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         EXPLAINED.get(metric) or words(metric),
-        unit_of(metric, {name: each.unit for name, each in own}),
+        unit_of(metric, {name: metric.unit for name, metric in added}),
         mean(as_it_is),
         mean(values[IDEAL]),
-        {name: Saving.of(each) for name, each in parts.items()},
+        {name: Saving.of(saving) for name, saving in parts.items()},
         Saving.of(saved[IDEAL]),
         Saving.of(interaction),
-        more_is(metric, dict(own)),
+        more_is(metric, dict(added)),
         confidence,
     )

@@ -59,12 +59,14 @@ def without_contention(scenario: Scenario) -> Scenario:
     medium = scenario.network.medium
     if not _contends(medium):
         return scenario
-    own = {"spreading_factors": None, "frequencies": None, "gateways": None} if isinstance(medium, LoRa) else {}
+    no_contention = (
+        {"spreading_factors": None, "frequencies": None, "gateways": None} if isinstance(medium, LoRa) else {}
+    )
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
     is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own(scenario, "latency")
     processing = Processing() if is_only else network.processing
-    return _with_network(scenario, medium=medium.model_copy(update=ideal | own), processing=processing)
+    return _with_network(scenario, medium=medium.model_copy(update=ideal | no_contention), processing=processing)
 
 
 def without_loss(scenario: Scenario) -> Scenario:
@@ -97,7 +99,7 @@ def without_range(scenario: Scenario) -> Scenario:
 
 def without_faults(scenario: Scenario) -> Scenario:
     """Return the scenario without faults of the network, robots and clocks: no crash, partition, jamming or skew."""
-    return scenario.model_copy(update={"fault": tuple(each for each in scenario.fault if is_lie(each))})
+    return scenario.model_copy(update={"fault": tuple(fault for fault in scenario.fault if is_lie(fault))})
 
 
 def without_lies(scenario: Scenario) -> Scenario:
@@ -161,10 +163,10 @@ def without_noise(scenario: Scenario) -> Scenario:
 def without_inertia(scenario: Scenario) -> Scenario:
     """Return the scenario in which all players take each commanded velocity at once."""
     team, evader, simple = scenario.team, scenario.evader, {"dynamics": Simple()}
-    if not (team.has_inertia or any(each.has_inertia for each in scenario.evaders)):
+    if not (team.has_inertia or any(evader.has_inertia for evader in scenario.evaders)):
         return scenario
     kinds: tuple[Any, ...] = evader if isinstance(evader, tuple) else (evader,)
-    free = tuple(each.model_copy(update=simple) for each in kinds)
+    free = tuple(kind.model_copy(update=simple) for kind in kinds)
     evaders = free if isinstance(evader, tuple) else free[0]
     return scenario.model_copy(update={"team": team.model_copy(update=simple), "evader": evaders})
 
@@ -211,8 +213,8 @@ def _contends(medium: Medium) -> TypeGuard[Radio]:
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     """Return the links without their model `key`; links that have no model of their own left are dropped."""
-    others = {"latency", "loss", "order"} - {key}
-    kept = [link for link in network.link if any(getattr(link, name) is not None for name in others)]
+    other_keys = {"latency", "loss", "order"} - {key}
+    kept = [link for link in network.link if any(getattr(link, name) is not None for name in other_keys)]
     return tuple(link.model_copy(update={key: None}) for link in kept)
 
 
@@ -227,7 +229,7 @@ def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph of a scenario, without one property (`key`) of its edges."""
     # A graph model may return the same object at each call.
     made = scenario.network.make_graph(scenario.team.count).copy()
-    own = [data for _, _, data in made.edges(data=True) if key in data]
-    for data in own:
+    edges = [data for _, _, data in made.edges(data=True) if key in data]
+    for data in edges:
         del data[key]
-    return Edges.of(made) if own else scenario.network.graph
+    return Edges.of(made) if edges else scenario.network.graph

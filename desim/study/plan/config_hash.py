@@ -91,17 +91,17 @@ def identify(scenario: Scenario) -> Identity:
             object.
     """
     pickler = StablePickler(UserCode())
-    for key, each in _user_objects(scenario):
+    for key, part in _user_objects(scenario):
         try:
-            pickler.dump((key, each))
+            pickler.dump((key, part))
         except DataFileError as error:
             raise ScenarioError(Problem(str(error), key)) from error
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
-    files = [each for _, each in sorted((Path(path).name, each) for path, each in pickler.user.files.items())]
+    files = [file for _, file in sorted((Path(path).name, content) for path, content in pickler.user.files.items())]
     whole = [tables(scenario), pickler.digest(), pickler.user.code, files]
-    sources = {f"the code of {name}": each for name, each in pickler.user.code.items()}
-    sources |= {f"the content of {path}": each for path, each in pickler.user.files.items()}
+    sources = {f"the code of {name}": code for name, code in pickler.user.code.items()}
+    sources |= {f"the content of {path}": content for path, content in pickler.user.files.items()}
     return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
 
 
@@ -118,8 +118,8 @@ def object_hash(value: Any) -> str:
 
 def tables(scenario: Scenario) -> dict[str, Any]:
     """Return the part of a configuration that a scenario file can express, as JSON-compatible tables."""
-    found: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
-    return found
+    values: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
+    return values
 
 
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -131,8 +131,8 @@ def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
     elif isinstance(value, tuple | list):
         inner = enumerate(value)
-    for name, each in inner:
-        yield from _user_objects(each, f"{key}.{name}" if key else str(name))
+    for name, part in inner:
+        yield from _user_objects(part, f"{key}.{name}" if key else str(name))
 
 
 class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -177,7 +177,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         if kind is tuple:
             return list(value)
         if kind in {set, frozenset}:
-            return kind.__name__, sorted(StablePickler(self.user).digest(each) for each in value)
+            return kind.__name__, sorted(StablePickler(self.user).digest(member) for member in value)
         if isinstance(value, set | frozenset | WeakSet):
             raise TypeError(f"{kind.__qualname__!r} objects have no stable order")
         if kind is np.ndarray and not value.dtype.hasobject:
@@ -198,20 +198,20 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             has_source = self._add_code(value, value.__code__)
             names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())
             reads = {name: value.__globals__[name] for name in names}
-            given = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
-            parts = [value.__qualname__, value.__code__, reads, *given]
+            captured = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
+            parts = [value.__qualname__, value.__code__, reads, *captured]
         elif isinstance(value, type):
-            own = {name: each for name, each in vars(value).items() if not _is_generated(name, each)}
-            self._add_code(value, [each.__code__ for each in own.values() if isinstance(each, FunctionType)])
-            parts = [value.__qualname__, value.__bases__, own]
+            members = {name: member for name, member in vars(value).items() if not _is_generated(name, member)}
+            self._add_code(value, [member.__code__ for member in members.values() if isinstance(member, FunctionType)])
+            parts = [value.__qualname__, value.__bases__, members]
         elif kind in WRAPPED:
             parts = [getattr(value, WRAPPED[kind])]
         elif isinstance(value, BaseModel):
             fields = [vars(value)[name] for name in kind.model_fields]
             parts = [fields, value.__pydantic_extra__, value.__pydantic_private__]
         elif cached := [name for name in getattr(value, "__dict__", ()) if _is_cached(kind, name)]:
-            make, args, state, *rest = value.__reduce_ex__(4)
-            return make, args, {name: each for name, each in state.items() if name not in cached}, *rest
+            make, args, state, *iterators = value.__reduce_ex__(4)
+            return make, args, {name: member for name, member in state.items() if name not in cached}, *iterators
         else:
             return super().reducer_override(value)
         return object, (), [kind, *parts]  # the state, unlike the arguments, may contain the object itself
@@ -225,10 +225,10 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         if module == "builtins":  # some of its types, such as NoneType, cannot be looked up
             return f"{module}:{name}"
         try:
-            found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
+            imported = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
         except (AttributeError, KeyError):  # it was made by a function
             return ""
-        return f"{plain_name(module)}:{name}" if found is value and self.user.add(module) else ""
+        return f"{plain_name(module)}:{name}" if imported is value and self.user.add(module) else ""
 
     def _add_code(self, home: Any, code: Any) -> bool:
         """Add the source of the module of a function or class, and return True.
@@ -246,8 +246,12 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 def globals_read(code: CodeType) -> set[str]:
     """Return the names of the globals that a function and the functions inside it read."""
-    own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
-    return own.union(*(globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
+    names = {
+        instruction.argval
+        for instruction in get_instructions(code)
+        if instruction.opname in {"LOAD_GLOBAL", "LOAD_NAME"}
+    }
+    return names.union(*(globals_read(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
 
 
 def _is_generated(name: str, attribute: Any) -> bool:

@@ -51,7 +51,7 @@ class Configuration:
     def columns(self) -> dict[str, Any]:
         """The settings as table cells: numbers, booleans and texts unchanged, other values as text."""
         plain = (int, float, str)
-        return {key: each if isinstance(each, plain) else label(each) for key, each in self.settings.items()}
+        return {key: value if isinstance(value, plain) else label(value) for key, value in self.settings.items()}
 
     def __str__(self) -> str:
         return in_words(self.settings)
@@ -76,12 +76,12 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
     if (size := prod(map(len, grid.values()))) > MAX_CONFIGURATIONS:
         most = f"{MAX_CONFIGURATIONS:,} configurations"
         raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
-    found: list[Configuration] = []
+    chosen: list[Configuration] = []
     errors: dict[Problem, list[Settings]] = {}
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
-            found.append(Configuration(settings, _scenario_with(source, settings)))
+            chosen.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
             for problem in error.problems:
                 errors.setdefault(problem, []).append(settings)
@@ -91,15 +91,15 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
         )
         more = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
         raise ScenarioError(*lines[:MAX_ERRORS], *more)
-    _check_distinct(found, source, grid)
-    return found
+    _check_distinct(chosen, source, grid)
+    return chosen
 
 
-def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
+def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
     """Raise ScenarioError if two configurations are the same or have the same name, or if one has no stable hash."""
     keys: dict[str, Configuration] = {}
     names: dict[str, Configuration] = {}
-    for configuration in found:
+    for configuration in chosen:
         try:
             same = keys.setdefault(configuration.key, configuration)
         except ScenarioError as error:
@@ -108,8 +108,8 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
         other = namesake if same is configuration else same
         if other is configuration:
             continue
-        differing = [key for key, each in configuration.settings.items() if each != other.settings[key]]
-        repeated = [key for key, values in grid.items() if any(values.count(each) > 1 for each in values)]
+        differing = [key for key, value in configuration.settings.items() if value != other.settings[key]]
+        repeated = [key for key, values in grid.items() if any(values.count(value) > 1 for value in values)]
         why = (
             f"'{configuration}' is the same configuration as '{other}'"
             if same is not configuration
@@ -134,7 +134,7 @@ def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = (
 
 def _swept_above(key: str, settings: Iterable[str]) -> str | None:
     """Return the key of a grid that is a dotted key, or a table that contains it; None if there is none."""
-    return next((each for each in settings if f"{key}.".startswith(f"{each}.")), None)
+    return next((setting for setting in settings if f"{key}.".startswith(f"{setting}.")), None)
 
 
 def _with_grid(source: Source, grid: SweepGrid) -> Source:
@@ -167,8 +167,8 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
         try:
             changed.set(key, value, f"{source.where(('sweep', 'grid', key))}: sweep.grid")
         except ScenarioError as error:
-            found = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
-            errors += [_about_grid(source, reason, key) for reason in found]
+            reasons = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
+            errors += [_about_grid(source, reason, key) for reason in reasons]
     try:
         scenario = validate(changed)
     except ScenarioError as error:
@@ -192,7 +192,7 @@ def _with_cause(problem: Problem, among: Sequence[Settings], source: Source, gri
     does not give this problem. If there is no cause, all settings of the first configuration are named. A problem with
     a key of the grid is returned unchanged if there is at most one cause.
     """
-    taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
+    taken = {key: value for key, value in among[0].items() if _is_needed([kind[key] for kind in among], grid[key])}
     swept = _swept_above(problem.key, grid)
     if swept is not None:
         problem = problem._replace(line=source.line(("sweep", "grid", swept)))
@@ -202,7 +202,7 @@ def _with_cause(problem: Problem, among: Sequence[Settings], source: Source, gri
 
 
 def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
-    return any(each not in values for each in all_values)
+    return any(value not in values for value in all_values)
 
 
 def in_words(settings: Settings) -> str:
@@ -215,7 +215,7 @@ def label(value: Any) -> str:
     if isinstance(value, BaseModel):
         value = {"kind": kind_of(value)} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
     if isinstance(value, dict):
-        inner = ", ".join(f"{key}={label(each)}" for key, each in value.items() if key != "kind")
+        inner = ", ".join(f"{key}={label(member)}" for key, member in value.items() if key != "kind")
         kind = str(value.get("kind", ""))
         return f"{kind}({inner})" if inner or not kind else kind
     if isinstance(value, list | tuple):
@@ -227,6 +227,6 @@ def label(value: Any) -> str:
     if isinstance(value, int | float | str):
         return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(in_short(value))
     if isinstance(value, partial):
-        given = [*map(label, value.args), *(f"{key}={label(each)}" for key, each in value.keywords.items())]
-        return f"{label(value.func)}({', '.join(given)})"
+        arguments = [*map(label, value.args), *(f"{key}={label(argument)}" for key, argument in value.keywords.items())]
+        return f"{label(value.func)}({', '.join(arguments)})"
     return str(getattr(value, "__name__", type(value).__name__))

@@ -10,19 +10,19 @@ from desim.analysis.metrics import METRICS, Metric, UsersMetrics, summary
 from desim.study.plan.config_hash import globals_read, object_hash
 
 
-def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
+def units_and_codes(added: UsersMetrics) -> dict[str, tuple[str, str]]:
     """Return the unit and the hash of the code of each metric, by name: the built-in metrics and those of a user.
 
     Raises:
         ValueError: if a metric holds an object without a stable hash.
     """
-    found = {name: (metric.unit, _source_hash(metric)) for name, metric in METRICS.items()}
-    for name, metric in own:
+    hashes = {name: (metric.unit, _source_hash(metric)) for name, metric in METRICS.items()}
+    for name, metric in added:
         try:
-            found[name] = metric.unit, object_hash([metric.of, metric.given])
+            hashes[name] = metric.unit, object_hash([metric.of, metric.given])
         except Exception as error:  # code of the metric may raise anything
             raise ValueError(f"metric {name!r}: {error}") from error
-    return found
+    return hashes
 
 
 @cache
@@ -40,12 +40,12 @@ def _source_hash(metric: Metric) -> str:
 
 def _functions(of: Any) -> list[Any]:
     """Return the function of a metric and the functions of `desim.analysis.metrics` that it calls, even indirectly."""
-    found = [of]
-    for each in found:
-        called = [each.__globals__.get(name) for name in sorted(globals_read(each.__code__))]
-        found += [
-            one
-            for one in called
-            if isinstance(one, FunctionType) and one.__module__ == summary.__module__ and one not in found
+    functions = [of]
+    for function in functions:
+        called = [function.__globals__.get(name) for name in sorted(globals_read(function.__code__))]
+        functions += [
+            member
+            for member in called
+            if isinstance(member, FunctionType) and member.__module__ == summary.__module__ and member not in functions
         ]
-    return found
+    return functions

@@ -64,10 +64,10 @@ class UserCode:
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
             names = sorted(_imported(text, name if file.stem == "__init__" else parent) | {parent} - {""})
-            for each in names if folder is None else [module_beside(each, folder) for each in names]:
-                package = package_of(each)
+            for module in names if folder is None else [module_beside(imported, folder) for imported in names]:
+                package = package_of(module)
                 if (home := _file(package)) is None or not is_installed(home):
-                    self.add(each)
+                    self.add(module)
                 elif package not in KNOWN:
                     self.code |= _versions(_distributions().get(package, ()))
         return True
@@ -87,13 +87,13 @@ def _package(name: str, file: Path) -> Mapping[str, str]:
         name: the name of the package, or of a module without a package.
         file: the file of the module, for a module without a package.
     """
-    folders = [Path(each) for each in getattr(sys.modules[name], "__path__", ())]
-    files = [(folder, each) for folder in folders for each in sorted(folder.rglob("*.py"))] or [(file.parent, file)]
-    hashes = [(each.relative_to(folder).as_posix(), content_hash(each.read_bytes())) for folder, each in files]
-    own = _distributions().get(name, ())
-    lines = [line for each in own for line in requires(each) or () if "extra ==" not in line]
+    folders = [Path(folder_name) for folder_name in getattr(sys.modules[name], "__path__", ())]
+    files = [(folder, path) for folder in folders for path in sorted(folder.rglob("*.py"))] or [(file.parent, file)]
+    hashes = [(path.relative_to(folder).as_posix(), content_hash(path.read_bytes())) for folder, path in files]
+    distributions = _distributions().get(name, ())
+    lines = [line for distribution in distributions for line in requires(distribution) or () if "extra ==" not in line]
     needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - KNOWN
-    return {name: content_hash(json.dumps(hashes).encode()), **_versions([*own, *sorted(needed)])}
+    return {name: content_hash(json.dumps(hashes).encode()), **_versions([*distributions, *sorted(needed)])}
 
 
 @cache
@@ -104,11 +104,11 @@ def _distributions() -> Mapping[str, list[str]]:
 
 def _versions(distributions: Iterable[str]) -> dict[str, str]:
     """Return the version of each distribution, without those that are not installed."""
-    found = {}
+    versions = {}
     for name in distributions:
         with suppress(PackageNotFoundError):  # required on another platform, say
-            found[f"distribution {name}"] = version(name)
-    return found
+            versions[f"distribution {name}"] = version(name)
+    return versions
 
 
 def _file(name: str) -> Path | None:
@@ -130,11 +130,11 @@ def _imported(text: bytes, package: str) -> frozenset[str]:
     names: set[str] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            names.update(each.name for each in node.names)
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             with suppress(ImportError):  # a relative import outside of a package
                 home = resolve_name("." * node.level + (node.module or ""), package)
-                names.update([home, *(f"{home}.{each.name}" for each in node.names)])
+                names.update([home, *(f"{home}.{alias.name}" for alias in node.names)])
     return frozenset(names)
 
 

@@ -44,7 +44,7 @@ class Saving:
     @classmethod
     def of(cls, differences: list[float]) -> Self:
         """Return the saving, given the difference of each pair of runs."""
-        return cls(mean(differences), sum(abs(each) > NOTHING for each in differences))
+        return cls(mean(differences), sum(abs(difference) > NOTHING for difference in differences))
 
     def excludes_0(self, confidence: float = 0.95) -> bool:
         """Return whether the t interval with a given confidence excludes 0, that is, whether the saving is significant.
@@ -151,12 +151,12 @@ class Explanation:
         """
         try:
             costs = {str(metric): Cost.of(cost) for metric, cost in made["costs"].items()}
-            found = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
+            explanation = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
         if not costs:
             raise ValueError("is not an explanation: has no costs")
-        return found
+        return explanation
 
     def table(self) -> str:
         """Return the costs as text."""
@@ -164,7 +164,7 @@ class Explanation:
 
     def _repr_html_(self) -> str:
         """Return the table as HTML, for notebooks."""
-        remarks = "".join(f"<p>{html.escape(each)}</p>" for each in self.remarks())
+        remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
         return html_table(self._head(), self.rows()) + remarks
 
     def _head(self) -> str:
@@ -177,9 +177,10 @@ class Explanation:
         rows: list[tuple[str, ...]] = [("", *(with_unit(cost.label, cost.unit) for cost in self.costs.values()))]
         costs = list(self.costs.values())
 
-        def add(name: str, found: list[Estimate | Saving]) -> None:
+        def add(name: str, estimates: list[Estimate | Saving]) -> None:
             texts = (
-                each.text(self.runs) if isinstance(each, Saving) else with_half_width(each, self.runs) for each in found
+                part.text(self.runs) if isinstance(part, Saving) else with_half_width(part, self.runs)
+                for part in estimates
             )
             rows.append((name, *texts))
 
@@ -220,16 +221,16 @@ class Explanation:
         """Yield the note on whether the parts of a cost interact, if the interaction is not 0 in every run."""
         unit, number_of = f" {cost.unit}".rstrip(), len(self.costs)
         interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
-        rest = cost.interaction.mean
+        interaction = cost.interaction.mean
         if cost.interacts:
             total = portable_sum(part.mean.mean for part in cost.parts.values())
             yield (
                 f"the effects interact, beyond {interval}: in {metric} the parts add up to {total:+.3f}{unit}, and all"
                 f" together cost {cost.together.mean.mean:+.3f}{unit}"
             )
-        elif cost.interaction.differing and rest.count > 1:
-            width = f"+-{number(rest.half_width_at(cost.confidence))}{unit}"
-            yield f"no interaction is declared in {metric}: {rest.mean:+.3f}{unit} is within {width}, {interval}"
+        elif cost.interaction.differing and interaction.count > 1:
+            width = f"+-{number(interaction.half_width_at(cost.confidence))}{unit}"
+            yield f"no interaction is declared in {metric}: {interaction.mean:+.3f}{unit} is within {width}, {interval}"
 
     def document(self) -> dict[str, Any]:
         """Return the explanation as JSON-compatible values."""
@@ -254,9 +255,9 @@ class Explanation:
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts that differ from 0 in some run but are not significant, with their half widths."""
     unit = f" {cost.unit}".rstrip()
-    found = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
-    if found and cost.together.mean.count > 1:
-        yield f"not distinguishable from 0 in {metric}: {found}"
+    unseen = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
+    if unseen and cost.together.mean.count > 1:
+        yield f"not distinguishable from 0 in {metric}: {unseen}"
 
 
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:

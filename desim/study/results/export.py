@@ -68,7 +68,7 @@ def _columns(result: SweepRuns) -> tuple[str, ...]:
 def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
     """Return metrics of a run by name; a missing metric is None, a dict becomes JSON text."""
     values = {name: row.value(name) for name in measured}
-    return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in values.items()}
+    return {name: json.dumps(value) if isinstance(value, dict) else value for name, value in values.items()}
 
 
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
@@ -77,12 +77,12 @@ def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
     A column of integers remains a column of integers if values are missing, and becomes text if a number does not fit
     in 64 bits. A column of integers and floats becomes a column of floats.
     """
-    kinds = {type(each) for each in values} - {type(None)}
+    kinds = {type(value) for value in values} - {type(None)}
     some_missing = None in values
     if kinds == {bool}:
         return values, None, "boolean" if some_missing else "bool"
-    if kinds == {int} and all(each is None or abs(each) < 2**63 for each in values):
+    if kinds == {int} and all(value is None or abs(value) < 2**63 for value in values):
         return values, None, "Int64" if some_missing else "int64"
     if kinds <= {int, float} and kinds != {int}:
         return values, None, "float64"
-    return [each if each is None else text(each) for each in values], None, "str"
+    return [value if value is None else text(value) for value in values], None, "str"

@@ -114,9 +114,9 @@ def means(
             axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
         _label_outer(shared, len(panels), xlabel, ylabel)
         if size is None:
-            what = "95 % intervals" if against is None else "paired differences, 95 % intervals"
+            intervals = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
-            over(escaped(f"{result.name}, {what}"), fontsize=9, **as_it_is(result.name))
+            over(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
         if abscissa is not None:
             _add_legend(figure, named, labels)
     return figure
@@ -131,8 +131,8 @@ def _labels_of_values(result: SweepRuns, keys: Sequence[str], labels: Mapping[st
     values = {text(value) for key in (*result.keys, *keys) for value in result.values(key)}
     kinds = Counter(map(kind_of, values))
     if unknown := [name for name in labels if name not in values and name not in result.keys and kinds[name] != 1]:
-        what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
-        raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+        problem = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
+        raise ValueError(f"{problem} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
     of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
     return {**of_kinds, **labels}
 
@@ -141,10 +141,10 @@ def _panels(
     result: SweepRuns, points: Sequence[Point], abscissa: str | None, keys: Sequence[str]
 ) -> dict[str, list[Point]]:
     """Return the points of each panel by its title, which names the values of the keys that have no other place."""
-    rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
+    averaged = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
     panels: dict[str, list[Point]] = {}
     for group, estimate in points:
-        title = in_words({key: group.settings[key] for key in rest})
+        title = in_words({key: group.settings[key] for key in averaged})
         panels.setdefault(title, []).append((group, estimate))
     return panels
 
@@ -188,10 +188,10 @@ def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -
     """Return each configuration with the mean of a metric, or with its difference from a reference."""
     if against is None:
         return list(zip(result.groups, result.estimates(metric), strict=True))
-    others, found = result.references(against), result.differences(metric, against)
+    references, differences = result.references(against), result.differences(metric, against)
     return [
-        (group, None if other == k else each)
-        for k, (group, other, each) in enumerate(zip(result.groups, others, found, strict=True))
+        (group, None if other == k else difference)
+        for k, (group, other, difference) in enumerate(zip(result.groups, references, differences, strict=True))
     ]
 
 
@@ -232,8 +232,10 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
     columns = min(MAX_ABREAST, len(metrics))
     rows = -(-len(metrics) // columns)
     height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
-    others = [key for key in result.keys if key != abscissa]
-    lines = {each: _lines(_points(result, each, None), abscissa, others) for each in metrics} if abscissa else {}
+    line_keys = [key for key in result.keys if key != abscissa]
+    lines = (
+        {metric: _lines(_points(result, metric, None), abscissa, line_keys) for metric in metrics} if abscissa else {}
+    )
     names = list(lines[metrics[0]]) if abscissa else []
     width = 0.4 + 3.0 * columns
     abreast = max(1, int(width / (0.6 + LETTER * max(map(len, names), default=0))))
@@ -255,9 +257,9 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
             if k + columns < len(metrics):
                 axes.set_xlabel("")
         if len(names) > 1:
-            found = panels.flat[0].get_legend_handles_labels()
-            title = _legend_title(others)
-            figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
+            handles_and_labels = panels.flat[0].get_legend_handles_labels()
+            title = _legend_title(line_keys)
+            figure.legend(*handles_and_labels, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
     return figure
 
 
@@ -276,22 +278,22 @@ def phase(result: SweepRuns, metric: str) -> Figure:
     x, y = keys[:2]
     over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}
-    for group, found in zip(result.groups, result.estimates(metric), strict=True):
+    for group, estimate in zip(result.groups, result.estimates(metric), strict=True):
         panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(over[y]), len(over[x])), nan))
-        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
-    known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
-    low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
+        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = estimate.mean
+    finite = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high), "cividis")
-    longest = max(map(len, [*map(_cell_text, known.tolist()), *map(text, over[x])]), default=0)
+    longest = max(map(len, [*map(_cell_text, finite.tolist()), *map(text, over[x])]), default=0)
     across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
     columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
     rows = -(-len(panels) // columns)
     size = (0.8 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
     with styled(figsize=size, font=8.0) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
+        for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
             _draw_map(axes, panel, colours)
-            axes.set_title(escaped(others), fontsize=8, parse_math=False)
+            axes.set_title(escaped(settings), fontsize=8, parse_math=False)
             axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
             axes.set_xticks(range(len(over[x])), map(text, over[x]))
             axes.set_yticks(range(len(over[y])), map(text, over[y]))
@@ -332,10 +334,10 @@ def swept_numbers(result: SweepRuns) -> list[str]:
 
 
 def _with_unit(metric: str, result: SweepRuns, against: Mapping[str, Any] | None = None) -> str:
-    unit, what = unit_of_metric(metric, result.units), words(metric)
+    unit, name = unit_of_metric(metric, result.units), words(metric)
     if against is not None:
-        what = f"difference in {what} from {in_words(against)}"
-    return _literal(f"{what} ({unit})" if unit else what)
+        name = f"difference in {name} from {in_words(against)}"
+    return _literal(f"{name} ({unit})" if unit else name)
 
 
 def _key_with_unit(key: str) -> str:
@@ -353,11 +355,11 @@ def _draw_lines(
     axes: Axes, result: SweepRuns, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
 ) -> None:
     """Draw estimates over a key: joined by lines if the values of the key are numbers, otherwise equally spaced."""
-    given = result.values(abscissa)
+    swept = result.values(abscissa)
     is_number = _is_swept_number(result, abscissa)
-    values = sorted(given) if is_number else given
+    values = sorted(swept) if is_number else swept
     places, is_plain = (
-        _axis_positions(values) if is_number else ({each: float(k) for k, each in enumerate(given)}, False)
+        _axis_positions(values) if is_number else ({value: float(k) for k, value in enumerate(swept)}, False)
     )
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
@@ -365,8 +367,8 @@ def _draw_lines(
             continue
         marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 * 6 different pairs
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
-        known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
-        x, y, error = zip(*known, strict=True)
+        bars = sorted((places[value] + shift, estimate.mean, estimate.half_width) for value, estimate in points)
+        x, y, error = zip(*bars, strict=True)
         look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3.5, "ls": "-" if is_number else "none"}
         axes.errorbar(x, y, error, lw=1.2, elinewidth=0.8, capsize=2, label=name, **look)
     if len(values) <= MAX_TICKS or not is_plain:
@@ -384,10 +386,10 @@ def _lines(
     A line is a list of pairs (value on the abscissa, estimate), without the configurations that are references.
     """
     lines: dict[str, list[tuple[Any, Estimate]]] = {}
-    for group, found in points:
+    for group, estimate in points:
         line = lines.setdefault(", ".join(_named(key, group, labels, len(by) > 1) for key in by), [])
-        if found is not None:
-            line.append((group.settings[abscissa], found))
+        if estimate is not None:
+            line.append((group.settings[abscissa], estimate))
     return lines
 
 
@@ -402,14 +404,16 @@ def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several:
 def _add_legend(figure: Figure, by: Sequence[str], labels: Mapping[str, str]) -> None:
     """Add a legend if there are several lines or panels: into the only panel, or below several panels."""
     panels = [axes for axes in figure.axes if axes.axison]
-    found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    if len(found) > 1 or (found and len(panels) > 1):
+    handles = {
+        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    if len(handles) > 1 or (handles and len(panels) > 1):
         title = escaped(labels[by[0]]) if len(by) == 1 and by[0] in labels else _legend_title(by)
         if len(panels) == 1:
             panels[0].legend(fontsize=7, title=title, title_fontsize=7)
         else:
-            place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(found), 4)}
-            figure.legend(list(found.values()), list(found), fontsize=7, title=title, title_fontsize=7, **place)
+            place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(handles), 4)}
+            figure.legend(list(handles.values()), list(handles), fontsize=7, title=title, title_fontsize=7, **place)
 
 
 def _legend_title(by: Sequence[str]) -> str | None:
@@ -441,10 +445,10 @@ def _draw_rows(
 ) -> None:
     """Draw estimates with a row for each configuration."""
     names = [", ".join(_named(key, group, labels, False) for key in keys) for group, _ in points]
-    known = [(row, each) for row, (_, each) in enumerate(points) if each is not None]
-    x, error = [each.mean for _, each in known], [each.half_width for _, each in known]
+    bars = [(row, estimate) for row, (_, estimate) in enumerate(points) if estimate is not None]
+    x, error = [estimate.mean for _, estimate in bars], [estimate.half_width for _, estimate in bars]
     look: dict[str, Any] = {"color": SERIES[0], "ms": 4, "elinewidth": 0.8, "capsize": 2}
-    axes.errorbar(x, [row for row, _ in known], xerr=error, fmt="o", **look)
+    axes.errorbar(x, [row for row, _ in bars], xerr=error, fmt="o", **look)
     axes.set_yticks(range(len(names)), names, fontsize=7)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_ylabel(", ".join(map(_key_with_unit, keys)))
@@ -455,15 +459,15 @@ def _literal(name: str) -> str:
     return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
 
 
-def waterfall(found: Explanation) -> Figure:
+def waterfall(explanation: Explanation) -> Figure:
     """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals."""
-    with styled(figsize=(4.4 * len(found.costs), 4.0)) as figure:
+    with styled(figsize=(4.4 * len(explanation.costs), 4.0)) as figure:
         for axes, cost in zip(
-            figure.subplots(1, len(found.costs), squeeze=False)[0], found.costs.values(), strict=True
+            figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
             axes.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
-        title = f"{escaped(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
+        title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
         figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
@@ -481,10 +485,10 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     _mark(axes, 0, 0.0, cost.ideal, ".2f")
     level = cost.ideal.mean
     for at, (name, step) in enumerate(steps.items(), start=1):
-        rest = name == "interaction"
+        is_interaction = name == "interaction"
         signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
-        colour = GREY if rest else signs[cost.more_is][step.mean.mean <= 0.0]
-        axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if rest else None)
+        colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
+        axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
         axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
         _mark(axes, at, level, step.mean, "+.2f")
         level += step.mean.mean
@@ -495,9 +499,11 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     axes.margins(y=0.08)
 
 
-def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
+def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
-    end = base + found.mean
-    axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
-    top = max(base, end + found.half_width)
-    axes.annotate(f"{found.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)
+    end = base + estimate.mean
+    axes.errorbar(at, end, estimate.half_width, color="black", elinewidth=0.8, capsize=2)
+    top = max(base, end + estimate.half_width)
+    axes.annotate(
+        f"{estimate.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7
+    )

@@ -44,17 +44,19 @@ class SweepResult(SweepRuns):
         if "grid" not in store.about:
             raise StoreError(f"{store.path}: is empty")
         kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
-        name, grid, seeds, root = (store.read_property(each, kind) for each, kind in kinds.items())
+        name, grid, seeds, root = (
+            store.read_property(name_of_property, kind) for name_of_property, kind in kinds.items()
+        )
         settings = dict(store.configurations())
-        for key, each in settings.items():
-            if each.keys() != set(grid):
+        for key, setting in settings.items():
+            if setting.keys() != set(grid):
                 raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
         chosen = settings if configurations is None else configurations
         # The first configuration belongs to the grid that was registered last; its keys are in the order of that grid.
         keys = tuple(next(iter(settings.values()), grid))
         groups = tuple(
             Group(
-                {each: settings[key][each] for each in keys},
+                {column: settings[key][column] for column in keys},
                 store.run_table(key, root, failed),
             )
             for key in chosen
@@ -87,10 +89,10 @@ class SweepResult(SweepRuns):
         draw = {"means": figures.means, "phase": figures.phase}
         if kind not in draw:
             raise ValueError(f"kind should be means or phase, got {kind!r}")
-        known = [each for each in signature(draw[kind]).parameters if each not in {"result", "metric"}]
-        if unknown := [each for each in options if each not in known]:
+        options_of_kind = [option for option in signature(draw[kind]).parameters if option not in {"result", "metric"}]
+        if unknown := [option for option in options if option not in options_of_kind]:
             raise TypeError(
-                f"a figure of {kind} has no option {unknown[0]!r}; its options: {', '.join(known) or 'none'}"
+                f"a figure of {kind} has no option {unknown[0]!r}; its options: {', '.join(options_of_kind) or 'none'}"
             )
         return draw[kind](self, y, **options)
 
@@ -121,7 +123,7 @@ class SweepResult(SweepRuns):
     def _repr_html_(self) -> str:
         """Return the tables as HTML, for notebooks."""
         parts = [html_table(title, rows) for title, rows in self.tables()]
-        return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in sweep_tables.notes(self, SHOWN))])
+        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in sweep_tables.notes(self, SHOWN))])
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield each run as a flat record: settings, replication, seed, status, metrics and error."""

@@ -57,12 +57,12 @@ class Group:
 
     def present(self, metric: str) -> Floats:
         """Return a numeric metric of each run that has a value."""
-        found = self.numbers(metric)
-        return found[~np.isnan(found)]
+        values = self.numbers(metric)
+        return values[~np.isnan(values)]
 
     def in_words(self, without: Sequence[str] = ()) -> str:
         """Return the settings as one line of text, except those of the keys in `without`."""
-        return in_words({key: each for key, each in self.settings.items() if key not in without})
+        return in_words({key: value for key, value in self.settings.items() if key not in without})
 
     @property
     def failed(self) -> list[Row]:
@@ -75,10 +75,10 @@ class Group:
         The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
         (`SweepRuns.common`), the two runs of a pair have the same seed.
         """
-        mine, others = (group._table.replications.numbers() for group in (self, other))
-        if np.array_equal(mine, others):  # the usual case, and much faster
+        mine, theirs = (group._table.replications.numbers() for group in (self, other))
+        if np.array_equal(mine, theirs):  # the usual case, and much faster
             return np.arange(len(mine)), np.arange(len(mine))
-        _, at, there = np.intersect1d(mine, others, assume_unique=True, return_indices=True)
+        _, at, there = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
         return at, there
 
 
@@ -155,11 +155,11 @@ class SweepRuns:
             raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
         places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
-        found = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
-        for group, other in zip(self.groups, found, strict=True):
+        places_of_references = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
+        for group, other in zip(self.groups, places_of_references, strict=True):
             if other is None:
                 raise ValueError(f"{group.in_words()}: has no reference with {in_words(wanted)}")
-        return [other for other in found if other is not None]
+        return [other for other in places_of_references if other is not None]
 
     def values(self, key: str) -> list[Any]:
         """Return the values of a key of the grid, in the order of the grid.
@@ -184,14 +184,14 @@ class SweepRuns:
             ValueError: if the grid has no such key, the key does not take the value, or it takes several of this kind.
         """
         there = self.values(key)
-        for each in there:
-            if each == value or text(each) == label(value):
-                return each
-        alike = [each for each in there if kind_of(text(each)) == label(value)]
+        for candidate in there:
+            if candidate == value or text(candidate) == label(value):
+                return candidate
+        alike = [known_value for known_value in there if kind_of(text(known_value)) == label(value)]
         if len(alike) == 1:
             return alike[0]
-        what = "has several values of the kind" if alike else "does not take the value"
-        raise ValueError(f"{key} {what} {label(value)}: it takes {', '.join(map(text, there))}")
+        problem = "has several values of the kind" if alike else "does not take the value"
+        raise ValueError(f"{key} {problem} {label(value)}: it takes {', '.join(map(text, there))}")
 
     @property
     def compared_by(self) -> str | None:
@@ -206,8 +206,10 @@ class SweepRuns:
     def first_along(self, key: str | None) -> list[int]:
         """Return for each configuration the position in `groups` of the first that equals it in all keys but `key`."""
         first = dict[str, int]()
-        others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
-        return [first.setdefault(other, k) for k, other in enumerate(others)]
+        other_settings = (
+            repr({name: value for name, value in group.settings.items() if name != key}) for group in self.groups
+        )
+        return [first.setdefault(other, k) for k, other in enumerate(other_settings)]
 
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
         """Return a warning for each key of the grid on which neither `captured` nor any of the given metrics depends.
@@ -240,20 +242,22 @@ class SweepRuns:
         for other in self.keys:
             values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs) if other != key else {}
             for value in values if len(values) > 1 else ():
-                if count := _equal([each for each in pairs if text(each[0].settings[other]) == value], metrics):
+                if count := _equal([pair for pair in pairs if text(pair[0].settings[other]) == value], metrics):
                     yield f"with {other} = {value}, ", count
 
 
 def _equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
     """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
     names = ("captured", *metrics)
-    same = all(np.array_equal(*_aligned(one, other, name), equal_nan=True) for one, other in pairs for name in names)
-    return sum(len(one.pairs(other)[0]) for one, other in pairs) if same else 0
+    same = all(
+        np.array_equal(*_aligned(group, other, name), equal_nan=True) for group, other in pairs for name in names
+    )
+    return sum(len(group.pairs(other)[0]) for group, other in pairs) if same else 0
 
 
-def _aligned(one: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
-    at, there = one.pairs(other)
-    return one.numbers(metric)[at], other.numbers(metric)[there]
+def _aligned(group: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
+    at, there = group.pairs(other)
+    return group.numbers(metric)[at], other.numbers(metric)[there]
 
 
 def each_name(metrics: Sequence[str]) -> Sequence[str]:
@@ -271,6 +275,6 @@ def kind_of(value: str) -> str:
     return value.partition("(")[0]
 
 
-def counted(number: int, what: str) -> str:
+def counted(number: int, noun: str) -> str:
     """Return a number of things as text: 1 run, 2 runs."""
-    return f"{number:,} {what}{'' if number == 1 else 's'}"
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -31,8 +31,8 @@ def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
 def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
     """Return the title of the table of means."""
     runs = sum(len(group.rows) for group in result.groups)
-    found = (np.isnan(group.numbers(metric)) for group in result.groups for metric in metrics)
-    some_lack = any(0 < np.count_nonzero(lacks) < len(lacks) for lacks in found)
+    lacking = (np.isnan(group.numbers(metric)) for group in result.groups for metric in metrics)
+    some_lack = any(0 < np.count_nonzero(lacks) < len(lacks) for lacks in lacking)
     return (
         f"{result.name}: {counted(len(result.groups), 'configuration')}, {counted(runs, 'run')}; +- is half a 95 % t"
         f" interval, in brackets a Wilson interval{'; (n): defined in n runs only' if some_lack else ''}"
@@ -48,7 +48,7 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
             first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].error}"
             yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
             break
-    yield from (f"warning: {each}" for each in result.warnings(metrics))
+    yield from (f"warning: {warning}" for warning in result.warnings(metrics))
 
 
 def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
@@ -70,8 +70,8 @@ def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
                     "share": float(np.mean(captured)) if len(captured) else None,
                     "interval": wilson(int(captured.sum()), len(captured)) if len(captured) else None,
                 },
-                "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
-                "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
+                "metrics": {metric: as_json(estimates[k]) for metric, estimates in means.items()},
+                "difference": {metric: as_json(estimates[k]) for metric, estimates in differences.items()},
             }
         )
     about = {"name": result.name, "grid": result.keys, "start": result.start, "warnings": result.warnings(metrics)}
@@ -86,25 +86,25 @@ def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...
     titles = (title(name, result.units) for name in metrics)
     failed = ("failed",) if result.failed else ()
     rows: list[tuple[str, ...]] = [(*result.keys, "runs", *failed, "captured", *titles)]
-    found = [result.estimates(metric) for metric in metrics]
+    estimates = [result.estimates(metric) for metric in metrics]
     for k, group in enumerate(result.groups):
         captured = group.present("captured")
         share = _share(captured) if len(captured) else "-"
         counts = (str(len(group.rows)), *([str(len(group.failed))] if result.failed else []))
-        means = (with_half_width(each[k], len(group.rows) - len(group.failed)) for each in found)
+        means = (with_half_width(column[k], len(group.rows) - len(group.failed)) for column in estimates)
         rows.append((*map(text, group.settings.values()), *counts, share, *means))
     return rows
 
 
 def _difference_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
     """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
-    found = [result.differences(metric) for metric in metrics]
+    differences = [result.differences(metric) for metric in metrics]
     rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *map(words, metrics))]
     for k, (group, other) in enumerate(zip(result.groups, result.references(), strict=True)):
         if k == other:
             continue
         pairs = len(group.pairs(result.groups[other])[0])
-        means = (with_half_width(each[k], pairs, sign="+") for each in found)
+        means = (with_half_width(estimates[k], pairs, sign="+") for estimates in differences)
         rows.append((*map(text, group.settings.values()), str(pairs), *means))
     return rows
 

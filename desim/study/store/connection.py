@@ -21,7 +21,7 @@ def address_of(path: Path, read_only: bool) -> str:
     """
     options = "rwc"
     if read_only:
-        pending = any(each.is_file() and each.stat().st_size for each in map(Path, (f"{path}-wal", f"{path}-journal")))
+        pending = any(file.is_file() and file.stat().st_size for file in map(Path, (f"{path}-wal", f"{path}-journal")))
         is_writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
         options = "rw" if is_writable else "ro" if pending else "ro&immutable=1"
     return f"{path.absolute().as_uri()}?mode={options}"

@@ -129,8 +129,8 @@ class StoreFile:
 
     def _check_content(self) -> None:
         """Raise StoreError if the file is corrupt, or a run has no configuration."""
-        if (found := self.check()) != "ok":
-            raise StoreError(f"{self.path}: is damaged: {found}")
+        if (state := self.check()) != "ok":
+            raise StoreError(f"{self.path}: is damaged: {state}")
         if self.database.execute("PRAGMA foreign_key_check").fetchone():
             raise StoreError(f"{self.path}: is damaged: it has runs of a configuration that is missing")
 

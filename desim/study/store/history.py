@@ -35,9 +35,9 @@ def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
 def _without_folder(word: str, folder: Path) -> str:
     """Return a word of a command; each absolute path in it is replaced as `shell_lines` states."""
 
-    def shortened(found: re.Match[str]) -> str:
-        path = Path(found[2])
-        return found[1] + str(path.relative_to(folder) if path.is_relative_to(folder) else path.name)
+    def shortened(match: re.Match[str]) -> str:
+        path = Path(match[2])
+        return match[1] + str(path.relative_to(folder) if path.is_relative_to(folder) else path.name)
 
     return PATH.sub(shortened, word)
 

@@ -30,14 +30,14 @@ class SweepProperties(StoreFile):
         """The versions of Python and of the packages that computed the runs; several if they were mixed."""
         stored = [value for _, value in self.rows("about", "WHERE name = ?", (VERSIONS,))]
         adapter = adapter_of(Annotated[list[Versions], Json])
-        return [each for value in stored for each in self.read(adapter, "about", (VERSIONS, value), 1)]
+        return [versions for value in stored for versions in self.read(adapter, "about", (VERSIONS, value), 1)]
 
-    def check_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+    def check_versions(self, versions: Sequence[Versions], subject: str, *, mix: bool) -> None:
         """Raise StoreError if the runs were computed by other versions, unless these may be mixed.
 
         Args:
             versions: the versions that computed, or will compute, further runs.
-            what: the further runs, as the subject of the error message: "this is", "out/b.sqlite has".
+            subject: the further runs, as the subject of the error message: "this is", "out/b.sqlite has".
             mix: whether runs of different versions may be in one store.
         """
         present = self.versions
@@ -45,27 +45,28 @@ class SweepProperties(StoreFile):
             if present and other not in present and not mix:
                 names = [name for name in present[-1] | other if present[-1].get(name) != other.get(name)]
                 then, now = (
-                    ", ".join(f"{name} {each.get(name, 'unknown')}" for name in names) for each in (present[-1], other)
+                    ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in names)
+                    for versions in (present[-1], other)
                 )
                 raise StoreError(
-                    f"{self.path}: has runs of {then}, and {what} {now}, so last digits may differ: mix them with"
+                    f"{self.path}: has runs of {then}, and {subject} {now}, so last digits may differ: mix them with"
                     f" --mix-versions (in Python mix_versions=True), or choose another folder (-o, in Python store=)"
                 )
 
     @naming_the_file
-    def record_versions(self, versions: Sequence[Versions], what: str, *, mix: bool) -> None:
+    def record_versions(self, versions: Sequence[Versions], subject: str, *, mix: bool) -> None:
         """Record versions that compute runs of the store.
 
         Raises:
             StoreError: as `check_versions`.
         """
-        self.check_versions(versions, what, mix=mix)
-        if all(each in self.versions for each in versions):
+        self.check_versions(versions, subject, mix=mix)
+        if all(version in self.versions for version in versions):
             return
         with self.writing() as database:
-            self.check_versions(versions, what, mix=mix)
+            self.check_versions(versions, subject, mix=mix)
             present = self.versions
-            whole = present + [each for each in versions if each not in present]
+            whole = present + [version for version in versions if version not in present]
             row = (VERSIONS, json.dumps(whole))
             database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", row)
 
@@ -104,23 +105,23 @@ class SweepProperties(StoreFile):
             database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
 
 
-def _differs(name: str, one: Any, other: Any) -> str:
+def _differs(name: str, stored: Any, other: Any) -> str:
     """Return the end of the error message "was made ...", which tells how two sweeps differ.
 
     Args:
         name: the property in which they differ.
-        one: its value in the store.
+        stored: its value in the store.
         other: its value in the other sweep.
     """
     if name == "format":
         return "by another version of desim"
     if name == "scenario":
-        old, new = flat(one), flat(other)
+        old, new = flat(stored), flat(other)
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-        pairs = [(key, *(in_short(each.get(key, "not there")) for each in (old, new))) for key in keys[:5]]
+        pairs = [(key, *(in_short(values.get(key, "not there")) for values in (old, new))) for key in keys[:5]]
         texts = "; ".join(f"{key} was {was}, is {now}" for key, was, now in pairs)
         return f"by another scenario: {texts}"
-    was, now = json.dumps(one), json.dumps(other)
+    was, now = json.dumps(stored), json.dumps(other)
     is_source = name.startswith(("the code of ", "the content of "))
     return f"by another {'version' if is_source else 'sweep'}: {name} was {was}, is {now}"
 
@@ -133,4 +134,4 @@ def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = 
     if not (isinstance(node, dict | list) and node and opens(node)):
         return {above.removesuffix("."): node}
     inner = node.items() if isinstance(node, dict) else enumerate(node)
-    return {key: each for name, value in inner for key, each in flat(value, opens, f"{above}{name}.").items()}
+    return {key: member for name, value in inner for key, member in flat(value, opens, f"{above}{name}.").items()}

@@ -62,17 +62,17 @@ class RunRows(StoreFile):
         if self.database.execute(f"INSERT INTO runs VALUES {RUN_VALUES} {unless_there}", row).rowcount:
             return
         (there,) = self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3])
-        known, found = self.numbers(there), numbers()
-        if known is None:
-            if found is not None or not keeps_failed:
-                self.put_run(row, found)
-        elif found is not None and not found.keys() <= known.keys():
-            self.put_run(there, {**found, **known})
+        old, new = self.numbers(there), numbers()
+        if old is None:
+            if new is not None or not keeps_failed:
+                self.put_run(row, new)
+        elif new is not None and not new.keys() <= old.keys():
+            self.put_run(there, {**new, **old})
 
     def numbers(self, row: tuple[Any, ...]) -> dict[str, Any] | None:
         """Return the metrics in the row of a run by name, as JSON values; None if the run failed."""
-        found: dict[str, Any] | None = self.read(adapter_of(Json[dict[str, Any]] | None), "runs", row, SUMMARY)
-        return found
+        numbers: dict[str, Any] | None = self.read(adapter_of(Json[dict[str, Any]] | None), "runs", row, SUMMARY)
+        return numbers
 
     def put_run(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> None:
         """Write the row of a run with the given metrics, in place of the stored row of this run."""
@@ -80,13 +80,13 @@ class RunRows(StoreFile):
 
     def read_runs(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row]:
         """Yield the runs of a configuration and a root seed, by replication, given the units of all metrics by name."""
-        known, own = frozenset(units), {name: unit for name, unit in units.items() if name not in METRICS}
+        names, added = frozenset(units), {name: unit for name, unit in units.items() if name not in METRICS}
         for row in self.rows("runs", "WHERE configuration = ? ORDER BY replication", (key,)):
             if row[ROOT_SEED] != str(root):  # a store has one root seed, so the row was edited
                 raise self.error("runs", row, f"should have the root seed {root}")
-            yield self._run(row, known, own)
+            yield self._run(row, names, added)
 
-    def _run(self, row: tuple[Any, ...], known: Set[str], own: Mapping[str, str]) -> Row:
+    def _run(self, row: tuple[Any, ...], names: Set[str], added: Mapping[str, str]) -> Row:
         """Return the run in a row, given the names of all metrics of the store, and the units of those of users."""
         _, replication, _, seed, status, numbers, trace = self.read(RUN_ADAPTER, "runs", row)
         if (numbers is None) == (status == "ok"):
@@ -94,13 +94,13 @@ class RunRows(StoreFile):
         if numbers is None:
             return Row(replication, int(seed), status, None, trace)
         there = numbers.model_fields_set
-        if not there <= known:
-            raise self.error("runs", row, f"summary.{min(there - known)}: is no metric of this store")
+        if not there <= names:
+            raise self.error("runs", row, f"summary.{min(there - names)}: is no metric of this store")
         # `model_dump` takes 7 us, and only the metrics of users can be infinite.
         values = {**vars(numbers), **from_json(numbers.model_extra)} if numbers.model_extra else dict(vars(numbers))
         if len(values) > len(there):
-            values = {name: each for name, each in values.items() if name in there}
-        return Row(replication, int(seed), status, Summary(values, own), trace)
+            values = {name: value for name, value in values.items() if name in there}
+        return Row(replication, int(seed), status, Summary(values, added), trace)
 
 
 def _with_numbers(row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> tuple[Any, ...]:

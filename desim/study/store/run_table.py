@@ -60,8 +60,8 @@ class Row:
     def error(self) -> str:
         """The exception of the run in one line; "" if it did not fail."""
         whole = self.traceback.strip().splitlines()
-        own = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
-        lines = [line.removeprefix("  | ") for line in own]
+        lines_of_error = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
+        lines = [line.removeprefix("  | ") for line in lines_of_error]
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
         ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
         return (ends or lines[-1:] or [""])[0]
@@ -94,7 +94,7 @@ class Column:
         types = set(map(type, values))
         integers = [value for value in values if type(value) is int] if int in types else ()
         if types <= KINDS.keys() and (not integers or (min(integers) >= -EXACT and max(integers) <= EXACT)):
-            kinds = [KINDS[each] for each in types]
+            kinds = [KINDS[type_name] for type_name in types]
             self._kinds += bytes(kinds) * len(values) if len(kinds) == 1 else bytes([KINDS[type(v)] for v in values])
             has_gaps = ABSENT in kinds or NONE in kinds
             self._numbers.extend([nan if v is None or v is MISSING else v for v in values] if has_gaps else values)
@@ -106,7 +106,7 @@ class Column:
                 self._append(value)
 
     def _append(self, value: Any) -> None:
-        kind = next((code for each, code in KINDS.items() if isinstance(value, each)), OBJECT)
+        kind = next((code for type_, code in KINDS.items() if isinstance(value, type_)), OBJECT)
         if kind == OBJECT or (kind == INT and abs(value) > EXACT):
             kind, value = OBJECT, self._place(value)
         self._kinds.append(kind)
@@ -152,9 +152,9 @@ class Column:
         """
         if OBJECT in self._kinds:
             return np.array(self.values(), dtype=float)
-        found: Floats = np.asarray(self._numbers)  # a view
-        found.setflags(write=False)
-        return found
+        view: Floats = np.asarray(self._numbers)  # a view
+        view.setflags(write=False)
+        return view
 
 
 class RunTable(Sequence[Row]):
@@ -180,8 +180,8 @@ class RunTable(Sequence[Row]):
         before = len(self.replications)
         self.replications.extend([row.replication for row, _ in runs])
         self._seeds.extend([row.seed for row, _ in runs])
-        summaries = [each for _, each in runs]
-        for units in {id(each.units): each.units for each in summaries}.values():
+        summaries = [summary for _, summary in runs]
+        for units in {id(summary.units): summary.units for summary in summaries}.values():
             self._units |= units
         columns = columns_of(summaries, MISSING)
         for name in columns:
@@ -199,7 +199,7 @@ class RunTable(Sequence[Row]):
     def __getitem__(self, k: slice) -> list[Row]: ...
     def __getitem__(self, k: int | slice) -> Row | list[Row]:
         if isinstance(k, slice):
-            return [self[each] for each in range(len(self))[k]]
+            return [self[row] for row in range(len(self))[k]]
         at = range(len(self))[k]
         return self._failed[at] if at in self._failed else self._run(at - bisect_left(list(self._failed), at))
 

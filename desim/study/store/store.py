@@ -54,9 +54,9 @@ class Store(SweepProperties, RunRows):
         """Add or replace configurations, in the given order and before all others in the store."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self.writing() as database:
-            there = {key: tuple(each) for key, _, *each in self.rows("configurations", "ORDER BY place")}
-            others = {key: each for key, each in there.items() if key not in entered}
-            rows = ((key, place, *each) for place, (key, each) in enumerate((entered | others).items()))
+            there = {key: tuple(columns) for key, _, *columns in self.rows("configurations", "ORDER BY place")}
+            remaining = {key: columns for key, columns in there.items() if key not in entered}
+            rows = ((key, place, *columns) for place, (key, columns) in enumerate((entered | remaining).items()))
             database.executemany("INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?)", rows)
 
     @naming_the_file
@@ -64,15 +64,15 @@ class Store(SweepProperties, RunRows):
         """Record the unit and the hash of the code of metrics; values that other code computed are removed."""
         with self.writing() as database:
             there = {name: (unit, code) for name, unit, code in self.rows("metrics")}
-            changed = {name: each for name, each in metrics.items() if there.get(name) != each}
+            changed = {name: code for name, code in metrics.items() if there.get(name) != code}
             outdated = {name for name, (_, code) in changed.items() if name in there and there[name][1] != code}
             for row in list(self.rows("runs")) if outdated else ():
                 if (numbers := self.numbers(row)) is not None:
-                    self.put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
+                    self.put_run(row, {name: number for name, number in numbers.items() if name not in outdated})
             database.executemany(
                 "INSERT INTO metrics VALUES (?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
                 " code = excluded.code",
-                [(name, *each) for name, each in changed.items()],
+                [(name, *code) for name, code in changed.items()],
             )
             if not changed.keys() <= there.keys():
                 database.execute("DROP VIEW results")
@@ -117,8 +117,8 @@ class Store(SweepProperties, RunRows):
         except sqlite3.Error:
             if len(runs) == 1:
                 raise
-            for each in runs:
-                self.add_all(root, [each])
+            for run in runs:
+                self.add_all(root, [run])
         else:
             self.added += len(runs)
 
@@ -147,8 +147,8 @@ class Store(SweepProperties, RunRows):
     @naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
         """Return the key and the settings of each configuration, in order."""
-        found = self.rows("configurations", "ORDER BY place")
-        return [(row[0], self.read(adapter_of(SETTINGS), "configurations", row, 2)) for row in found]
+        rows = self.rows("configurations", "ORDER BY place")
+        return [(row[0], self.read(adapter_of(SETTINGS), "configurations", row, 2)) for row in rows]
 
     @naming_the_file
     def __len__(self) -> int:

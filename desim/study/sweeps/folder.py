@@ -43,24 +43,24 @@ def _file_in(folder: Path) -> Path:
     Raises:
         ValueError: if the folder has no result, or both a run and a sweep.
     """
-    found = [folder / name for name in (TRACE, STORE) if (folder / name).exists()]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise ValueError(f"{folder}: has a run and a sweep: give {found[0]} or {found[1]}")
+    files = [folder / name for name in (TRACE, STORE) if (folder / name).exists()]
+    if len(files) == 1:
+        return files[0]
+    if files:
+        raise ValueError(f"{folder}: has a run and a sweep: give {files[0]} or {files[1]}")
     raise ValueError(f"{folder}: {contents(folder)}")
 
 
 def contents(folder: Path) -> str:
     """Return a description of a folder that has no result of its own."""
     where = shlex.quote(str(folder))
-    if parts := _names(each.name for each in folder.glob(STORE_PARTS)):
+    if parts := _names(part.name for part in folder.glob(STORE_PARTS)):
         return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
-    if below := _names({each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")}):
+    if below := _names({file.parent.name for name in (TRACE, STORE) for file in folder.glob(f"*/{name}")}):
         return f"has no result itself, but its folders have ({below}): give one of them"
     if (folder / provenance.FILE).exists():
-        what = provenance.read(folder / provenance.FILE)["what"]
-        return f"has the {provenance.FILE} of {what!r}, but neither {TRACE} nor {STORE}"
+        kind = provenance.read(folder / provenance.FILE)["what"]
+        return f"has the {provenance.FILE} of {kind!r}, but neither {TRACE} nor {STORE}"
     return f"has no result of desim: neither {TRACE} nor {STORE}"
 
 

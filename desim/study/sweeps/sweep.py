@@ -84,8 +84,8 @@ class SweepPlan:
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
         root = base.seed if seed is None else seed_of(seed)
-        own, found = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
-        return cls(without_metrics(base), found, reps, root, base.sweep.seeds == "common", own)
+        added, chosen = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
+        return cls(without_metrics(base), chosen, reps, root, base.sweep.seeds == "common", added)
 
     def __post_init__(self) -> None:
         if self.reps < 1:
@@ -97,13 +97,19 @@ class SweepPlan:
         """The properties that identify the sweep; a store belongs to one sweep."""
         keys = sorted(self.configurations[0].settings)
         swept = tuple(f"{key}." for key in keys)
-        sources = {name: each for one in self.configurations for name, each in one.identity.sources.items()}
+        sources = {
+            name: source
+            for configuration in self.configurations
+            for name, source in configuration.identity.sources.items()
+        }
         return {
             "name": self.base.name,
             "grid": keys,
             "seeds": "common" if self.common else "independent",
             "root seed": self.root,
-            "scenario": {key: each for key, each in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)},
+            "scenario": {
+                key: value for key, value in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)
+            },
             "the code of desim": environment.code(),
             **sources,
         }
@@ -162,7 +168,7 @@ class SweepPlan:
         }
 
     def _properties_as_json(self) -> dict[str, str]:
-        return {name: json.dumps(each) for name, each in self.about.items()}
+        return {name: json.dumps(property_) for name, property_ in self.about.items()}
 
     def shard(self, part: int, parts: int) -> list[Job]:
         """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
@@ -175,7 +181,11 @@ class SweepPlan:
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
-        ordered = sorted(self.configurations, key=lambda each: each.key) if parts > 1 else self.configurations
+        ordered = (
+            sorted(self.configurations, key=lambda configuration: configuration.key)
+            if parts > 1
+            else self.configurations
+        )
         jobs = [(configuration, k) for configuration in ordered for k in range(self.reps)]
         return jobs[part - 1 :: parts]
 
@@ -308,7 +318,10 @@ def _run(
         closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches,
     ):
         for batch in batches:
-            rows = [(at, Row(jobs[at][1], seeds[at], each.status, each.value, each.traceback)) for at, each in batch]
+            rows = [
+                (at, Row(jobs[at][1], seeds[at], outcome.status, outcome.value, outcome.traceback))
+                for at, outcome in batch
+            ]
             store.add_all(plan.root, [(jobs[at][0].key, row) for at, row in rows])
             bar.update(len(rows))
             for at, row in rows:
@@ -321,9 +334,9 @@ def _run(
     return failed
 
 
-def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None:
+def check_target(metric: str, half_width: float, added: UsersMetrics = ()) -> None:
     """Raise ValueError if there is no numeric metric of this name, or its target half width is not positive."""
-    check_numeric(metric, dict(own))
+    check_numeric(metric, dict(added))
     if not half_width > 0.0:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
@@ -338,8 +351,8 @@ def _wanted(
     """
     jobs: list[Job] = []
     for configuration in plan.configurations:
-        found = store.runs(configuration.key, plan.root)
-        rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
+        stored = store.runs(configuration.key, plan.root)
+        rows = {row.replication: row.summary for row in stored if row.summary is None or metric in row.summary}
         rows |= {k: None for key, k in failed if key == configuration.key}
         # Runs are stored as they end, so short runs are over-represented beyond the first gap in the replications. Only
         # the runs before this gap count.

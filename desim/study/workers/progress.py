@@ -11,16 +11,16 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 
-def progress(total: int, what: str, unit: str) -> "tqdm[Any]":
+def progress(total: int, label: str, unit: str) -> "tqdm[Any]":
     """Return a progress bar, to be used in a `with` statement.
 
     Args:
         total: the number of steps; call `update` after each.
-        what: the text before the bar.
+        label: the text before the bar.
         unit: the name of a step.
     """
     in_notebook = "ipykernel.zmqshell" in sys.modules  # the output streams of a notebook are not a terminal
-    found: tqdm[Any] = bar_of_this_place(
-        total=total, desc=escaped(what), unit=unit, disable=False if in_notebook else None
+    bar: tqdm[Any] = bar_of_this_place(
+        total=total, desc=escaped(label), unit=unit, disable=False if in_notebook else None
     )
-    return found
+    return bar

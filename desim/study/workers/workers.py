@@ -176,9 +176,9 @@ class Cluster(Workers):
         Raises:
             ConnectionError: if the cluster has no workers within the time-out.
         """
-        while not (found := wait(futures, self._patience, FIRST_COMPLETED).done):
+        while not (finished := wait(futures, self._patience, FIRST_COMPLETED).done):
             self._check()
-        return found
+        return finished
 
     def _check(self) -> None:
         """Raise ConnectionError if the cluster has no workers within the time-out."""
@@ -245,16 +245,16 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
     The time-out of the Dask client is not enough: the client may wait forever for a scheduler.
     """
-    found: Future[Returned] = Future()
+    future: Future[Returned] = Future()
 
     def make() -> None:
         try:
-            found.set_result(act())
+            future.set_result(act())
         except BaseException as error:
-            found.set_exception(error)
+            future.set_exception(error)
 
     threading.Thread(target=make, daemon=True).start()
-    return found.result(1.5 * patience)
+    return future.result(1.5 * patience)
 
 
 @contextmanager
@@ -278,8 +278,8 @@ def _block_signals() -> Iterator[None]:
 
 def _init_worker(driver: int) -> None:
     """Make a worker process ignore the signals of `SIGNALS`, and exit when its driver has died, see the module."""
-    for each in SIGNALS:
-        signal.signal(each, signal.SIG_IGN)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == driver:
