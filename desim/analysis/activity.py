@@ -101,13 +101,15 @@ def evader_pursuits(result: Result) -> list[EvaderPursuit]:
     start = started(result)
     ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
     ends |= {capture.evader: capture.t for capture in captures(result)}
-    found = [EvaderPursuit(tuple(each == evader for each in start.active), [], end) for evader, end in ends.items()]
+    pursuits = [
+        EvaderPursuit(tuple(action == evader for action in start.active), [], end) for evader, end in ends.items()
+    ]
     for change, before in changes_with_previous(result):
         if before:
-            found[before - 1].steps.append((change.t, change.pursuer, -1))
+            pursuits[before - 1].steps.append((change.t, change.pursuer, -1))
         if chases(change):
-            found[action(change) - 1].steps.append((change.t, change.pursuer, 1))
-    return found
+            pursuits[action(change) - 1].steps.append((change.t, change.pursuer, 1))
+    return pursuits
 
 
 @remembered
@@ -172,12 +174,12 @@ def energy(result: Result) -> float:
     moves, the result is the energy that pursuers with the same actions would need to move.
     """
     end = ended(result).t
-    own = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
+    chasing = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
     for change, before in changes_with_previous(result):
-        own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
+        chasing[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
     exponent = result.scenario.team.power_exponent
     powers = [speed**2 if exponent == 2.0 else speed**exponent for speed in started(result).speeds]
-    return inner_product(powers, own) / SECOND
+    return inner_product(powers, chasing) / SECOND
 
 
 def switches(result: Result) -> int:
@@ -202,13 +204,13 @@ def _relays(result: Result) -> list[list[tuple[int, int]]]:
 def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
     active = {pursuer for pursuer, chasing in enumerate(pursuit.start) if chasing}
     times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
-    found: list[tuple[int, int]] = []
+    relays: list[tuple[int, int]] = []
     for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
             active ^= {step[1]}
-        if len(active) == 1 and begin < end and (not found or found[-1][1] not in active):
-            found.append((begin, min(active)))
-    return found
+        if len(active) == 1 and begin < end and (not relays or relays[-1][1] not in active):
+            relays.append((begin, min(active)))
+    return relays
 
 
 def handovers(result: Result) -> int:

@@ -47,13 +47,13 @@ def ages(result: Result) -> Ages:
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
-    known = knowledge(result)
-    pieces, size = known[~known["presumed"]], len(started(result).active)
+    all_pieces = knowledge(result)
+    pieces, size = all_pieces[~all_pieces["presumed"]], len(started(result).active)
     pair, created = pieces["reader"] * size + pieces["source"], pieces["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
         """Return the sum of `total` over the sum of `weight` for each pair, (N, N); nan if the weights sum to 0."""
-        totals, weights = (np.bincount(pair, each, minlength=size * size) for each in (total, weight))
+        totals, weights = (np.bincount(pair, values, minlength=size * size) for values in (total, weight))
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
 
@@ -132,18 +132,18 @@ def believed_leaders(result: Result) -> float:
     alone, size, end = 0, len(started(result).active), ended(result).t
     for actual, pieces in zip(_true_actions(result), _split(knowledge(result), "reader", size), strict=True):
         for evader in set(actual.did.tolist()) - {0}:
-            others = pieces[pieces["active"] == evader]
-            times = np.concatenate([[0], others["begin"], others["until"], [end]])
-            steps = np.repeat([0, 1, -1, 0], [1, len(others), len(others), 1])
+            on_target = pieces[pieces["active"] == evader]
+            times = np.concatenate([[0], on_target["begin"], on_target["until"], [end]])
+            steps = np.repeat([0, 1, -1, 0], [1, len(on_target), len(on_target), 1])
             order = np.argsort(times, kind="stable")
             no_other = np.cumsum(steps[order])[:-1] == 0
             alone += int(np.diff(actual.time(evader, times[order]))[no_other].sum())
     return alone / end if end else nan
 
 
-def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
+def _split(pieces: Pieces, role: str, size: int) -> Iterator[Pieces]:
     """Yield the pieces of each reader, or of each source, in order of id."""
-    ordered = known[np.argsort(known[role], kind="stable")]
+    ordered = pieces[np.argsort(pieces[role], kind="stable")]
     edges = np.searchsorted(ordered[role], np.arange(size + 1))
     yield from (ordered[first:last] for first, last in pairwise(edges))
 
@@ -162,8 +162,8 @@ class _TrueActions:
     def time(self, action: int | Integers, t: Integers) -> Integers:
         """Return the cumulative time, ns, of one action, or of each of (n,) actions, at each of (n,) times, ns."""
         k = np.searchsorted(self.began, t, side="right") - 1
-        found: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
-        return found
+        total: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
+        return total
 
 
 def _true_actions(result: Result) -> Iterator[_TrueActions]:

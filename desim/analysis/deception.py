@@ -14,11 +14,11 @@ from desim.simulation.run import Result, run
 
 def first_lies(result: Result) -> dict[int, int]:
     """Return the time, ns, at which the first Byzantine fault of each pursuer that has one begins, by pursuer."""
-    found: dict[int, int] = {}
+    lies: dict[int, int] = {}
     for event in result.trace.of(FaultStarted):
         if isinstance(event.fault, Misbehaviour):
-            found.setdefault(event.fault.node, event.t)
-    return found
+            lies.setdefault(event.fault.node, event.t)
+    return lies
 
 
 def checks_announcements(result: Result) -> bool:
@@ -44,12 +44,12 @@ def time_to_detect(result: Result) -> float:
 
     The mean is over the pursuers that are distrusted before the end of the run; nan if there are none.
     """
-    lies, found = first_lies(result), dict[int, int]()
+    lies, detections = first_lies(result), dict[int, int]()
     for event in result.trace.of(Distrusted):
         begun = lies.get(event.suspect)
         if event.distrusted and event.pursuer not in lies and begun is not None and event.t >= begun:
-            found.setdefault(event.suspect, event.t - begun)
-    return seconds(portable_sum(found.values())) / len(found) if found else nan
+            detections.setdefault(event.suspect, event.t - begun)
+    return seconds(portable_sum(detections.values())) / len(detections) if detections else nan
 
 
 def damage_per_liar(result: Result, metric: Callable[[Result], float | None]) -> float:

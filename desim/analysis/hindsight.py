@@ -75,8 +75,8 @@ def hindsight(result: Result) -> Hindsight:
     for parts in zip(*(timeline(result, j + 1) for j in range(evaders)), strict=True):
         best = _optimal_pursuers(parts)
         times.append(parts[0].times[1:])
-        relayed.append(np.all([_relayed(part, own) for part, own in zip(parts, best, strict=True)], axis=0))
-        most = np.sum([_single_potential(part, own) for part, own in zip(parts, best, strict=True)], axis=0)
+        relayed.append(np.all([_relayed(part, chaser) for part, chaser in zip(parts, best, strict=True)], axis=0))
+        most = np.sum([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)], axis=0)
         gap.append(most - np.sum([_potential(part) for part in parts], axis=0))
         for part, worth in zip(parts, fixed, strict=True):
             gain = gains(part)
@@ -98,14 +98,16 @@ def gains(part: Timeline) -> Floats:
     counted = part.active & able
     chased = np.where(counted, phi, 0.0)
     n = counted.sum(axis=1)[:, None] - counted
-    others = (chased.sum(axis=1)[:, None] - chased) / np.maximum(n, 1)
-    return np.where(able, np.where(n > 0, (others - phi) / (n + 1), part.left[:, None] - phi), 0.0)
+    alternatives = (chased.sum(axis=1)[:, None] - chased) / np.maximum(n, 1)
+    return np.where(able, np.where(n > 0, (alternatives - phi) / (n + 1), part.left[:, None] - phi), 0.0)
 
 
 def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
     """Return the (M, k) optimal pursuer of each evader in each piece, or `NO_PURSUER`; see the top of this module."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
-    best[np.array([_single_potential(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
+    best[np.array([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)]) == 0.0] = (
+        NO_PURSUER
+    )
     ordered = np.sort(best, axis=0)
     for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NO_PURSUER)).any(axis=0)):
         chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
@@ -117,15 +119,15 @@ def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
 
 def _single_potential(part: Timeline, chaser: Integers) -> Floats:
     """Return the (k,) potential, s, if `chaser` chased the evader alone; 0 if it would be late or is `NO_PURSUER`."""
-    found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
-    return np.where(chaser == NO_PURSUER, 0.0, found)
+    potential: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
+    return np.where(chaser == NO_PURSUER, 0.0, potential)
 
 
 def _relayed(part: Timeline, best: Integers) -> Bools:
     """Return (k,) whether the optimal pursuer chases the evader alone; without one, whether no pursuer chases it."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
-    found: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
-    return found
+    is_relayed: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
+    return is_relayed
 
 
 def _potential(part: Timeline) -> Floats:
@@ -144,8 +146,8 @@ def misassigned_time(result: Result) -> float:
     Raises:
         ValueError: if positions were not recorded.
     """
-    found = hindsight(result)
-    return fsum(found.durations[~found.relayed].tolist())
+    view = hindsight(result)
+    return fsum(view.durations[~view.relayed].tolist())
 
 
 def potential_gap(result: Result) -> float:
@@ -156,8 +158,8 @@ def potential_gap(result: Result) -> float:
     Raises:
         ValueError: if positions were not recorded.
     """
-    found = hindsight(result)
-    return fsum((found.durations * found.gap).tolist())
+    view = hindsight(result)
+    return fsum((view.durations * view.gap).tolist())
 
 
 def regret(result: Result) -> float:
@@ -191,12 +193,12 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
     Raises:
         ValueError: if positions were not recorded.
     """
-    found = hindsight(result)
+    view = hindsight(result)
     window = settling_window(result) if window is None else window
     least = nanoseconds(window) if window < np.inf else np.inf
-    edges = np.flatnonzero(np.diff(found.relayed, prepend=False, append=False))
-    for begin, end in found.times[edges].reshape(-1, 2).tolist():
-        if end - begin >= least or end == found.times[-1]:
+    edges = np.flatnonzero(np.diff(view.relayed, prepend=False, append=False))
+    for begin, end in view.times[edges].reshape(-1, 2).tolist():
+        if end - begin >= least or end == view.times[-1]:
             return seconds(begin)
     return None
 
@@ -237,9 +239,9 @@ def network_regret(result: Result, metric: Callable[[Result], float] = potential
     Raises:
         ValueError: if the metric is None in one of the runs.
     """
-    given = _value_of(metric, result, "the run")
+    value = _value_of(metric, result, "the run")
     ideal = result.scenario.model_copy(update={"network": Links(), "fault": ()})
-    return given - _value_of(metric, run(ideal, result.seed), "the run on an ideal network")
+    return value - _value_of(metric, run(ideal, result.seed), "the run on an ideal network")
 
 
 def _value_of(metric: Callable[[Result], float | None], result: Result, which: str) -> float:

@@ -136,24 +136,24 @@ class _Life:
         reception, record = receptions.unpacked()
         foreign = announced.source[record] != self.reader
         reception, record = reception[foreign], record[foreign]
-        others = np.delete(np.arange(len(self.profile)), self.reader)
+        sources = np.delete(np.arange(len(self.profile)), self.reader)
 
         def column(presumed: int | NDArray[np.generic], heard: Integers) -> Integers:
-            return np.concatenate([np.broadcast_to(presumed, len(others)), heard])
+            return np.concatenate([np.broadcast_to(presumed, len(sources)), heard])
 
-        source, seq = column(others, announced.source[record]), column(self.seq, announced.seq[record]) + 1
+        source, seq = column(sources, announced.source[record]), column(self.seq, announced.seq[record]) + 1
         # In order of source, then arrival, the running maximum of this key belongs to the newest record so far.
         order = np.argsort(source.astype(np.int32), kind="stable")
         key = (source * (seq.max(initial=0) + 1) + seq)[order]
         newer = np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]
         order = order[newer]
-        active = column(self.profile[others], announced.active[record])[order]
+        active = column(self.profile[sources], announced.active[record])[order]
         last_with_action = np.maximum.accumulate(np.where(active >= 0, np.arange(len(order)), 0))
 
         pieces = np.empty(len(order), PIECE)
         pieces["reader"], pieces["source"] = self.reader, source[order]
         pieces["created"] = column(self.begin, announced.created[record])[order]
-        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(others)
+        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(sources)
         pieces["begin"] = column(self.begin, receptions.arrival[reception])[order]
         pieces["after"] = column(FIRST, receptions.place[reception])[order]
         pieces["until"], pieces["before"], pieces["superseded"] = self.until, self.before, False
@@ -202,8 +202,8 @@ class _Clocks:
         self._errors = clock_errors(result.scenario.network_faults, size, result.seed)
         self._corrections: dict[int, list[tuple[int, float]]] = {}
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
-        for each in result.trace.of(ClockCorrected):
-            self._corrections.setdefault(each.node, [(0, 0.0)]).insert(0, (each.t, each.correction))
+        for correction in result.trace.of(ClockCorrected):
+            self._corrections.setdefault(correction.node, [(0, 0.0)]).insert(0, (correction.t, correction.correction))
         self._lies = first_lies(result)
         self._published: dict[tuple[int, int], int] = {}
         """By source and sequence number, the time of publication, ns."""
@@ -237,12 +237,12 @@ class _Clocks:
         A clock that has stepped back showed some stamps twice, and one that has stepped forward did not show some.
         """
         offset, drift = self._errors[node]
-        found = 0
+        time = 0
         for begin, correction in self._corrections.get(node, [(0, 0.0)]):
-            found = round((stamp - (offset + correction) * SECOND) / (1.0 + drift))
-            if begin <= found <= latest:
+            time = round((stamp - (offset + correction) * SECOND) / (1.0 + drift))
+            if begin <= time <= latest:
                 break
-        return found
+        return time
 
 
 def _columns(records: list[Record], evaders: int) -> _Announcements:

@@ -128,18 +128,18 @@ def end_time(result: Result) -> float:
 
 def mean_capture_time(result: Result) -> float:
     """Return the time of capture, s, averaged over the captured evaders; nan if none was captured."""
-    times = [seconds(each.t) for each in captures(result)]
+    times = [seconds(capture.t) for capture in captures(result)]
     return portable_sum(times) / len(times) if times else nan
 
 
 def capture_times(result: Result) -> dict[str, float]:
     """Return the capture time, s, of each captured evader by its number (a string), in order of time."""
-    return {str(each.evader): seconds(each.t) for each in captures(result)}
+    return {str(capture.evader): seconds(capture.t) for capture in captures(result)}
 
 
 def capturers(result: Result) -> dict[str, int]:
     """Return the pursuer that made each capture, by the number of the evader (a string), in order of time."""
-    return {str(each.evader): each.capturer for each in captures(result)}
+    return {str(capture.evader): capture.capturer for capture in captures(result)}
 
 
 class Metric(NamedTuple):
@@ -376,20 +376,20 @@ class Summary(Mapping[str, Any]):
 
 def columns_of(summaries: Sequence[Summary], missing: object = None) -> dict[str, Sequence[Any]]:
     """Return the values of each metric of several summaries by name; `missing` for a summary that lacks the metric."""
-    found = [each._values for each in summaries]
-    if not found:
+    values = [summary._values for summary in summaries]
+    if not values:
         return {}
-    names = tuple(found[0])
-    if len(names) > 1 and set(map(len, found)) == {len(names)}:
+    names = tuple(values[0])
+    if len(names) > 1 and set(map(len, values)) == {len(names)}:
         # Usually all have the same metrics. This takes a fifth of the time of the general case.
         with suppress(KeyError):
-            return dict(zip(names, zip(*map(itemgetter(*names), found), strict=True), strict=True))
-    names = tuple(dict.fromkeys(name for each in found for name in each))
-    return {name: [each.get(name, missing) for each in found] for name in names}
+            return dict(zip(names, zip(*map(itemgetter(*names), values), strict=True), strict=True))
+    names = tuple(dict.fromkeys(name for numbers in values for name in numbers))
+    return {name: [numbers.get(name, missing) for numbers in values] for name in names}
 
 
 METRICS: Mapping[str, Metric] = MappingProxyType(
-    {name: each for name, each in vars(Summary).items() if isinstance(each, Metric)}
+    {name: metric for name, metric in vars(Summary).items() if isinstance(metric, Metric)}
 )
 """The built-in metrics by name."""
 Metrics = Mapping[str, Metric | Callable[[Result], Any]]
@@ -436,13 +436,13 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
     return measured(users_metrics(result.scenario.record.metrics, metrics), result)
 
 
-def measured(own: UsersMetrics, result: Result) -> Summary:
+def measured(added: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
     with fresh_copy(result.scenario, alone=True) as scenario:  # metrics call models, which may remember the calls
         index = trace_index(replace(result, scenario=scenario))
         values = {name: metric(index) for name, metric in METRICS.items()}
-        values |= {name: _checked(name, metric, index) for name, metric in own}
-    return Summary(values, {name: metric.unit for name, metric in own})
+        values |= {name: _checked(name, metric, index) for name, metric in added}
+    return Summary(values, {name: metric.unit for name, metric in added})
 
 
 def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | None:
@@ -468,28 +468,28 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     Raises:
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
     """
-    found: dict[str, Metric] = {}
-    given: list[tuple[Any, Any]] = [*((each.name, each.of) for each in named), *more.items()]
-    for name, of in given:
+    metrics: dict[str, Metric] = {}
+    pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *more.items()]
+    for name, of in pairs:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
         low = name.lower()  # SQL does not tell cases apart
         if low in METRICS or low in COLUMNS or low in Scenario.model_fields:
-            what = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
-            raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
+            taken = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
+            raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
-        if (other := next((each for each in found if each.lower() == low), name)) != name:
+        if (other := next((earlier for earlier in metrics if earlier.lower() == low), name)) != name:
             raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)
-        if found.setdefault(name, metric) != metric:
+        if metrics.setdefault(name, metric) != metric:
             raise ValueError(f"metric {name!r} should have another name: another metric has it")
-    return tuple(found.items())
+    return tuple(metrics.items())
 
 
-def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
+def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     """Raise ValueError unless a name is that of a built-in metric with `is_number`, or one of the names in `own`."""
-    numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
+    numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
     if metric not in numeric:
         hint = did_you_mean(metric, numeric)
         raise ValueError(f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
@@ -497,19 +497,19 @@ def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
 
 def plain(numbers: Summary) -> dict[str, Any]:
     """Return the metrics of a run by name, as JSON values."""
-    return {name: to_json(each) for name, each in numbers.items()}
+    return {name: to_json(number) for name, number in numbers.items()}
 
 
 def _formatted(value: Any) -> str:
     """Return a value of a summary as text, floats with six significant digits."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_formatted(each)}" for key, each in value.items())
+        return ", ".join(f"{key}: {_formatted(member)}" for key, member in value.items())
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def more_is(name: str, own: Mapping[str, Metric]) -> Literal["better", "worse"] | None:
+def more_is(name: str, added: Mapping[str, Metric]) -> Literal["better", "worse"] | None:
     """Return whether a greater value of a metric is better or worse; `own` are the user's metrics by name."""
-    return (METRICS[name] if name in METRICS else own[name]).more_is
+    return (METRICS[name] if name in METRICS else added[name]).more_is
 
 
 def unit_of(name: str, units: Mapping[str, str]) -> str:

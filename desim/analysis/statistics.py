@@ -139,10 +139,10 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
     """
     if len(values) != len(others):
         raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
-    one, other = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
-    both = ~(np.isnan(one) | np.isnan(other))
+    first, second = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
+    both = ~(np.isnan(first) | np.isnan(second))
     with np.errstate(invalid="ignore"):  # inf - inf
-        return mean(one[both] - other[both])
+        return mean(first[both] - second[both])
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -215,7 +215,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
         raise ValueError(f"the half width to reach should be positive, got {target}")
     if at_most < 1 or first_look < 2:
         raise ValueError(f"at_most should be at least 1 and first_look at least 2, got {at_most} and {first_look}")
-    count, present = len(values), [each for each in values if _is_present(each)]
+    count, present = len(values), [value for value in values if _is_present(value)]
     if count >= at_most:
         return count
     if count < first_look:
@@ -241,5 +241,5 @@ def _half_width(values: Sequence[float]) -> float:
     if all(isinstance(value, bool | np.bool_) for value in values):
         low, high = wilson(int(portable_sum(values)), len(values))
         return (high - low) / 2.0
-    found = estimate(values)
-    return inf if found.others is not None and found.others > OTHERS else found.half_width
+    estimated = estimate(values)
+    return inf if estimated.others is not None and estimated.others > OTHERS else estimated.half_width

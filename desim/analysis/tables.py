@@ -57,10 +57,10 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
     is_equal = any(ALL_EQUAL in row for row in rows)
-    others = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
+    unseen = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
     return (
         _heading(scenario, seeds)
-        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval{others}\n"
+        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval{unseen}\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
@@ -72,25 +72,25 @@ def number(value: float, digits: int = 3) -> str:
     return "-" if isnan(value) else f"{value:,.{digits}f}"
 
 
-def with_half_width(found: Estimate, runs: int, sign: str = "", unit: str = "") -> str:
+def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "") -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
     If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
     another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
     positive mean, too. `unit` follows the number.
     """
-    if not found.count:
+    if not value.count:
         return "-"
-    digits, unit = 3 if abs(found.mean) < 100.0 else 1, f" {unit}".rstrip()
-    few = f" ({found.count})" if found.count != runs else ""
-    if found.others is not None:
-        return f"{found.mean:{sign},.{digits}f}{unit} in all, others < {found.others:.1%}{few}"
-    return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{unit}{few}"
+    digits, unit = 3 if abs(value.mean) < 100.0 else 1, f" {unit}".rstrip()
+    few = f" ({value.count})" if value.count != runs else ""
+    if value.others is not None:
+        return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {value.others:.1%}{few}"
+    return f"{value.mean:{sign},.{digits}f} +- {number(value.half_width, digits)}{unit}{few}"
 
 
-def as_json(found: Estimate) -> dict[str, Any]:
+def as_json(value: Estimate) -> dict[str, Any]:
     """Return an estimate as JSON values."""
-    return {"mean": json_number(found.mean), "half_width": json_number(found.half_width), "runs": found.count}
+    return {"mean": json_number(value.mean), "half_width": json_number(value.half_width), "runs": value.count}
 
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
@@ -121,18 +121,18 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     yield "captured", f"{run.captures} of {evaders}", end
     times, by = run.capture_times, run.capturers
     for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
-        found = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
-        yield f"  evader {evader}", found, ""
+        time_and_pursuer = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
+        yield f"  evader {evader}", time_and_pursuer, ""
     if evaders > SHOWN:
         yield f"  and {evaders - SHOWN} more", "", ""
 
 
 def _rows_of_run(scenario: Scenario, run: Summary, shown: Sequence[str]) -> Iterator[tuple[str, str, str]]:
     """Yield the rows of the metrics of a run: label, value with unit, note."""
-    own = dict(users_metrics(scenario.record.metrics))
-    for name, metric in {**METRICS, **own}.items():
+    added = dict(users_metrics(scenario.record.metrics))
+    for name, metric in {**METRICS, **added}.items():
         value = run[name]
-        is_silent = metric.note is None and name not in own and name not in shown
+        is_silent = metric.note is None and name not in added and name not in shown
         if is_silent or value is None or (metric.silent_at_0 and not value):
             continue
         text = str(value).lower() if isinstance(value, bool) else f"{value:,}" if isinstance(value, int) else None
@@ -158,13 +158,13 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
-    found = estimate(values)
-    width = number(found.half_width) if found.others is None else ALL_EQUAL
-    return (name, number(found.mean), width, number(min(values)), number(max(values)), str(len(values)))
+    summary = estimate(values)
+    width = number(summary.half_width) if summary.others is None else ALL_EQUAL
+    return (name, number(summary.mean), width, number(min(values)), number(max(values)), str(len(values)))
 
 
-def _heading(scenario: Scenario, what: str) -> str:
+def _heading(scenario: Scenario, phrase: str) -> str:
     players = f"{scenario.team.count} pursuers" + (
         f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
     )
-    return f"{scenario.name}: {players}, {scenario.protocol_name}, {what}\n"
+    return f"{scenario.name}: {players}, {scenario.protocol_name}, {phrase}\n"

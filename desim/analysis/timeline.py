@@ -104,17 +104,17 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     capture_times = _capture_times(result, evader, path)
     active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
-    acts = [each.t for each in [*changes(result), *captures(result)]]
+    acts = [act.t for act in [*changes(result), *captures(result)]]
     times = np.unique(np.concatenate([[0, end], path.t, np.array(acts, np.int64), broken.t]))
     step = max(PART // size, 1)
     for first in range(0, len(times) - 1, step):
-        own = times[first : first + step + 1]
-        middle = (own[:-1] + own[1:]) / 2
+        instants = times[first : first + step + 1]
+        middle = (instants[:-1] + instants[1:]) / 2
         phi = capture_times(middle)
-        phi[broken.during(own)] = np.inf
-        phi[own[:-1] >= pursuit.end] = np.inf
+        phi[broken.during(instants)] = np.inf
+        phi[instants[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
-        yield Timeline(own, active.during(own), phi, left)
+        yield Timeline(instants, active.during(instants), phi, left)
 
 
 def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floats], Floats]:
@@ -124,18 +124,18 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
     evader_speed, radius = scenario.evaders[evader - 1].speed, scenario.capture.radius
 
     def with_inertia(t: Floats) -> Floats:
-        own = zip(path.gaps(t), path.courses(t), strict=True)
-        return np.array([dynamics.capture_times(*each, speeds, evader_speed, radius) for each in own])
+        states = zip(path.gaps(t), path.courses(t), strict=True)
+        return np.array([dynamics.capture_times(*state, speeds, evader_speed, radius) for state in states])
 
     def in_flow(t: Floats) -> Floats:
-        own = zip(path.gaps(t), path.pursuers(t), t.tolist(), strict=True)
-        found = [
+        states = zip(path.gaps(t), path.pursuers(t), t.tolist(), strict=True)
+        phi_of_pursuers = [
             capture_times_in_flow(
                 environment, at[0] + gaps[0], at, lengths(gaps), speeds, evader_speed, radius, int(now)
             )
-            for gaps, at, now in own
+            for gaps, at, now in states
         ]
-        return np.array(found)
+        return np.array(phi_of_pursuers)
 
     if not dynamics.is_simple:
         return with_inertia
@@ -174,21 +174,21 @@ class _Counts:
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
         np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
-        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row holds the steps after the last piece
-        return found
+        during: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row holds the steps after the last piece
+        return during
 
 
 class _Path:
     """The positions of an evader relative to all pursuers, interpolated linearly; the first sample is the start."""
 
     def __init__(self, result: Result, evader: int):
-        self._result, known = result, samples(result)
-        self.t = np.array([each.t for each in known])
-        pursuers = np.array([each.pursuers for each in known])
-        gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - pursuers
+        self._result, sampled = result, samples(result)
+        self.t = np.array([sample.t for sample in sampled])
+        pursuers = np.array([sample.pursuers for sample in sampled])
+        gaps = np.array([sample.evaders[evader - 1] for sample in sampled])[:, None] - pursuers
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
         self._pursuers = pursuers[..., 0] + 1j * pursuers[..., 1]
-        self._known = known
+        self._known = sampled
 
     def gaps(self, t: Floats) -> Points:
         """Return the (k, N) vectors from each pursuer to the evader at (k,) times (ns), m; constant after the last."""
@@ -202,8 +202,8 @@ class _Path:
         """Return the (k, N) values at (k,) times (ns), given those at the samples."""
         before, after = self._samples_around(t)
         share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)
-        found: Points = values[before] + share[:, None] * (values[after] - values[before])
-        return found
+        points: Points = values[before] + share[:, None] * (values[after] - values[before])
+        return points
 
     def courses(self, t: Floats) -> list[Courses]:
         """Return the mean courses of the pursuers between the samples around each of (k,) times (ns).
@@ -212,12 +212,12 @@ class _Path:
         """
         scenario, seed = self._result.scenario, self._result.seed
         relative = RelativePlaces(scenario)
-        places = np.array([relative(each)[: scenario.team.count] for each in self._known])
+        places = np.array([relative(sample)[: scenario.team.count] for sample in self._known])
         moved = np.diff(places, axis=0, append=places[-1:])
-        headings, rest = np.empty_like(moved), ROUNDING + 2.0 * relative.error
+        headings, noise = np.empty_like(moved), ROUNDING + 2.0 * relative.error
         last = np.array(scenario.team.headings(seed))
         for row, step in enumerate(moved):
-            last = np.where(lengths(step) <= rest, last, step / np.maximum(lengths(step), SMALLEST))
+            last = np.where(lengths(step) <= noise, last, step / np.maximum(lengths(step), SMALLEST))
             headings[row] = last
         durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND
         before, _ = self._samples_around(t)

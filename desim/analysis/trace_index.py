@@ -37,8 +37,8 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
             return derive(result)
         if derive not in result.derived:
             result.derived[derive] = derive(result)
-        found: Derived = result.derived[derive]
-        return found
+        value: Derived = result.derived[derive]
+        return value
 
     return once
 
@@ -79,10 +79,10 @@ def sampled(result: Result) -> list[Sampled]:
     Raises:
         ValueError: if there are none.
     """
-    found = result.trace.of(Sampled)
-    if not found:
+    states = result.trace.of(Sampled)
+    if not states:
         raise ValueError(NO_POSITIONS)
-    return found
+    return states
 
 
 @remembered

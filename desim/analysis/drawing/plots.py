@@ -126,7 +126,7 @@ class _SettledLayout(ConstrainedLayoutEngine):
 def _extent(figure: Figure) -> object:
     """Return the size of a figure, inches, and its texts with their font sizes, points."""
     texts = figure.findobj(Text)
-    return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
+    return tuple(figure.get_size_inches()), [(text.get_text(), text.get_fontsize()) for text in texts]
 
 
 def as_it_is(text: str) -> dict[str, Any]:
@@ -149,14 +149,14 @@ def size_of(text: str) -> tuple[float, float | None]:
     Raises:
         ValueError: if the text is not a size, or the width or the height is not from 1 in to 100 in.
     """
-    found = SIZE.fullmatch(str(text).replace(" ", ""))
-    units = [found["unit"], found["last"]] if found else []
-    if found is None or not any(units):
+    match = SIZE.fullmatch(str(text).replace(" ", ""))
+    units = [match["unit"], match["last"]] if match else []
+    if match is None or not any(units):
         raise ValueError(f"a size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm, got {text!r}")
-    unit, last = (each or units[1 - k] for k, each in enumerate(units))
-    width = float(found["width"]) / UNITS[unit]
-    height = None if found["height"] is None else float(found["height"]) / UNITS[last]
-    if not all(LENGTHS[0] <= each <= LENGTHS[1] for each in (width, height) if each is not None):
+    unit, last = (unit_name or units[1 - k] for k, unit_name in enumerate(units))
+    width = float(match["width"]) / UNITS[unit]
+    height = None if match["height"] is None else float(match["height"]) / UNITS[last]
+    if not all(LENGTHS[0] <= length <= LENGTHS[1] for length in (width, height) if length is not None):
         raise ValueError(f"a width and a height should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, got {text!r}")
     return width, height
 
@@ -176,11 +176,11 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
     paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
     with mpl.rc_context(STYLE):
         figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
-        for each in paths:
-            kind = each.suffix.lower()
+        for target in paths:
+            kind = target.suffix.lower()
             stream = BytesIO()  # on a full disk, the writer of PDF would raise an AttributeError
             figure.savefig(stream, format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
-            write_whole(each, stream.getvalue())
+            write_whole(target, stream.getvalue())
     return paths
 
 
@@ -230,12 +230,12 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
     captured = captures(result)
-    capturers = list(dict.fromkeys(each.capturer for each in captured))
-    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
+    capturers = list(dict.fromkeys(capture.capturer for capture in captured))
+    idle = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
     set_plane(axes)
     axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
-    for i in others:
-        label = "pursuer that chased for a while" if i == others[0] else None
+    for i in idle:
+        label = "pursuer that chased for a while" if i == idle[0] else None
         axes.plot(*pursuers[:, i].T, color=ACTIVE_WITH_OTHERS, lw=1.4, label=label)
     several = len(evaders[0]) > 1
     for capturer in capturers:
