@@ -44,12 +44,12 @@ TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 def table(pursuits: Sequence[Pursuits], ages: Sequence[Age], lora: Sequence[LoRaPursuits], runs: int) -> str:
     """Return all results as text."""
-    what = f"{N} pursuers, {AIRTIME:g} s per announcement, {runs} runs, 95 % intervals"
+    about_runs = f"{N} pursuers, {AIRTIME:g} s per announcement, {runs} runs, 95 % intervals"
     about = "sum of active times, s, and its difference from that over an ideal queue; share of messages lost"
-    cells = {(each.protocol, each.access, each.load): each for each in pursuits}
+    cells = {(pursuit.protocol, pursuit.access, pursuit.load): pursuit for pursuit in pursuits}
     return "\n\n".join(
         [
-            *(f"{name}: {about}: {what}\n{_pursuits(name, cells)}" for name in NAMES),
+            *(f"{name}: {about}: {about_runs}\n{_pursuits(name, cells)}" for name in NAMES),
             f"Heartbeat with the least mean age of information, of those tried, with jitter {JITTER}\n{_best(ages)}",
             f"LoRa, local_min: {N} pursuers, {runs} runs\n{_lora(lora)}",
         ]
@@ -57,12 +57,12 @@ def table(pursuits: Sequence[Pursuits], ages: Sequence[Age], lora: Sequence[LoRa
 
 
 def _pursuits(name: str, cells: Mapping[tuple[str, str, float], Pursuits]) -> str:
-    others = [access for access in ACCESSES if access != REFERENCE]
-    lines = [("load", "heartbeat", REFERENCE, *others, *(f"lost, {access}" for access in ACCESSES))]
+    compared = [access for access in ACCESSES if access != REFERENCE]
+    lines = [("load", "heartbeat", REFERENCE, *compared, *(f"lost, {access}" for access in ACCESSES))]
     for load in LOADS:
         here = cells[name, REFERENCE, load]
         active = f"{here.active_time.mean:.1f} +- {here.active_time.half_width:.1f}"
-        differences = [_signed(cells[name, access, load]) for access in others]
+        differences = [_signed(cells[name, access, load]) for access in compared]
         lost = [f"{cells[name, access, load].lost:.0%}" for access in ACCESSES]
         lines.append((f"{load:g}", f"{here.heartbeat:.3g} s", active, *differences, *lost))
     return aligned(lines)
@@ -71,18 +71,24 @@ def _pursuits(name: str, cells: Mapping[tuple[str, str, float], Pursuits]) -> st
 def _best(ages: Sequence[Age]) -> str:
     lines = [("N", "theory, ALOHA", *ACCESSES)]
     for size in TEAM_SIZES:
-        measured = [[each for each in _of(ages, access, size) if isfinite(each.age.mean)] for access in ACCESSES]
-        best = [min(line, key=lambda each: each.age.mean, default=None) for line in measured]
-        found = ["-" if each is None else f"{each.heartbeat:.2f} s (age {each.age.mean:.2f} s)" for each in best]
-        lines.append((str(size), f"{best_heartbeat(size):.2f} s", *found))
+        measured = [[age for age in _of(ages, access, size) if isfinite(age.age.mean)] for access in ACCESSES]
+        best = [min(line, key=lambda age: age.age.mean, default=None) for line in measured]
+        texts = ["-" if age is None else f"{age.heartbeat:.2f} s (age {age.age.mean:.2f} s)" for age in best]
+        lines.append((str(size), f"{best_heartbeat(size):.2f} s", *texts))
     return aligned(lines)
 
 
 def _lora(pursuits: Sequence[LoRaPursuits]) -> str:
     lines = [("SF", "airtime", "shortest interval", "pursuit takes", "over before the second")]
-    for each in pursuits:
-        takes = f"{each.end_time.mean:.1f} +- {each.end_time.half_width:.1f} s"
-        line = str(each.spreading_factor), f"{each.airtime:.3f} s", f"{each.interval:.1f} s", takes, f"{each.over:.0%}"
+    for pursuit in pursuits:
+        takes = f"{pursuit.end_time.mean:.1f} +- {pursuit.end_time.half_width:.1f} s"
+        line = (
+            str(pursuit.spreading_factor),
+            f"{pursuit.airtime:.3f} s",
+            f"{pursuit.interval:.1f} s",
+            takes,
+            f"{pursuit.over:.0%}",
+        )
         lines.append(line)
     return aligned(lines)
 
@@ -92,7 +98,7 @@ def _signed(cell: Pursuits) -> str:
 
 
 def _of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
-    return [each for each in ages if (each.access, each.size) == (access, size)]
+    return [age for age in ages if (age.access, age.size) == (access, size)]
 
 
 def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
@@ -103,7 +109,7 @@ def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
         above, below = figure.subfigures(2, 1, squeeze=False)[:, 0]
         grid = above.subplots(1, len(NAMES))
         for axes, name in zip(grid, NAMES, strict=True):
-            draw_pursuits(axes, [each for each in pursuits if each.protocol == name])
+            draw_pursuits(axes, [pursuit for pursuit in pursuits if pursuit.protocol == name])
             axes.set_title(name, fontsize=9)
         grid[0].set_ylabel("active time minus that\nover an ideal queue (s)")
         grid[-1].legend(fontsize=7, loc="upper left")
@@ -121,9 +127,9 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     from desim.analysis.drawing import palette
 
     for k, (colour, access) in enumerate(zip(palette.SERIES, ACCESSES, strict=False)):
-        line = [each for each in pursuits if each.access == access]
-        x = [each.load * 1.04 ** (k - 1.5) for each in line]  # shifted, so that error bars do not overlap
-        y, error = [each.difference.mean for each in line], [each.difference.half_width for each in line]
+        line = [pursuit for pursuit in pursuits if pursuit.access == access]
+        x = [pursuit.load * 1.04 ** (k - 1.5) for pursuit in line]  # shifted, so that error bars do not overlap
+        y, error = [pursuit.difference.mean for pursuit in line], [pursuit.difference.half_width for pursuit in line]
         axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=access)
     axes.set(xscale="log")
     axes.set_xticks(LOADS, [f"{load:g}" for load in LOADS], fontsize=7)
@@ -136,8 +142,8 @@ def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
 
     for colour, access in zip(palette.SERIES, ACCESSES, strict=False):
         line = _of(ages, access, size)
-        y, error = [each.age.mean for each in line], [each.age.half_width for each in line]
-        axes.errorbar([each.heartbeat for each in line], y, error, color=colour, marker="o", ms=3, lw=1.0)
+        y, error = [age.age.mean for age in line], [age.age.half_width for age in line]
+        axes.errorbar([age.heartbeat for age in line], y, error, color=colour, marker="o", ms=3, lw=1.0)
     axes.axvline(best_heartbeat(size), color=palette.GREY, ls=":")
     axes.set(xscale="log", ylim=(0, None))
     axes.set_title(f"{size} pursuers", fontsize=9)
@@ -152,10 +158,10 @@ def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     pursuits, ages, lora = measure(options), measure_ages(options), measure_lora(options)
     document = {
-        "pursuits": [asdict(each) for each in pursuits],
-        "ages": [asdict(each) for each in ages],
+        "pursuits": [asdict(pursuit) for pursuit in pursuits],
+        "ages": [asdict(age) for age in ages],
         "best_heartbeats": {str(size): best_heartbeat(size) for size in TEAM_SIZES},
-        "lora": [asdict(each) for each in lora],
+        "lora": [asdict(pursuit) for pursuit in lora],
     }
     options.show(document, table(pursuits, ages, lora, options.runs), lambda: picture(pursuits, ages))
 

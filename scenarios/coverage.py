@@ -59,21 +59,21 @@ def covers(values: Sequence[float], mean: float) -> bool:
     if isinstance(values[0], bool):
         low, high = wilson(sum(map(int, values)), len(values))
         return low <= mean <= high
-    found = estimate(values)
-    return abs(found.mean - mean) <= found.half_width
+    interval = estimate(values)
+    return abs(interval.mean - mean) <= interval.half_width
 
 
 def coverage(law: Law, size: int, first_look: int, studies: int) -> Coverage:
     """Return the coverage of studies whose target is the half width of `size` values of known deviation."""
     rng, target = np.random.default_rng(1), NORMAL_975 * law.deviation / sqrt(size)
-    found, errors, counts = 0, [], []
+    covered, errors, counts = 0, [], []
     for _ in range(studies):
         drawn = law.draw(rng, MOST * max(size, first_look)).tolist()
         values = drawn[: runs_needed(drawn, target, at_most=len(drawn), first_look=first_look)]
-        found += covers(values, law.mean)
+        covered += covers(values, law.mean)
         errors.append(estimate(values).mean - law.mean)
         counts.append(len(values))
-    return Coverage(found / studies, float(np.mean(errors)) / target, float(np.mean(counts)))
+    return Coverage(covered / studies, float(np.mean(errors)) / target, float(np.mean(counts)))
 
 
 def table(studies: int) -> str:
@@ -82,8 +82,8 @@ def table(studies: int) -> str:
     for name, law in LAWS.items():
         for size in SIZES:
             for first_look in FIRST_LOOKS:
-                found = coverage(law, size, first_look, studies)
-                numbers = f"{100 * found.share:.1f}", f"{found.bias:+.3f}", f"{found.values:.0f}"
+                measured = coverage(law, size, first_look, studies)
+                numbers = f"{100 * measured.share:.1f}", f"{measured.bias:+.3f}", f"{measured.values:.0f}"
                 rows.append((name, str(size), str(first_look), *numbers))
     return aligned(rows)
 

@@ -40,8 +40,10 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
     at = {(point.schedule, point.delay): point for point in points}
     rows = [("L lambda", *SCHEDULES)]
     for delay in DELAYS:
-        found = [at.get((name, delay)) for name in SCHEDULES]
-        rows.append((f"{delay:g}", *(f"{p.excess:.3f} +- {p.standard_error:.3f}" if p else "" for p in found)))
+        points_at_delay = [at.get((name, delay)) for name in SCHEDULES]
+        rows.append(
+            (f"{delay:g}", *(f"{p.excess:.3f} +- {p.standard_error:.3f}" if p else "" for p in points_at_delay))
+        )
     here = {(cell.latency, cell.slot): cell for cell in cells}
     grid = [("L | delta", *(f"{slot:g} s" for slot in SLOTS))]
     for latency in LATENCIES:

@@ -52,23 +52,23 @@ if TYPE_CHECKING:
 
 def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
     """Return all results as text."""
-    latency = max(each.latency for each in cells)
-    what = f"paper, {N} pursuers, L = {latency:g} s if not ideal, {runs} runs, 95 % intervals"
+    latency = max(cell.latency for cell in cells)
+    about = f"paper, {N} pursuers, L = {latency:g} s if not ideal, {runs} runs, 95 % intervals"
     return "\n\n".join(
         [
-            f"Time to capture, or the horizon without capture, s: {what}\n"
-            + _grid(cells, lambda each: f"{each.survival:.2f} +- {each.half_width:.2f}"),
-            f"Time to capture minus that of {REFERENCE} with the same seeds, s: {what}\n"
+            f"Time to capture, or the horizon without capture, s: {about}\n"
+            + _grid(cells, lambda cell: f"{cell.survival:.2f} +- {cell.half_width:.2f}"),
+            f"Time to capture minus that of {REFERENCE} with the same seeds, s: {about}\n"
             + _grid(
-                [each for each in cells if each.strategy != REFERENCE],
-                lambda each: f"{each.difference:+.2f} +- {each.difference_half_width:.2f}",
+                [cell for cell in cells if cell.strategy != REFERENCE],
+                lambda cell: f"{cell.difference:+.2f} +- {cell.difference_half_width:.2f}",
             )
             + "\n"
             + "\n".join(claims(cells)),
-            f"Sum of active times, s: {what}\n"
-            + _grid(cells, lambda each: f"{each.active_time:.1f} +- {each.active_half_width:.1f}"),
-            f"Share of runs with capture, and handovers per run: {what}\n"
-            + _grid(cells, lambda each: f"{each.captured:.0%} {each.handovers:.1f}"),
+            f"Sum of active times, s: {about}\n"
+            + _grid(cells, lambda cell: f"{cell.active_time:.1f} +- {cell.active_half_width:.1f}"),
+            f"Share of runs with capture, and handovers per run: {about}\n"
+            + _grid(cells, lambda cell: f"{cell.captured:.0%} {cell.handovers:.1f}"),
             _sight_table(sight, latency, MORE * runs),
         ]
     )
@@ -80,52 +80,52 @@ def claims(cells: Sequence[Cell]) -> list[str]:
     One line is for the ideal network, the other for the network with latency; the protocol is Spatial Adaptive Play.
     """
     lines = []
-    for each in cells:
-        if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):
-            low, high = each.difference - each.difference_half_width, each.difference + each.difference_half_width
+    for cell in cells:
+        if cell.strategy == CLAIMED and cell.protocol in (IDEAL, "sap"):
+            low, high = cell.difference - cell.difference_half_width, cell.difference + cell.difference_half_width
             verdict = (
                 "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "shows no significant difference"
             )
             lines.append(
-                f"{each.protocol}: an evader that ignores inactive pursuers {verdict} ({low:+.2f} .. {high:+.2f} s)"
+                f"{cell.protocol}: an evader that ignores inactive pursuers {verdict} ({low:+.2f} .. {high:+.2f} s)"
             )
     return lines
 
 
 def _grid(cells: Sequence[Cell], text: Callable[[Cell], str]) -> str:
     """Return a table with a row per strategy and a column per protocol; `text` returns the text of an entry."""
-    here = {(each.strategy, each.protocol): text(each) for each in cells}
-    names = dict.fromkeys(each.strategy for each in cells)
-    return aligned([("", *PROTOCOLS), *((name, *(here[name, each] for each in PROTOCOLS)) for name in names)])
+    here = {(cell.strategy, cell.protocol): text(cell) for cell in cells}
+    names = dict.fromkeys(cell.strategy for cell in cells)
+    return aligned([("", *PROTOCOLS), *((name, *(here[name, protocol] for protocol in PROTOCOLS)) for name in names)])
 
 
 def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
     heads = ("captured", "95 % interval", "time", "vs hold", "active", "vs hold")
     rows = [("R_s", "estimate", *heads, "never seen", "lost", "reports/s", "transmissions/s")]
-    for each in sight:
-        limited, compared = each.radius < inf, each.estimate != HELD
+    for sighted in sight:
+        limited, compared = sighted.radius < inf, sighted.estimate != HELD
         rows.append(
             (
-                f"{each.radius:g} m" if limited else "inf",
-                ESTIMATES[each.estimate] if limited else "",
-                f"{each.captured:.0%}",
-                f"{each.captured_low:.0%} .. {each.captured_high:.0%}",
-                f"{each.survival:.1f} +- {each.half_width:.1f} s",
-                f"{each.difference:+.1f} +- {each.difference_half_width:.1f} s" if compared else "",
-                f"{each.active_time:.1f} +- {each.active_half_width:.1f} s",
-                f"{each.active_difference:+.1f} +- {each.active_difference_half_width:.1f} s" if compared else "",
-                f"{each.never_seen:.0%}",
-                f"{each.lost:.0%}",
-                f"{each.reports:.0f}",
-                f"{each.report_transmissions:.1f}",
+                f"{sighted.radius:g} m" if limited else "inf",
+                ESTIMATES[sighted.estimate] if limited else "",
+                f"{sighted.captured:.0%}",
+                f"{sighted.captured_low:.0%} .. {sighted.captured_high:.0%}",
+                f"{sighted.survival:.1f} +- {sighted.half_width:.1f} s",
+                f"{sighted.difference:+.1f} +- {sighted.difference_half_width:.1f} s" if compared else "",
+                f"{sighted.active_time:.1f} +- {sighted.active_half_width:.1f} s",
+                f"{sighted.active_difference:+.1f} +- {sighted.active_difference_half_width:.1f} s" if compared else "",
+                f"{sighted.never_seen:.0%}",
+                f"{sighted.lost:.0%}",
+                f"{sighted.reports:.0f}",
+                f"{sighted.report_transmissions:.1f}",
             )
         )
     lost = (
         "time: to capture, or the horizon without capture; lost: seen, and later out of sight of all pursuers for more"
         f" than {WATCHED.sensing.track_timeout:g} s"
     )
-    what = f"{WATCHERS} watchers, {CHASERS} chasers, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
-    return f"Limited sensing: {what}\n{lost}\n{aligned(rows, right_from=2)}"
+    about = f"{WATCHERS} watchers, {CHASERS} chasers, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
+    return f"Limited sensing: {about}\n{lost}\n{aligned(rows, right_from=2)}"
 
 
 def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
@@ -147,21 +147,21 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
     """
     from desim.analysis.drawing import palette
 
-    here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}
+    here = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
     names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference)
-    latency = max(each.latency for each in cells)
+    latency = max(cell.latency for cell in cells)
     rows = np.arange(len(names))
     axes.axvline(0.0, color=palette.GREY, lw=0.6)
-    rest = [each for each in PROTOCOLS if each not in (IDEAL, "sap", NEAREST)]
-    for kinds, marker, label in (([NEAREST], "x", f"{NEAREST} (nearest)"), (rest, "|", "other protocols")):
-        found = [(here[name, each].difference, row) for each in kinds for row, name in enumerate(names)]
-        axes.plot(*zip(*found, strict=True), marker, color=palette.GREY, ms=4, mew=0.8, label=label)
+    remaining = [protocol for protocol in PROTOCOLS if protocol not in (IDEAL, "sap", NEAREST)]
+    for kinds, marker, label in (([NEAREST], "x", f"{NEAREST} (nearest)"), (remaining, "|", "other protocols")):
+        points = [(here[name, protocol].difference, row) for protocol in kinds for row, name in enumerate(names)]
+        axes.plot(*zip(*points, strict=True), marker, color=palette.GREY, ms=4, mew=0.8, label=label)
     for protocol, off, colour, marker, label in (
         (IDEAL, 0.17, palette.BLUE, "o", "SAP, ideal network"),
         ("sap", -0.17, palette.VERMILION, "s", f"SAP, L = {latency:g} s"),
     ):
         line = [here[name, protocol] for name in names]
-        x, error = [each.difference for each in line], [each.difference_half_width for each in line]
+        x, error = [cell.difference for cell in line], [cell.difference_half_width for cell in line]
         axes.errorbar(x, rows + off, xerr=error, color=colour, marker=marker, ms=3, lw=0, elinewidth=0.8, label=label)
     axes.set_yticks(rows, names)
     axes.tick_params(axis="y", length=0)
@@ -176,12 +176,14 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     radii = [radius for radius in RADII if radius < inf]
     styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)
     for k, (colour, marker, made) in enumerate(styles):
-        line = [each for each in sight if each.estimate == made and each.radius < inf]
-        x = [each.radius * 1.08 ** (k - 1) for each in line]  # side by side
+        line = [sighted for sighted in sight if sighted.estimate == made and sighted.radius < inf]
+        x = [sighted.radius * 1.08 ** (k - 1) for sighted in line]  # side by side
         style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3, "lw": 0.8, "elinewidth": 0.6}
-        share = 100.0 * np.array([(each.captured, each.captured_low, each.captured_high) for each in line])
+        share = 100.0 * np.array([(sighted.captured, sighted.captured_low, sighted.captured_high) for sighted in line])
         shares.errorbar(x, share[:, 0], np.abs(share[:, 1:] - share[:, :1]).T, label=ESTIMATES[made], **style)
-        times.errorbar(x, [each.active_time for each in line], [each.active_half_width for each in line], **style)
+        times.errorbar(
+            x, [sighted.active_time for sighted in line], [sighted.active_half_width for sighted in line], **style
+        )
     for axes in (shares, times):
         axes.set(xscale="log", xlabel="sight R$_s$ (m)")
         axes.set_xticks(radii, [f"{radius:g}" for radius in radii])
@@ -210,8 +212,8 @@ def main(options: Options) -> None:
     cells, sight = measure_chases(options, latency), measure_sight(options, latency)
     document = {
         "latency": latency,
-        "cells": [asdict(each) for each in cells],
-        "sight": [{key: json_number(value) for key, value in asdict(each).items()} for each in sight],
+        "cells": [asdict(cell) for cell in cells],
+        "sight": [{key: json_number(value) for key, value in asdict(sighted).items()} for sighted in sight],
     }
     options.show(document, table(cells, sight, options.runs), lambda: picture(cells, sight))
 

@@ -70,8 +70,8 @@ def panels(count: int) -> dict[str, Scenario]:
     Positions are recorded.
     """
     base = configuration(count).model_copy(update={"record": Recording(trajectory=SAMPLING)})
-    found = {"centralised": centralised(base, min(DELTAS))}
-    return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
+    first_panel = {"centralised": centralised(base, min(DELTAS))}
+    return first_panel | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
 
 
 class IndividualUtilities(NamedTuple):
@@ -152,24 +152,24 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
         rows = figure.subplots(len(results), 1, sharex=True)
-        found = [individual_utilities(result) for result in results.values()]
-        for axes, (name, result), each in zip(rows, results.items(), found, strict=True):
-            draw_utility_panel(axes, each)
+        all_utilities = [individual_utilities(result) for result in results.values()]
+        for axes, (name, result), utilities in zip(rows, results.items(), all_utilities, strict=True):
+            draw_utility_panel(axes, utilities)
             axes.set_title(name, loc="left")
             axes.label_outer()
             if (chain := relays(result)) and chain[0][0] < SHORT_SHARE * ended(result).t:
-                _draw_beginning(axes, each, 1.1 * seconds(chain[0][0]))
+                _draw_beginning(axes, utilities, 1.1 * seconds(chain[0][0]))
         rows[-1].set_xlabel("time (s)")
         figure.supylabel("individual utility (s)", fontsize=7)
         handles, names = rows[-1].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=3)
         figure.draw_without_rendering()
-        for axes, result, each in zip(rows, results.values(), found, strict=True):
-            _label_handovers(axes, relays(result), each)
+        for axes, result, utilities in zip(rows, results.values(), all_utilities, strict=True):
+            _label_handovers(axes, relays(result), utilities)
     return figure
 
 
-def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: IndividualUtilities) -> None:
+def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", utilities: IndividualUtilities) -> None:
     """Write the id of each pursuer of `chain` where it begins to chase alone, which is where a bold line begins.
 
     `chain` is the return value of `desim.analysis.activity.relays`.
@@ -178,26 +178,28 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: In
     from desim.view.pictures.paths import label_points
 
     begin, end = axes.get_xlim()
-    rows = [int(np.searchsorted(found.times, t, side="right")) - 1 for t, _ in chain]
-    places = [(seconds(t), float(found.utilities[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
+    rows = [int(np.searchsorted(utilities.times, t, side="right")) - 1 for t, _ in chain]
+    places = [
+        (seconds(t), float(utilities.utilities[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)
+    ]
     points = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
     label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=palette.BLUE)
 
 
-def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> None:
+def _draw_beginning(axes: "Axes", utilities: IndividualUtilities, until: float) -> None:
     """Draw the utilities up to a time (`until`, s) enlarged, in the empty part of a panel."""
     inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
-    draw_utility_panel(inset, found)
+    draw_utility_panel(inset, utilities)
     inset.set_xlim(0.0, until)
     inset.set_title("the beginning", fontsize=6, pad=2)
     inset.tick_params(labelsize=6, length=2, pad=1.5)
 
 
-def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
+def draw_utility_panel(axes: "Axes", panel: IndividualUtilities) -> None:
     """Draw the utility of each active pursuer, bold while no other is active, and a line at 0 for the inactive ones."""
     from desim.analysis.drawing import palette
 
-    times, active, utilities = found
+    times, active, utilities = panel
     t = np.repeat(times, 2)[1:-1] / SECOND
     is_alone = active & (active.sum(axis=1) == 1)[:, None]
     axes.axhline(0.0, color=palette.GREY, lw=0.8, label="inactive")
@@ -220,20 +222,20 @@ def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
     yield f"utilities_{count}", draw_utilities(results)
 
 
-def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
+def table(runs_of: dict[tuple[int, str], list[RunMetrics]]) -> str:
     """Return the means over the runs as text, a line per panel."""
     rows: list[Sequence[str]] = [("N", "panel", "active time, s", "ends, s", "captured", "alone from, s", "handovers")]
-    for (count, name), runs in found.items():
-        starts = [each.alone_from for each in runs if each.alone_from is not None]
+    for (count, name), runs in runs_of.items():
+        starts = [run.alone_from for run in runs if run.alone_from is not None]
         rows.append(
             (
                 str(count),
                 name,
-                f"{estimate([each.active_time for each in runs]).mean:.2f}",
-                f"{estimate([each.end for each in runs]).mean:.2f}",
-                f"{portable_sum(each.captured for each in runs)}/{len(runs)}",
+                f"{estimate([run.active_time for run in runs]).mean:.2f}",
+                f"{estimate([run.end for run in runs]).mean:.2f}",
+                f"{portable_sum(run.captured for run in runs)}/{len(runs)}",
                 f"{estimate(starts).mean:.2f}" if starts else "-",
-                f"{estimate([float(each.handovers) for each in runs]).mean:.1f}",
+                f"{estimate([float(run.handovers) for run in runs]).mean:.1f}",
             )
         )
     return aligned(rows)
@@ -242,11 +244,11 @@ def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
 @study("figures", __doc__, runs=1)
 def main(options: Options) -> None:
     """Measure and draw."""
-    scenarios = {(count, name): each for count in COUNTS for name, each in panels(count).items()}
-    found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
-    cells = [{"N": n, "panel": name, "runs": [asdict(each) for each in runs]} for (n, name), runs in found.items()]
-    options.show({"cells": cells}, table(found))
-    drawn = (each for count in COUNTS for each in pictures(count, options.seed))
+    scenarios = {(count, name): scenario for count in COUNTS for name, scenario in panels(count).items()}
+    runs_of = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
+    cells = [{"N": n, "panel": name, "runs": [asdict(run) for run in runs]} for (n, name), runs in runs_of.items()]
+    options.show({"cells": cells}, table(runs_of))
+    drawn = (picture for count in COUNTS for picture in pictures(count, options.seed))
     options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT)
 
 

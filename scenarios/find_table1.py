@@ -60,7 +60,9 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
         distances = np.abs(gaps)
         free = distances.min(axis=1) > eps
         times[left[~free]] = k * delta
-        left, pursuers, evaders, gaps, distances = (each[free] for each in (left, pursuers, evaders, gaps, distances))
+        left, pursuers, evaders, gaps, distances = (
+            values[free] for values in (left, pursuers, evaders, gaps, distances)
+        )
         if not len(left):
             break
         row = np.arange(len(left))
@@ -85,7 +87,7 @@ def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int
             z, e = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
             fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
             team, evader = team[fits], evader[fits]
-        kept += [_placed(base, *each) for each in zip(team.tolist(), evader.tolist(), strict=True)]
+        kept += [_placed(base, *places) for places in zip(team.tolist(), evader.tolist(), strict=True)]
     return kept
 
 

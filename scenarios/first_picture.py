@@ -60,7 +60,7 @@ def main(options: Options) -> None:
     """Run, average and draw."""
     scenarios = [load(FILE, [f"network.latency.value={latency}"]) for latency in LATENCIES]
     curves = options.measure(scenarios, "latencies", active_pursuers)
-    means = {latency: np.nanmean(found, axis=0) for latency, found in zip(LATENCIES, curves, strict=True)}
+    means = {latency: np.nanmean(curve, axis=0) for latency, curve in zip(LATENCIES, curves, strict=True)}
     rows: list[Sequence[str]] = [("latency, s", "active pursuers at 1 s", "2 s", "4 s")]
     rows += [(f"{x:g}", *(f"{np.interp(t, TIMES, mean):.2f}" for t in (1, 2, 4))) for x, mean in means.items()]
     document = {"time": TIMES.tolist(), "active": {str(x): mean.tolist() for x, mean in means.items()}}

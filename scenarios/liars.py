@@ -37,14 +37,14 @@ THIN: Mapping[str, float] = MappingProxyType({"elinewidth": 0.6})
 
 def table(cells: Sequence[Cell], runs: int) -> str:
     """Return all results as text."""
-    what = f"{N} pursuers, {runs} runs"
+    about = f"{N} pursuers, {runs} runs"
     return "\n\n".join(
         [
-            f"One liar, no defence: share captured, and later than by the honest team, s: {what}\n{_lies(cells)}",
-            f"local_min, liars that claim to be there at once: share captured: {what}\n{_numbers(cells)}",
-            f"sap, honest, wrong clocks, latency {LATE:g} s, 10 % loss: false accusations, active time, s: {what}\n"
+            f"One liar, no defence: share captured, and later than by the honest team, s: {about}\n{_lies(cells)}",
+            f"local_min, liars that claim to be there at once: share captured: {about}\n{_numbers(cells)}",
+            f"sap, honest, wrong clocks, latency {LATE:g} s, 10 % loss: false accusations, active time, s: {about}\n"
             f"{_clocks(cells)}",
-            f"local_min, latency and 10 % loss: share captured, active time, s: {what}\n{_latency(cells)}",
+            f"local_min, latency and 10 % loss: share captured, active time, s: {about}\n{_latency(cells)}",
         ]
     )
 
@@ -52,25 +52,25 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 def _lies(cells: Sequence[Cell]) -> str:
     lines = [("lie", *PROTOCOLS)]
     for lie in LIES:
-        here = [each for each in cells if each.part == "lies" and each.lie == lie]
+        here = [cell for cell in cells if cell.part == "lies" and cell.lie == lie]
         lines.append(
-            (lie, *(f"{each.captured:.2f}, {each.delay.mean:+.1f} +- {each.delay.half_width:.1f}" for each in here))
+            (lie, *(f"{cell.captured:.2f}, {cell.delay.mean:+.1f} +- {cell.delay.half_width:.1f}" for cell in here))
         )
     return aligned(lines)
 
 
 def _numbers(cells: Sequence[Cell]) -> str:
     here = _by_defence(cells, "numbers", WORST)
-    lines = [("defence", *(f"{each.value:g} liars" for each in here[NONE]))]
-    lines += [(defence, *(f"{each.captured:.2f}" for each in found)) for defence, found in here.items()]
+    lines = [("defence", *(f"{cell.value:g} liars" for cell in here[NONE]))]
+    lines += [(defence, *(f"{cell.captured:.2f}" for cell in row_cells)) for defence, row_cells in here.items()]
     return aligned(lines)
 
 
 def _clocks(cells: Sequence[Cell]) -> str:
     here = _by_defence(cells, "clocks", HONEST)
-    lines = [("defence", *(f"{each.value:g} s" for each in here[NONE]))]
-    for defence, found in here.items():
-        row = (f"{each.false_accusations.mean:.1f}, {each.active_time.mean:.1f}" for each in found)
+    lines = [("defence", *(f"{cell.value:g} s" for cell in here[NONE]))]
+    for defence, row_cells in here.items():
+        row = (f"{cell.false_accusations.mean:.1f}, {cell.active_time.mean:.1f}" for cell in row_cells)
         lines.append((defence, *row))
     return aligned(lines)
 
@@ -79,19 +79,19 @@ def _latency(cells: Sequence[Cell]) -> str:
     lines: list[tuple[str, ...]] = []
     for lie in (HONEST, WORST):
         here = _by_defence(cells, "latency", lie)
-        lines = lines or [("", *(f"{each.value:g} s" for each in here[NONE]))]
-        for defence, found in here.items():
-            row = (f"{each.captured:.2f}, {each.active_time.mean:.1f}" for each in found)
+        lines = lines or [("", *(f"{cell.value:g} s" for cell in here[NONE]))]
+        for defence, row_cells in here.items():
+            row = (f"{cell.captured:.2f}, {cell.active_time.mean:.1f}" for cell in row_cells)
             lines.append((f"{lie}, {defence}", *row))
     return aligned(lines)
 
 
 def _by_defence(cells: Sequence[Cell], part: str, lie: str) -> dict[str, list[Cell]]:
-    found: dict[str, list[Cell]] = {}
-    for each in cells:
-        if each.part == part and each.lie == lie:
-            found.setdefault(each.defence, []).append(each)
-    return found
+    by_defence: dict[str, list[Cell]] = {}
+    for cell in cells:
+        if cell.part == part and cell.lie == lie:
+            by_defence.setdefault(cell.defence, []).append(cell)
+    return by_defence
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
@@ -105,7 +105,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
         numbers.set(xlabel="liars that claim to be there at once", ylabel="share captured", ylim=(-0.03, 1.03))
         _draw(price, _by_defence(cells, "latency", HONEST), "active_time")
         price.set(xlabel="mean latency, 10 % loss, no liar (s)", ylabel="sum of active times (s)", ylim=(0.0, None))
-        suspected = {name: each for name, each in _by_defence(cells, "clocks", HONEST).items() if name in OBSERVING}
+        suspected = {name: line for name, line in _by_defence(cells, "clocks", HONEST).items() if name in OBSERVING}
         _draw(clocks, suspected, "false_accusations")
         clocks.set(xlabel="deviation of the clocks, no liar (s)", ylabel="false accusations per run", ylim=(0.0, None))
         numbers.legend(fontsize=7, loc="center right")
@@ -117,34 +117,34 @@ def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
     names = [name for name in LIES if name != HONEST]
     for k, (protocol, colour) in enumerate(zip(PROTOCOLS, palette.SERIES, strict=False)):
-        here = {each.lie: each for each in cells if each.part == "lies" and each.protocol == protocol}
+        here = {cell.lie: cell for cell in cells if cell.part == "lies" and cell.protocol == protocol}
         places = [place + 0.18 * (k - 1.5) for place in range(len(names))]
         late = [here[name].delay for name in names]
-        error = [each.half_width for each in late]
-        axes.barh(places, [each.mean for each in late], 0.16, xerr=error, color=colour, label=protocol, error_kw=THIN)
+        error = [delay.half_width for delay in late]
+        axes.barh(places, [delay.mean for delay in late], 0.16, xerr=error, color=colour, label=protocol, error_kw=THIN)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set(xlabel="capture time, or horizon, beyond that of the honest team (s)")
     axes.legend(fontsize=7, loc="lower right")
 
 
-def _draw(axes: "Axes", found: Mapping[str, Sequence[Cell]], what: str) -> None:
+def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> None:
     """Draw a result over the value that varies, a line per defence."""
     from desim.analysis.drawing import palette
 
     for k, (colour, defence) in enumerate(zip(palette.SERIES, DEFENCES, strict=False)):
-        here = found.get(defence, ())
+        here = lines.get(defence, ())
         if not here:
             continue
         span = here[-1].value - here[0].value
-        x = [each.value + 0.008 * span * (k - 2.5) for each in here]  # shifted, so that equal lines are seen
-        if what == "captured":
-            y = [each.captured for each in here]
-            error = [[max(y_k - each.interval[0], 0.0) for y_k, each in zip(y, here, strict=True)]]
-            error += [[max(each.interval[1] - y_k, 0.0) for y_k, each in zip(y, here, strict=True)]]
+        x = [cell.value + 0.008 * span * (k - 2.5) for cell in here]  # shifted, so that equal lines are seen
+        if measure == "captured":
+            y = [cell.captured for cell in here]
+            error = [[max(y_k - cell.interval[0], 0.0) for y_k, cell in zip(y, here, strict=True)]]
+            error += [[max(cell.interval[1] - y_k, 0.0) for y_k, cell in zip(y, here, strict=True)]]
         else:
-            estimates = [each.active_time if what == "active_time" else each.false_accusations for each in here]
-            y, error = [each.mean for each in estimates], [[each.half_width for each in estimates]] * 2
+            estimates = [cell.active_time if measure == "active_time" else cell.false_accusations for cell in here]
+            y, error = [estimate.mean for estimate in estimates], [[estimate.half_width for estimate in estimates]] * 2
         axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.6, label=defence)
 
 
@@ -152,7 +152,7 @@ def _draw(axes: "Axes", found: Mapping[str, Sequence[Cell]], what: str) -> None:
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(each) for each in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

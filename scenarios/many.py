@@ -54,11 +54,11 @@ def table(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary], 
 
 
 def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(each.pursuers, each.evaders, each.protocol): each for each in games if each.slots == BUDGET}
+    here = {(game.pursuers, game.evaders, game.protocol): game for game in games if game.slots == BUDGET}
     rows = [("", *(f"{n} to {m}" for n, m in SIZES))]
     for name in CONTENDERS:
         line = [here[*size, name] for size in SIZES]
-        rows.append((name, *(f"{each.share:.3f} +- {each.half_width:.3f}  {each.best:4.0%}" for each in line)))
+        rows.append((name, *(f"{game.share:.3f} +- {game.half_width:.3f}  {game.best:4.0%}" for game in line)))
     return (
         f"Welfare of the final profile / optimum, and share of games that end in the best assignment, N to M:\n"
         f"static, r = {HORIZON:g} s, {BUDGET} slots, {runs} games, 95 % intervals\n{aligned(rows)}"
@@ -66,39 +66,41 @@ def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
 
 
 def _by_cooling(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(each.slots, each.protocol): each for each in games if _is_hard(each)}
+    here = {(game.slots, game.protocol): game for game in games if _is_hard(game)}
     rows = [("", *(f"{slots} slots" for slots in BUDGETS))]
     for name in COOLED:
         line = [here[slots, name] for slots in BUDGETS]
-        rows.append((name, *(f"{each.best:.0%} ({each.best_low:.0%} .. {each.best_high:.0%})" for each in line)))
-    what = f"{HARD[0]} to {HARD[1]}, static, {runs} games, 95 % Wilson intervals"
-    return f"Share of games that end in the best assignment: {what}\n{aligned(rows)}"
+        rows.append((name, *(f"{game.best:.0%} ({game.best_low:.0%} .. {game.best_high:.0%})" for game in line)))
+    about = f"{HARD[0]} to {HARD[1]}, static, {runs} games, 95 % Wilson intervals"
+    return f"Share of games that end in the best assignment: {about}\n{aligned(rows)}"
 
 
 def _by_temperature(games: Sequence[NegotiationSummary], runs: int) -> str:
-    here = {(each.temperature, each.protocol): each for each in games}
+    here = {(game.temperature, game.protocol): game for game in games}
     rows = [("", *(f"{tau:g} s" for tau in TEMPERATURES))]
     for kind in ("sap", "selective_sap"):
         line = [here[tau, kind] for tau in TEMPERATURES]
-        rows.append((kind, *(f"{each.share:.3f} +- {each.half_width:.3f}" for each in line)))
-    what = f"{HARD[0]} to {HARD[1]}, static, {BUDGET} slots, {runs} games, 95 % intervals"
-    return f"Welfare of the final profile / optimum at constant temperatures: {what}\n{aligned(rows)}"
+        rows.append((kind, *(f"{game.share:.3f} +- {game.half_width:.3f}" for game in line)))
+    about = f"{HARD[0]} to {HARD[1]}, static, {BUDGET} slots, {runs} games, 95 % intervals"
+    return f"Welfare of the final profile / optimum at constant temperatures: {about}\n{aligned(rows)}"
 
 
 def _pursuit_tables(moved: Sequence[PursuitSummary], runs: int) -> str:
-    here = {(each.pursuers, each.evaders, each.protocol): each for each in moved}
+    here = {(pursuit.pursuers, pursuit.evaders, pursuit.protocol): pursuit for pursuit in moved}
     heads = [f"{n} to {m}" for n, m in SIZES]
     times, paired, caught = [("", *heads)], [("", *heads)], [("", *heads)]
     for name in CONTENDERS:
         line = [here[*size, name] for size in SIZES]
-        times.append((name, *(f"{each.duration:.2f} +- {each.half_width:.2f}" for each in line)))
-        caught.append((name, *(f"{each.captured:.0%} ({each.all_captured:.0%})" for each in line)))
+        times.append((name, *(f"{pursuit.duration:.2f} +- {pursuit.half_width:.2f}" for pursuit in line)))
+        caught.append((name, *(f"{pursuit.captured:.0%} ({pursuit.all_captured:.0%})" for pursuit in line)))
         if name != REFERENCE:
-            paired.append((name, *(f"{each.difference:+.2f} +- {each.difference_half_width:.2f}" for each in line)))
-    what = f"horizon {HORIZON:g} s, {runs} runs, 95 % intervals"
+            paired.append(
+                (name, *(f"{pursuit.difference:+.2f} +- {pursuit.difference_half_width:.2f}" for pursuit in line))
+            )
+    about = f"horizon {HORIZON:g} s, {runs} runs, 95 % intervals"
     return (
-        f"Time until all are captured, or the horizon, s: {what}\n{aligned(times)}\n\n"
-        f"Time until all are captured minus that of {REFERENCE} with the same seeds, s: {what}\n{aligned(paired)}\n\n"
+        f"Time until all are captured, or the horizon, s: {about}\n{aligned(times)}\n\n"
+        f"Time until all are captured minus that of {REFERENCE} with the same seeds, s: {about}\n{aligned(paired)}\n\n"
         f"Share of the evaders captured by the horizon (share of the runs with all captured)\n{aligned(caught)}"
     )
 
@@ -113,8 +115,8 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
 
     with plots.styled(figsize=(plots.COLUMN, 7.2), font=8.0) as figure:
         cooling, temperature, time = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.25))
-        draw_cooling(cooling, [each for each in games if _is_hard(each)])
-        draw_temperatures(temperature, [each for each in games if each.temperature is not None])
+        draw_cooling(cooling, [game for game in games if _is_hard(game)])
+        draw_temperatures(temperature, [game for game in games if game.temperature is not None])
         draw_pursuits(time, moved)
     return figure
 
@@ -125,9 +127,9 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
     for name, marker, aside, colour in styles:
-        line = [each for each in games if each.protocol == name]
-        y = 100.0 * np.array([(each.best, each.best_low, each.best_high) for each in line])
-        x = [each.slots * aside for each in line]  # error bars side by side
+        line = [game for game in games if game.protocol == name]
+        y = 100.0 * np.array([(game.best, game.best_low, game.best_high) for game in line])
+        x = [game.slots * aside for game in line]  # error bars side by side
         error = np.abs(y[:, 1:].T - y[:, 0])
         dashes = "-" if name.endswith("slow") else ":"
         axes.errorbar(
@@ -149,9 +151,9 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
         "selective_sap": ("Selective SAP", "s", 1.03, palette.SERIES[2]),
     }
     for kind, (label, marker, aside, colour) in kinds.items():
-        line = [each for each in games if each.protocol == kind]
-        x, y = [(each.temperature or 0.0) * aside for each in line], [each.share for each in line]
-        error = [each.half_width for each in line]
+        line = [game for game in games if game.protocol == kind]
+        x, y = [(game.temperature or 0.0) * aside for game in line], [game.share for game in line]
+        error = [game.half_width for game in line]
         axes.errorbar(x, y, error, color=colour, marker=marker, ms=3.5, lw=1, elinewidth=0.7, label=label)
     axes.set(xscale="log", xlabel=r"constant temperature $\tau$ (s)", ylabel="welfare / optimum", ylim=(0.0, 1.0))
     axes.set_xticks(TEMPERATURES, [f"{tau:g}" for tau in TEMPERATURES])
@@ -165,9 +167,9 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
 
     rows = {name: row for row, name in enumerate(CONTENDERS)}
     for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):
-        line = [each for each in moved if (each.pursuers, each.evaders) == (n, m)]
-        y = [rows[each.protocol] + 0.15 * (k - 1.5) for each in line]
-        x, error = [each.duration for each in line], [each.half_width for each in line]
+        line = [pursuit for pursuit in moved if (pursuit.pursuers, pursuit.evaders) == (n, m)]
+        y = [rows[pursuit.protocol] + 0.15 * (k - 1.5) for pursuit in line]
+        x, error = [pursuit.duration for pursuit in line], [pursuit.half_width for pursuit in line]
         axes.errorbar(
             x, y, xerr=error, color=colour, ls="none", marker=marker, ms=3.5, elinewidth=0.7, label=f"{n} to {m}"
         )
@@ -189,7 +191,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
 def main(options: Options) -> None:
     """Measure the static games and the pursuits, and show them."""
     games, moved = run_static_games(options), run_pursuits(options)
-    document = {"negotiations": [asdict(each) for each in games], "pursuits": [asdict(each) for each in moved]}
+    document = {"negotiations": [asdict(game) for game in games], "pursuits": [asdict(pursuit) for pursuit in moved]}
     options.show(document, table(games, moved, options.runs), lambda: picture(games, moved))
 
 

@@ -35,29 +35,33 @@ def table(pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> s
         part
         for team in TEAMS
         for part in _tables(
-            team, [each for each in pursuits if each.team == team], [each for each in static if each.team == team], runs
+            team,
+            [pursuit for pursuit in pursuits if pursuit.team == team],
+            [game for game in static if game.team == team],
+            runs,
         )
     )
 
 
 def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> list[str]:
-    here = {(each.range, each.protocol): each for each in pursuits}
+    here = {(pursuit.range, pursuit.protocol): pursuit for pursuit in pursuits}
     about = [("R", "no equilibrium", "95 % interval", "components", "independent set")]
     active, paired = [("R", *PROTOCOLS)], [("R", *(name for name in PROTOCOLS if name != REFERENCE))]
-    for each in static:
-        radius = f"{each.range:g} m"
-        interval = f"{each.unsettled_low:.1%} .. {each.unsettled_high:.1%}"
-        about.append((radius, f"{each.unsettled:.1%}", interval, f"{each.components:.2f}", f"{each.independent:.2f}"))
-        line = [here[each.range, name] for name in PROTOCOLS]
+    for game in static:
+        radius = f"{game.range:g} m"
+        interval = f"{game.unsettled_low:.1%} .. {game.unsettled_high:.1%}"
+        about.append((radius, f"{game.unsettled:.1%}", interval, f"{game.components:.2f}", f"{game.independent:.2f}"))
+        line = [here[game.range, name] for name in PROTOCOLS]
         active.append((radius, *(f"{cell.active_time:.1f} +- {cell.half_width:.1f}" for cell in line)))
-        others = [cell for cell in line if cell.protocol != REFERENCE]
-        paired.append((radius, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in others)))
-    what = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
+        compared = [cell for cell in line if cell.protocol != REFERENCE]
+        paired.append((radius, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in compared)))
+    about_runs = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
     games = f"{team}, {N} pursuers, {static[0].games} games"
     return [
         f"Games of t = 0, in which a pursuer hears the pursuers within R: {games}\n{aligned(about)}",
-        f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"Sum of active times minus that of the game per component with the same seeds, s: {what}\n{aligned(paired)}",
+        f"Sum of active times, s: {about_runs}\n{aligned(active)}",
+        f"Sum of active times minus that of the game per component with the same seeds, s: {about_runs}\n"
+        f"{aligned(paired)}",
     ]
 
 
@@ -68,8 +72,8 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
     with plots.styled(figsize=(9.0, 6.4)) as figure:
         grid = figure.subplots(2, len(TEAMS), sharex=True, height_ratios=(3, 2))
         for column, team in enumerate(TEAMS):
-            draw_pursuits(grid[0, column], [each for each in pursuits if each.team == team])
-            draw_games(grid[1, column], [each for each in static if each.team == team])
+            draw_pursuits(grid[0, column], [pursuit for pursuit in pursuits if pursuit.team == team])
+            draw_games(grid[1, column], [game for game in static if game.team == team])
             grid[0, column].set_title(team, fontsize=9)
         grid[0, -1].legend(fontsize=8)
         grid[0, 0].set_ylabel("sum of active times (s)")
@@ -84,9 +88,9 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     from desim.analysis.drawing import palette
 
     for k, (colour, name) in enumerate(zip(palette.SERIES, PROTOCOLS, strict=False)):
-        line = [each for each in pursuits if each.protocol == name]
-        x = [each.range * 1.03 ** (k - 2) for each in line]  # shifted, so that error bars do not overlap
-        y, error = [each.active_time for each in line], [each.half_width for each in line]
+        line = [pursuit for pursuit in pursuits if pursuit.protocol == name]
+        x = [pursuit.range * 1.03 ** (k - 2) for pursuit in line]  # shifted, so that error bars do not overlap
+        y, error = [pursuit.active_time for pursuit in line], [pursuit.half_width for pursuit in line]
         axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=name)
     axes.set(xscale="log")
     axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
@@ -97,14 +101,14 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
     from desim.analysis.drawing import palette
 
-    share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
+    share = 100.0 * np.array([(game.unsettled, game.unsettled_low, game.unsettled_high) for game in static])
     axes.fill_between(RANGES, share[:, 1], share[:, 2], color=palette.SERIES[1], alpha=0.25, lw=0)
     axes.plot(RANGES, share[:, 0], color=palette.SERIES[1], marker="o", ms=3, lw=1.2)
     axes.set_ylim(0, 60)
     counts = axes.twinx()
     counts.spines["right"].set_visible(True)
-    sizes = {"components": ("--", [each.components for each in static])}
-    sizes["greedy independent set"] = ":", [each.independent for each in static]
+    sizes = {"components": ("--", [game.components for game in static])}
+    sizes["greedy independent set"] = ":", [game.independent for game in static]
     for label, (style, values) in sizes.items():
         counts.plot(RANGES, values, style, color=palette.GREY, label=label)
     counts.set(ylabel="number", ylim=(0, N))
@@ -117,7 +121,7 @@ def main(options: Options) -> None:
     """Run the pursuits, enumerate the games, and show the results."""
     pursuits = measure(options)
     static = [games(team, range_, options) for team in TEAMS for range_ in RANGES]
-    document = {"pursuits": [asdict(each) for each in pursuits], "games": [asdict(each) for each in static]}
+    document = {"pursuits": [asdict(pursuit) for pursuit in pursuits], "games": [asdict(game) for game in static]}
     options.show(document, table(pursuits, static, options.runs), lambda: picture(pursuits, static))
 
 

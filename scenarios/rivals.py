@@ -32,20 +32,20 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 
 
 def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
-    here = {(each.protocol, each.latency): each for each in cells if each.world == world}
-    names = list(dict.fromkeys(each.protocol for each in cells))
+    here = {(cell.protocol, cell.latency): cell for cell in cells if cell.world == world}
+    names = list(dict.fromkeys(cell.protocol for cell in cells))
     heads = [f"L = {latency:g} s" for latency in LATENCIES]
     active, paired = [("", *heads)], [("", *heads)]
     for name in names:
         line = [here[name, latency] for latency in LATENCIES]
-        active.append((name, *(f"{each.active_time:.1f} +- {each.half_width:.1f}" for each in line)))
+        active.append((name, *(f"{cell.active_time:.1f} +- {cell.half_width:.1f}" for cell in line)))
         if name != REFERENCE:
-            paired.append((name, *(f"{each.difference:+.1f} +- {each.difference_half_width:.1f}" for each in line)))
+            paired.append((name, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in line)))
     heads = ["captured", "relayed", "after", "misassigned", "regret", "handovers", "sent/s", "kB/s"]
-    rest = [("", *heads, "saved/sent", "saved/kB")]
+    messages = [("", *heads, "saved/sent", "saved/kB")]
     for name in names:
         at = here[name, SHOWN]
-        rest.append(
+        messages.append(
             (
                 name,
                 f"{at.captured:.0%}",
@@ -60,14 +60,14 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
                 _number(at.saved_per_kilobyte, "s"),
             )
         )
-    what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
+    about = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
     meaning = (
         "regret: increase of the potential gap by delay; saved: decrease of active time compared with a silent team"
     )
     return [
-        f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"Sum of active times minus that of {REFERENCE} with the same seeds, s: {what}\n{aligned(paired)}",
-        f"At L = {SHOWN:g} s: {what}\n{meaning}\n{aligned(rest)}",
+        f"Sum of active times, s: {about}\n{aligned(active)}",
+        f"Sum of active times minus that of {REFERENCE} with the same seeds, s: {about}\n{aligned(paired)}",
+        f"At L = {SHOWN:g} s: {about}\n{meaning}\n{aligned(messages)}",
     ]
 
 
@@ -80,12 +80,12 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     from desim.analysis.drawing import plots
 
     total: dict[str, float] = defaultdict(float)
-    for each in cells:
-        total[each.protocol] += each.active_time
+    for cell in cells:
+        total[cell.protocol] += cell.active_time
     names = sorted(total, key=total.__getitem__)
     with plots.styled(figsize=(9.5, 4.6)) as figure:
         for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True, squeeze=False)[0], WORLDS, strict=True):
-            draw(axes, world, names, [each for each in cells if each.world == world])
+            draw(axes, world, names, [here for here in cells if here.world == world])
         figure.supxlabel("one-way latency L (s)", fontsize=9)
     return figure
 
@@ -96,8 +96,8 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
     from matplotlib.colors import LogNorm
 
     times = np.zeros((len(names), len(LATENCIES)))
-    for each in cells:
-        times[names.index(each.protocol), LATENCIES.index(each.latency)] = each.active_time
+    for cell in cells:
+        times[names.index(cell.protocol), LATENCIES.index(cell.latency)] = cell.active_time
     axes.imshow(times, norm=LogNorm(), cmap="viridis_r", aspect="auto")
     middle = np.sqrt(times.min() * times.max())
     for (row, column), time in np.ndenumerate(times):
@@ -114,7 +114,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
-    document = {"cells": [asdict(each) for each in cells]}
+    document = {"cells": [asdict(cell) for cell in cells]}
     options.show(document, table(cells, options.runs), lambda: picture(cells))
 
 

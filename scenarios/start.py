@@ -45,7 +45,7 @@ def table(cells: Sequence[Cell], shares: Sequence[Share], runs: int) -> str:
         parts.append(f"{team}\n{aligned(rows)}")
     who: list[tuple[str, ...]] = [("utility", "start", "cannot be in time", "others")]
     for share in shares:
-        increases = (with_half_width(each, runs, "+") for each in (share.late, share.in_time))
+        increases = (with_half_width(increase, runs, "+") for increase in (share.late, share.in_time))
         who.append((share.utility, share.start, *increases))
     parts.append(f"Who causes the increase at L = {LONG:g} s where few are in time, best response, s\n{aligned(who)}")
     return "\n\n".join(parts)
@@ -63,10 +63,10 @@ def law_table(extras: Sequence[Extra], runs: int) -> str:
 def worth_table(worth: Sequence[Worth], runs: int) -> str:
     """Return what messages save, as text."""
     rows: list[tuple[str, ...]] = [("rule", "start", "speaking", "silent", "saved per message")]
-    for each in worth:
-        saved = f"{1000.0 * each.saved.mean:.2f} +- {1000.0 * each.saved.half_width:.2f} ms"
-        times = (with_half_width(time, runs) for time in (each.speaking, each.silent))
-        rows.append((each.rule, each.start, *times, saved))
+    for saving in worth:
+        saved = f"{1000.0 * saving.saved.mean:.2f} +- {1000.0 * saving.saved.half_width:.2f} ms"
+        times = (with_half_width(time, runs) for time in (saving.speaking, saving.silent))
+        rows.append((saving.rule, saving.start, *times, saved))
     return (
         f"Sum of active times, s, of teams that announce their actions and of silent ones, L = {SHOWN:g} s, {runs} runs"
         f" of equal seeds, 95 % intervals\n{aligned(rows)}"
@@ -84,7 +84,7 @@ def main(options: Options) -> None:
     """Measure the costs, and who causes them; or the law; or the worth of messages."""
     if options.own["worth"]:
         worth = measure_worth(options)
-        options.show({"worth": [asdict(each) for each in worth]}, worth_table(worth, options.runs))
+        options.show({"worth": [asdict(saving) for saving in worth]}, worth_table(worth, options.runs))
         return
     if options.own["law"]:
         extras = measure_law(options)

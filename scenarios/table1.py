@@ -57,20 +57,20 @@ def measure(options: Options) -> list[Cell]:
 
 
 def _cell(algorithm: str, count: int, delta: float, start: str, times: list[float]) -> Cell:
-    found, published = estimate(times), PUBLISHED[algorithm, count, delta]
-    error, ratio = 0.0 if start == ANY else found.standard_error, found.mean / published
-    return Cell(algorithm, count, delta, start, found.count, found.mean, error, published, ratio)
+    measured, published = estimate(times), PUBLISHED[algorithm, count, delta]
+    error, ratio = 0.0 if start == ANY else measured.standard_error, measured.mean / published
+    return Cell(algorithm, count, delta, start, measured.count, measured.mean, error, published, ratio)
 
 
 def table(cells: list[Cell]) -> str:
     """Return the cells as text, one line per published figure, with both starts side by side."""
-    found = {(cell.algorithm, cell.pursuers, cell.delta, cell.start): cell for cell in cells}
+    by_setting = {(cell.algorithm, cell.pursuers, cell.delta, cell.start): cell for cell in cells}
     rows: list[Sequence[str]] = [("", "", "", "", "all active", "", "", "random start", "", "")]
     rows.append(("algorithm", "N", "delta, s", "published", *("measured", "s.e.", "ratio") * 2))
     for (algorithm, count, delta), published in PUBLISHED.items():
         row = [algorithm, str(count), f"{delta:g}", number(published, 4)]
         for start in STARTS:
-            cell = found.get((algorithm, count, delta, start)) or found[algorithm, count, delta, ANY]
+            cell = by_setting.get((algorithm, count, delta, start)) or by_setting[algorithm, count, delta, ANY]
             row += [number(cell.measured, 4), number(cell.standard_error, 4), number(cell.ratio, 3)]
         rows.append(row)
     return (

@@ -34,17 +34,17 @@ LABELS: Mapping[str, str] = MappingProxyType(
 
 def table(cells: Sequence[Cell], runs: int) -> str:
     """Return all results as text."""
-    what = f"{N} pursuers, {runs} runs, 95 % intervals"
+    about = f"{N} pursuers, {runs} runs, 95 % intervals"
     return "\n\n".join(
         [
             *(
-                f"{LABELS[swept]}: sum of active times, s: {REFERENCE}, and differences from it: {what}\n"
-                f"{_pursuits([each for each in cells if each.swept == swept])}"
+                f"{LABELS[swept]}: sum of active times, s: {REFERENCE}, and differences from it: {about}\n"
+                f"{_pursuits([cell for cell in cells if cell.swept == swept])}"
                 for swept in SWEEPS
             ),
             *(
                 f"{LABELS[swept]}: mean age of information in a game at rest, s: {N_REST} pursuers\n"
-                f"{_ages([each for each in cells if each.swept == swept])}"
+                f"{_ages([cell for cell in cells if cell.swept == swept])}"
                 for swept in SWEEPS
                 if swept in WITH_AGES
             ),
@@ -53,16 +53,16 @@ def table(cells: Sequence[Cell], runs: int) -> str:
 
 
 def _pursuits(cells: Sequence[Cell]) -> str:
-    others = [way for way in WAYS if way != REFERENCE]
-    lines = [(cells[0].swept, REFERENCE, *others, *(f"bytes/s, {way}" for way in WAYS))]
+    compared = [way for way in WAYS if way != REFERENCE]
+    lines = [(cells[0].swept, REFERENCE, *compared, *(f"bytes/s, {way}" for way in WAYS))]
     for value, here in _by_value(cells).items():
         active = here[REFERENCE].active_time
-        differences = [here[way].difference for way in others]
+        differences = [here[way].difference for way in compared]
         lines.append(
             (
                 f"{value:g}",
                 f"{active.mean:.1f} +- {active.half_width:.1f}",
-                *(f"{each.mean:+.2f} +- {each.half_width:.2f}" for each in differences),
+                *(f"{difference.mean:+.2f} +- {difference.half_width:.2f}" for difference in differences),
                 *(f"{here[way].rate:,.0f}" for way in WAYS),
             )
         )
@@ -79,10 +79,10 @@ def _ages(cells: Sequence[Cell]) -> str:
 
 
 def _by_value(cells: Sequence[Cell]) -> dict[float, dict[str, Cell]]:
-    found: dict[float, dict[str, Cell]] = {}
-    for each in cells:
-        found.setdefault(each.value, {})[each.way] = each
-    return found
+    by_value: dict[float, dict[str, Cell]] = {}
+    for cell in cells:
+        by_value.setdefault(cell.value, {})[cell.way] = cell
+    return by_value
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
@@ -92,11 +92,11 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     with plots.styled(figsize=(9.0, 5.5)) as figure:
         grid = figure.subplots(2, len(SWEEPS), squeeze=False)
         for (above, below), swept in zip(grid.T, SWEEPS, strict=True):
-            here = [each for each in cells if each.swept == swept]
+            here = [cell for cell in cells if cell.swept == swept]
             repeated = [way for way in WAYS if way != ONCE]
-            draw(above, swept, {way: [each.difference for each in here if each.way == way] for way in repeated})
+            draw(above, swept, {way: [cell.difference for cell in here if cell.way == way] for way in repeated})
             if swept in WITH_AGES:
-                ages = {way: [each.age for each in here if each.way == way and each.age is not None] for way in WAYS}
+                ages = {way: [cell.age for cell in here if cell.way == way and cell.age is not None] for way in WAYS}
                 draw(below, swept, ages)
                 below.set(yscale="log")
                 below.set_xlabel(LABELS[swept])
@@ -109,16 +109,16 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     return figure
 
 
-def draw(axes: "Axes", swept: str, found: Mapping[str, Sequence[Estimate]]) -> None:
+def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> None:
     """Draw estimates over the property that varies, a line per way to announce."""
     from desim.analysis.drawing import palette
 
     values = SWEEPS[swept]
     for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):
-        if way not in found:
+        if way not in lines:
             continue
         places = [place + 0.05 * (k - 2) for place in range(len(values))]  # shifted, so that error bars are seen
-        y, error = [each.mean for each in found[way]], [each.half_width for each in found[way]]
+        y, error = [estimate.mean for estimate in lines[way]], [estimate.half_width for estimate in lines[way]]
         axes.errorbar(places, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=way)
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
 
@@ -127,7 +127,7 @@ def draw(axes: "Axes", swept: str, found: Mapping[str, Sequence[Estimate]]) -> N
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(each) for each in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ def measure(options: Options) -> list[Cell]:
     scenarios = [decentralised(base, slot).model_copy(update={"motion": Motion(step=step)}) for slot, step in grid]
     cells = []
     for (slot, step), times in zip(grid, options.measure(scenarios, "two clocks", active_time), strict=True):
-        found = estimate(times)
-        cells.append(Cell(slot, step, found.mean, found.standard_error))
+        measured = estimate(times)
+        cells.append(Cell(slot, step, measured.mean, measured.standard_error))
     return cells
 
 
@@ -57,10 +57,10 @@ def spread(cells: list[Cell], along: str) -> float:
 
 def table(cells: list[Cell], runs: int) -> str:
     """Return the grid as text, and the conclusion from it."""
-    found = {(cell.slot, cell.step): cell for cell in cells}
+    by_setting = {(cell.slot, cell.step): cell for cell in cells}
     rows = [("delta | h", *(f"{step:g} s" for step in VALUES))]
     for slot in VALUES:
-        line = [found[slot, step] for step in VALUES]
+        line = [by_setting[slot, step] for step in VALUES]
         rows.append((f"{slot:g} s", *(f"{cell.active_time:.2f} +- {cell.standard_error:.2f}" for cell in line)))
     by_slot, by_step = spread(cells, "slot"), spread(cells, "step")
     return (
@@ -75,11 +75,11 @@ def picture(cells: list[Cell]) -> "Figure":
     """Draw the active time over delta, one line per h, and over h, one line per delta; the paper has delta = h."""
     from desim.analysis.drawing import palette, plots
 
-    found = {(cell.slot, cell.step): cell for cell in cells}
+    by_setting = {(cell.slot, cell.step): cell for cell in cells}
 
     def draw(axes: plots.Axes, x: str, other: str) -> None:
         for colour, marker, fixed in zip(palette.SERIES, "osD^v", VALUES, strict=False):
-            line = [found[(v, fixed) if x == "slot" else (fixed, v)] for v in VALUES]
+            line = [by_setting[(v, fixed) if x == "slot" else (fixed, v)] for v in VALUES]
             y, error = np.array([(cell.active_time, cell.standard_error) for cell in line]).T
             axes.errorbar(VALUES, y, error, color=colour, marker=marker, ms=4, lw=1.2, label=f"{other} = {fixed:g} s")
         axes.loglog()

@@ -35,15 +35,15 @@ from scenarios.benchmarks.rates import BROADCASTS, DESIM_WAYS, WORKLOAD_NAMES, R
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
     """Return as text the rates, the ratios of desim's rates to those of others, and the missing simulators."""
-    works, ways = list(dict.fromkeys(each.workload for each in rates)), list(dict.fromkeys(each.way for each in rates))
-    found = {(each.workload, each.way): each.per_second for each in rates}
+    works, ways = list(dict.fromkeys(rate.workload for rate in rates)), list(dict.fromkeys(rate.way for rate in rates))
+    speed = {(rate.workload, rate.way): rate.per_second for rate in rates}
     heads = [short(work) for work in works]
     speeds, ratios = [["", *heads]], [["", *(f"{head} {ours}" for head in heads for ours in DESIM_WAYS)]]
     for way in ways:
-        speeds.append([way, *(_quotient(found.get((work, way)), 1e3, 0) for work in works)])
+        speeds.append([way, *(_quotient(speed.get((work, way)), 1e3, 0) for work in works)])
         if way not in DESIM_WAYS:
-            line = [(found.get((work, ours)), found.get((work, way))) for work in works for ours in DESIM_WAYS]
-            ratios.append([way, *(_quotient(own, other, 2) if other else "-" for own, other in line)])
+            line = [(speed.get((work, ours)), speed.get((work, way))) for work in works for ours in DESIM_WAYS]
+            ratios.append([way, *(_quotient(speed, other, 2) if other else "-" for speed, other in line)])
     return "\n".join(
         [
             f"Thousand deliveries per second of CPU time, medians of {laps} laps",
@@ -64,16 +64,16 @@ def picture(rates: Sequence[Rate]) -> "Figure":
     """Draw a panel per workload with a bar per way, the fastest at the top."""
     from desim.analysis.drawing import palette, plots
 
-    works = list(dict.fromkeys(each.workload for each in rates))
+    works = list(dict.fromkeys(rate.workload for rate in rates))
     columns = min(2, len(works))
     rows = -(-len(works) // columns)
-    ranked = sorted(rates, key=lambda each: each.per_second)
-    here = [[each for each in ranked if each.workload == work] for work in works]
+    ranked = sorted(rates, key=lambda rate: rate.per_second)
+    here = [[rate for rate in ranked if rate.workload == work] for work in works]
     with plots.styled(figsize=(4.6 * columns, 0.6 + rows * (0.5 + 0.19 * max(map(len, here))))) as figure:
         for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, here, strict=False):
-            speeds = [each.per_second for each in bars]
-            colours = [palette.SERIES[0] if each.way in DESIM_WAYS else palette.GREY for each in bars]
-            drawn = axes.barh([each.way for each in bars], speeds, color=colours, height=0.7)
+            speeds = [rate.per_second for rate in bars]
+            colours = [palette.SERIES[0] if rate.way in DESIM_WAYS else palette.GREY for rate in bars]
+            drawn = axes.barh([rate.way for rate in bars], speeds, color=colours, height=0.7)
             axes.bar_label(drawn, [f" {speed / 1e3:,.0f}" for speed in speeds], fontsize=8)
             axes.set_xscale("log")
             axes.set_xlim(min(speeds) / 2, max(speeds) * 5)
@@ -86,8 +86,8 @@ def picture(rates: Sequence[Rate]) -> "Figure":
 def _names_from(allowed: Sequence[str]) -> Any:
     """Return the callback of an option that takes a list of names, separated by commas."""
 
-    def check(_: click.Context, __: click.Parameter, given: str | None) -> list[str]:
-        names = given.split(",") if given else list(allowed)
+    def check(_: click.Context, __: click.Parameter, text: str | None) -> list[str]:
+        names = text.split(",") if text else list(allowed)
         for name in names:
             if name not in allowed:
                 raise click.BadParameter(f"there is no {name!r}; choose from {', '.join(allowed)}")
@@ -113,20 +113,20 @@ def _names_from(allowed: Sequence[str]) -> Any:
 )
 def main(options: Options) -> None:
     """Measure, compare and show."""
-    own = options.own
-    ways = [name for name in own["only"] if own["peers"] or name not in PEERS]
+    choices = options.own
+    ways = [name for name in choices["only"] if choices["peers"] or name not in PEERS]
     document: dict[str, Any] = {}
     tables, rates = [], list[Rate]()
-    if BROADCASTS in own["parts"]:
-        works = [work for work in workloads() if short(work.name) in own["workloads"]]
+    if BROADCASTS in choices["parts"]:
+        works = [work for work in workloads() if short(work.name) in choices["workloads"]]
         rates, missing = measure(options, works, ways)
-        document |= {BROADCASTS: [asdict(each) for each in rates], "missing": missing}
+        document |= {BROADCASTS: [asdict(rate) for rate in rates], "missing": missing}
         tables.append(table(rates, missing, options.runs))
-    asked = [name for name in costs.PARTS if name in own["parts"]]
-    found = {name: costs.PARTS[name](options) for name in tqdm(asked, desc="costs", unit="part", disable=None)}
-    if found:
-        document["costs"] = {name: [asdict(each) for each in part] for name, part in found.items()}
-        tables.append(measuring.table(found))
+    asked = [name for name in costs.PARTS if name in choices["parts"]]
+    costs_of = {name: costs.PARTS[name](options) for name in tqdm(asked, desc="costs", unit="part", disable=None)}
+    if costs_of:
+        document["costs"] = {name: [asdict(cost) for cost in part] for name, part in costs_of.items()}
+        tables.append(measuring.table(costs_of))
     options.show(document, "\n\n".join(tables), (lambda: picture(rates)) if rates else None)
 
 

@@ -121,16 +121,16 @@ def disk(size: int, seed: int) -> tuple[float, float]:
 
 def disk_graphs(options: Options) -> list[Cost]:
     """Measure the time per message and the memory per node on disk graphs of equal density and different size."""
-    found = {}
+    by_size = {}
     for size in SIZES:
         laps = [apart(disk, size, options.seed) for _ in range(options.runs if size < max(SIZES) else 1)]
-        found[size] = tuple(map(median, zip(*laps, strict=True)))
+        by_size[size] = tuple(map(median, zip(*laps, strict=True)))
     base, largest = SIZES[1], SIZES[-1]
-    ratio = found[largest][0] / found[base][0]
+    ratio = by_size[largest][0] / by_size[base][0]
     return [
-        *(Cost(f"a message, N = {size:,}", per_message * 1e6, "us") for size, (per_message, _) in found.items()),
+        *(Cost(f"a message, N = {size:,}", per_message * 1e6, "us") for size, (per_message, _) in by_size.items()),
         Cost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
-        Cost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
+        Cost(f"memory of a node, N = {largest:,}", by_size[largest][1] / 1e3, "kB", 4.0),
     ]
 
 
@@ -161,8 +161,8 @@ def large_team_cost(count: int, horizon: float, seed: int) -> tuple[float, float
 def complete(options: Options) -> list[Cost]:
     """Measure Spatial Adaptive Play on a large complete graph."""
     took, peak = apart(large_team_cost, LARGE_TEAM, HORIZON, options.seed)
-    what = f"N = {LARGE_TEAM:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
-    return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
+    load = f"N = {LARGE_TEAM:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
+    return [Cost(load, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
 
 
 # Loss models.
@@ -172,14 +172,14 @@ def losses(options: Options) -> list[Cost]:
     """Measure the cost of a message under each loss model, relative to one that cannot be lost."""
     plain = Workload("", nx.complete_graph(40), 2_000, LOGNORMAL, Links(latency=Constant(value=0.015)))
     moving = "by_distance, all moving"
-    found: dict[str, Workload] = {"none": plain}
+    works: dict[str, Workload] = {"none": plain}
     for model in (Bernoulli(p=0.1), ByDistance(distance=10.0), GilbertElliott(share=0.1, burst=5.0)):
-        found[model.kind] = replace(plain, links=Links(latency=Constant(value=0.015), loss=model))
-    found[moving] = replace(found["by_distance"], speed=1.0)
-    variants = {what: partial(published, work) for what, work in found.items()}
+        works[model.kind] = replace(plain, links=Links(latency=Constant(value=0.015), loss=model))
+    works[moving] = replace(works["by_distance"], speed=1.0)
+    variants = {name: partial(published, work) for name, work in works.items()}
     times = per_unit(variants, range(options.seed, options.seed + 5 * options.runs))
     base = times.pop("none")
-    return [Cost(f"{what} / no loss", each / base, "", None if what == moving else 3.3) for what, each in times.items()]
+    return [Cost(f"{name} / no loss", took / base, "", None if name == moving else 3.3) for name, took in times.items()]
 
 
 # Losses on arrival.
@@ -215,9 +215,9 @@ def published(work: Workload, seed: int) -> int:
 def arrivals(options: Options) -> list[Cost]:
     """Measure the cost of a message whose loss is decided on arrival, relative to one whose arrival is certain."""
     pairs = with_losses_on_arrival()
-    variants = {f"{what}, {k}": partial(published, work) for what, both in pairs.items() for k, work in enumerate(both)}
-    found = per_unit(variants, range(options.seed, options.seed + options.runs))
-    return [Cost(f"{what} / without", found[f"{what}, 0"] / found[f"{what}, 1"], "", 3.3) for what in pairs]
+    variants = {f"{name}, {k}": partial(published, work) for name, both in pairs.items() for k, work in enumerate(both)}
+    took = per_unit(variants, range(options.seed, options.seed + options.runs))
+    return [Cost(f"{name} / without", took[f"{name}, 0"] / took[f"{name}, 1"], "", 3.3) for name in pairs]
 
 
 # Contention.
@@ -268,10 +268,10 @@ def contention(options: Options) -> list[Cost]:
         "desim": lambda seed: contended(work, seed)[0],
         "SimPy": lambda seed: contended_in_simpy(work, seed)[0],
     }
-    found = per_unit(variants, range(options.seed, options.seed + options.runs))
+    took = per_unit(variants, range(options.seed, options.seed + options.runs))
     return [
-        Cost("a message, 40 nodes, CSMA/CA with capture", found["desim"] * 1e6, "us"),
-        Cost("desim / SimPy", found["desim"] / found["SimPy"], "", 1 / 3),
+        Cost("a message, 40 nodes, CSMA/CA with capture", took["desim"] * 1e6, "us"),
+        Cost("desim / SimPy", took["desim"] / took["SimPy"], "", 1 / 3),
     ]
 
 
@@ -305,11 +305,11 @@ def loop(options: Options) -> list[Cost]:
         "h = 10 delta": lambda seed: round(end_time(run(coarse, seed)) / SLOT),
         "bare": lambda seed: bare_loop(fine, seed, SLOT),
     }
-    found = per_unit(variants, range(options.seed, options.seed + 2 * options.runs))
+    took = per_unit(variants, range(options.seed, options.seed + 2 * options.runs))
     return [
-        Cost("a slot of the bare loop", found["bare"] * 1e6, "us"),
-        Cost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
-        Cost("h = 10 delta / the same bare loop", found["h = 10 delta"] / found["bare"], "", 0.1),
+        Cost("a slot of the bare loop", took["bare"] * 1e6, "us"),
+        Cost("h = delta / bare loop", took["h = delta"] / took["bare"], "", 1.0),
+        Cost("h = 10 delta / the same bare loop", took["h = 10 delta"] / took["bare"], "", 0.1),
     ]
 
 
@@ -356,12 +356,12 @@ def recording(options: Options) -> list[Cost]:
         "kept": partial(kept, scenario),
         "streamed": partial(streamed, scenario),
     }
-    found = per_unit(variants, range(options.seed, options.seed + options.runs))
+    took = per_unit(variants, range(options.seed, options.seed + options.runs))
     few, many = (apart(peak_of_stream, count, options.seed) for count in STREAMED)
     return [
-        Cost("a message, none recorded", found["off"] * 1e6, "us"),
-        Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
-        Cost("all on disk / none", found["streamed"] / found["off"], "", 1.5),
+        Cost("a message, none recorded", took["off"] * 1e6, "us"),
+        Cost("all kept / none", took["kept"] / took["off"], "", 1.3),
+        Cost("all on disk / none", took["streamed"] / took["off"], "", 1.5),
         Cost(f"rise of peak memory, {STREAMED[0]:,} to {STREAMED[1]:,} on disk", (many - few) / MEGABYTE, "MB", 10.0),
     ]
 

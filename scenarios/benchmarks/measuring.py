@@ -32,33 +32,33 @@ class Cost:
     limit: float | None = None
 
 
-def table(found: Mapping[str, Sequence[Cost]]) -> str:
+def table(parts: Mapping[str, Sequence[Cost]]) -> str:
     """Return all costs as text, a section per key of `found`.
 
     A cost with a limit is marked if it is above the limit or nan.
     """
     rows = [("", "measured", "at most", "", "")]
-    for part, costs in found.items():
+    for part, costs in parts.items():
         rows.append((part, "", "", "", ""))
-        for each in costs:
-            limit = "" if each.limit is None else f"{each.limit:g}"
-            missed = "MISSED" if each.limit is not None and not each.measured <= each.limit else ""
-            rows.append((f"  {each.what}", number(each.measured), limit, each.unit, missed))
+        for cost in costs:
+            limit = "" if cost.limit is None else f"{cost.limit:g}"
+            missed = "MISSED" if cost.limit is not None and not cost.measured <= cost.limit else ""
+            rows.append((f"  {cost.what}", number(cost.measured), limit, cost.unit, missed))
     return aligned(rows)
 
 
-def apart(function: Callable[..., Answer], *given: object) -> Answer:
+def apart(function: Callable[..., Answer], *arguments: object) -> Answer:
     """Call a module-level function in a new process and return its result."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
-        return fresh.submit(function, *given).result()
+        return fresh.submit(function, *arguments).result()
 
 
-def memory(what: str) -> float:
+def memory(field: str) -> float:
     """Return the current ("VmRSS") or peak ("VmHWM") resident memory, B, of this process; nan unless on Linux."""
     status = Path("/proc/self/status")
     if not status.exists():
         return nan
-    (line,) = (line for line in status.read_text().splitlines() if line.startswith(what))
+    (line,) = (line for line in status.read_text().splitlines() if line.startswith(field))
     return 1024.0 * int(line.split()[1])
 
 
@@ -74,7 +74,7 @@ def per_unit(variants: Mapping[str, Callable[[int], int]], seeds: Sequence[int])
             begin = time.process_time()
             units = variant(seed)
             laps[name].append((time.process_time() - begin) / units)
-    return {name: median(found) for name, found in laps.items()}
+    return {name: median(times) for name, times in laps.items()}
 
 
 def command(*arguments: str) -> float:

@@ -51,10 +51,10 @@ MEGABYTE = 1e6
 def swept(runs: int, jobs: int, seed: int) -> tuple[float, float]:
     """Perform a sweep with a store; return its wall time, s, and the CPU time of this process, s."""
     with TemporaryDirectory() as folder:
-        begin, own = time.perf_counter(), time.process_time()
+        begin, begin_cpu = time.perf_counter(), time.process_time()
         grid = {"network.latency.value": LATENCIES}
         sweep(SHORT, grid, runs // len(LATENCIES), jobs, seed=seed, store=Path(folder) / "sweep.sqlite")
-        return time.perf_counter() - begin, time.process_time() - own
+        return time.perf_counter() - begin, time.process_time() - begin_cpu
 
 
 def side_by_side(two: Executor, runs: int, seed: int) -> float:
@@ -75,16 +75,16 @@ def two_workers(options: Options) -> list[Cost]:
         side_by_side(independent, few, options.seed)  # all processes have started before they are measured
         for seed in range(options.seed, options.seed + 2 * options.runs):
             swept(few, 2, seed)  # idle workers end after a while
-            two, own = swept(SWEPT, 2, seed)
+            two, driver = swept(SWEPT, 2, seed)
             beside = side_by_side(independent, SWEPT, seed)
-            one, _ = swept(SWEPT, 1, seed)
-            laps.append((one, two / one, two / beside, own / two))
-    found = [median(values) for values in zip(*laps, strict=True)]
+            single, _ = swept(SWEPT, 1, seed)
+            laps.append((single, two / single, two / beside, driver / two))
+    medians = [median(values) for values in zip(*laps, strict=True)]
     return [
-        Cost("a run with one worker", found[0] / SWEPT * 1e3, "ms"),
-        Cost("wall time, two workers / one", found[1], "", round(1.0 / 1.9, 3)),
-        Cost("wall time, two workers / two independent processes", found[2], "", round(2.0 / 1.9, 3)),
-        Cost("driver, share of a core", found[3], "", 0.05),
+        Cost("a run with one worker", medians[0] / SWEPT * 1e3, "ms"),
+        Cost("wall time, two workers / one", medians[1], "", round(1.0 / 1.9, 3)),
+        Cost("wall time, two workers / two independent processes", medians[2], "", round(2.0 / 1.9, 3)),
+        Cost("driver, share of a core", medians[3], "", 0.05),
     ]
 
 
@@ -104,8 +104,8 @@ def write_halves(folder: Path, count: int, seed: int) -> None:
                 store.add_all(
                     plan.root,
                     [
-                        (each.key, Row(number, plan.root + number, "ok", _changed(usual, names, values)))
-                        for (each, number), values in zip(some, numbers, strict=True)
+                        (configuration.key, Row(number, plan.root + number, "ok", _changed(usual, names, values)))
+                        for (configuration, number), values in zip(some, numbers, strict=True)
                     ],
                 )
 
@@ -124,16 +124,22 @@ def commanded(*words: str) -> tuple[float, float]:
 
 def large_store(options: Options) -> list[Cost]:
     """Measure the commands that merge, report and export a large store."""
-    found: dict[str, tuple[float, float]] = {}
+    costs_of: dict[str, tuple[float, float]] = {}
     with TemporaryDirectory() as name:
         folder = Path(name)
         write_halves(folder, STORED, options.seed)
         merged = str(folder / "merged")
-        found["merge"] = apart(commanded, "merge", name, "-o", merged)
-        found["report"] = apart(commanded, "report", merged)
-        found["export"] = apart(commanded, "export", merged, str(folder / "runs.csv"))
+        costs_of["merge"] = apart(commanded, "merge", name, "-o", merged)
+        costs_of["report"] = apart(commanded, "report", merged)
+        costs_of["export"] = apart(commanded, "export", merged, str(folder / "runs.csv"))
     limits = {"merge": 60.0, "report": 30.0}
     return [
-        *(Cost(f"desim {each}, {STORED:,} runs", took, "s", limits.get(each)) for each, (took, _) in found.items()),
-        *(Cost(f"peak memory of desim {each}", peak / MEGABYTE, "MB", 1_000.0) for each, (_, peak) in found.items()),
+        *(
+            Cost(f"desim {command}, {STORED:,} runs", took, "s", limits.get(command))
+            for command, (took, _) in costs_of.items()
+        ),
+        *(
+            Cost(f"peak memory of desim {command}", peak / MEGABYTE, "MB", 1_000.0)
+            for command, (_, peak) in costs_of.items()
+        ),
     ]

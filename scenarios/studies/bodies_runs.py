@@ -116,7 +116,7 @@ def measure(options: Options) -> list[Cell]:
     """Run each rule with each motion at each latency, and return the results."""
     keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
     runs = dict(zip(keys, options.measure([pursuit(*key) for key in keys], "bodies", _measured), strict=True))
-    times = {key: [run.active_time for run in found] for key, found in runs.items()}
+    times = {key: [run.active_time for run in runs_of_key] for key, runs_of_key in runs.items()}
     return [_cell(key, runs[key], times) for key in keys]
 
 
@@ -142,9 +142,9 @@ def _cell(
     )
 
 
-def differences(some: Sequence[float], others: Sequence[float]) -> list[float]:
+def differences(some: Sequence[float], subtrahends: Sequence[float]) -> list[float]:
     """Return the differences of paired values."""
-    return [one - other for one, other in zip(some, others, strict=True)]
+    return [value - other for value, other in zip(some, subtrahends, strict=True)]
 
 
 def ratio(parts: Sequence[float], counts: Sequence[int]) -> Estimate:
@@ -152,9 +152,9 @@ def ratio(parts: Sequence[float], counts: Sequence[int]) -> Estimate:
     total = portable_sum(counts)
     if not total:
         return Estimate(nan, inf, len(counts))
-    found = portable_sum(parts) / total
-    error = estimate([part - found * count for part, count in zip(parts, counts, strict=True)]).standard_error
-    return Estimate(found, error * len(counts) / total, len(counts))
+    quotient = portable_sum(parts) / total
+    error = estimate([part - quotient * count for part, count in zip(parts, counts, strict=True)]).standard_error
+    return Estimate(quotient, error * len(counts) / total, len(counts))
 
 
 def handovers(result: Result) -> Handovers:

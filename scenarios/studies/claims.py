@@ -420,7 +420,7 @@ CLAIMS = (
         )
     ),
     *(
-        Claim("law", VALIDATION, row, [announcing(each, x) for each in start_runs.CLOCKS], sigmas=NORMAL_975)
+        Claim("law", VALIDATION, row, [announcing(clock, x) for clock in start_runs.CLOCKS], sigmas=NORMAL_975)
         for x, row in (
             (1.0, "| 1 | 0.95 | {0.99 +- 0.08} | {0.99 +- 0.07} |"),
             (4.0, "| 4 | 3.80 | {3.89 +- 0.12} | {3.87 +- 0.09} |"),

@@ -47,9 +47,9 @@ def average(metric: Callable[[Any], float], scenario: Scenario, scale: float = 1
     return lambda options: of(mean(options.measure([scenario], "", metric)[0]), scale)
 
 
-def difference(metric: Callable[[Any], float], some: Scenario, others: Scenario, scale: float = 1.0) -> Number:
+def difference(metric: Callable[[Any], float], some: Scenario, subtrahend: Scenario, scale: float = 1.0) -> Number:
     """Return what measures the paired difference of a metric between two scenarios."""
-    return lambda options: of(paired(*options.measure([some, others], "", metric)), scale)
+    return lambda options: of(paired(*options.measure([some, subtrahend], "", metric)), scale)
 
 
 def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
@@ -70,7 +70,7 @@ def in_trials(count: int, trials: int) -> tuple[float, float]:
 
 def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Number:
     """Return what measures how much active time a latency costs in `scenarios.start`."""
-    late, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, each) for each in (latency, 0.0))
+    late, prompt = (start_runs.pursuit(team, start_runs.RULES[rule], start, delay) for delay in (latency, 0.0))
     return difference(active_time, late, prompt)
 
 
@@ -91,7 +91,7 @@ def increase(start: Start, *, whole: bool) -> Number:
     `whole`: all pursuers, or else those that could not capture in time at the start.
     """
     rule = BestResponse(utility=start_runs.UTILITIES["mean"])
-    late, prompt = (start_runs.pursuit("few in time", rule, start, each) for each in (start_runs.LONG, 0.0))
+    late, prompt = (start_runs.pursuit("few in time", rule, start, delay) for delay in (start_runs.LONG, 0.0))
     return difference(active_time if whole else time_of_late_ones, late, prompt)
 
 
@@ -103,8 +103,10 @@ def time_of_late_ones(result: Result) -> float:
 def announcing(schedule: str, delay: float) -> Number:
     """Return what measures what announcing first actions adds to the excess of a static game, in N^2 delta."""
     game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
-    announced, known = (start_runs.at_rest(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known"))
-    return difference(excess_time, announced, known, UNIT)
+    announced, at_start = (
+        start_runs.at_rest(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known")
+    )
+    return difference(excess_time, announced, at_start, UNIT)
 
 
 def excess(schedule: str) -> Number:
@@ -137,8 +139,10 @@ def unsettled(team: str, distance: float) -> Number:
 
 def lost_by(protocol: str, access: str, load: float, start: Start = "known") -> Number:
     """Return what measures the active time lost by an access model."""
-    some, others = (contention_runs.pursuit(protocol, each, load) for each in (access, contention_runs.REFERENCE))
-    return difference(active_time, started(some, start), started(others, start))
+    some, reference = (
+        contention_runs.pursuit(protocol, medium, load) for medium in (access, contention_runs.REFERENCE)
+    )
+    return difference(active_time, started(some, start), started(reference, start))
 
 
 def started(scenario: Scenario, start: Start) -> Scenario:
@@ -150,8 +154,8 @@ def over_before_the_second(spreading_factor: int) -> Number:
     """Return what measures the share of pursuits over LoRa that end before a pursuer may announce a second time."""
 
     def number(options: Options) -> tuple[float, float]:
-        found = contention_runs.lora_pursuits(spreading_factor, options)
-        return in_trials(round(found.over * options.runs), options.runs)
+        pursuits = contention_runs.lora_pursuits(spreading_factor, options)
+        return in_trials(round(pursuits.over * options.runs), options.runs)
 
     return number
 
@@ -166,11 +170,11 @@ def transported(way: str | None, scale: float = 1.0, **setting: Any) -> Number:
         )
         budget = transport_runs.budget_of(reliable)
         ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
-        games = [transport_runs.pursuit(here, each, budget) for each in ways]
-        some, others = (
+        games = [transport_runs.pursuit(here, way_of_game, budget) for way_of_game in ways]
+        some, reference = (
             [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
         )
-        return of(mean(others) if way is None else paired(some, others), scale)
+        return of(mean(reference) if way is None else paired(some, reference), scale)
 
     return number
 
@@ -190,8 +194,10 @@ def age(way: str) -> Number:
 
 def delayed_by(protocol: str, lie: str) -> Number:
     """Return what measures by how much one liar delays the capture."""
-    some, others = (liars_runs.scenario_of("lies", protocol, each, "none", 1.0) for each in (lie, liars_runs.HONEST))
-    return difference(end_time, some, others)
+    some, reference = (
+        liars_runs.scenario_of("lies", protocol, kind_of_lie, "none", 1.0) for kind_of_lie in (lie, liars_runs.HONEST)
+    )
+    return difference(end_time, some, reference)
 
 
 def price(defence: str) -> Number:
@@ -199,16 +205,16 @@ def price(defence: str) -> Number:
 
     def number(options: Options) -> tuple[float, float]:
         worst = liars_runs.WORST
-        games = [liars_runs.scenario_of("numbers", "local_min", worst, each, 0.0) for each in (defence, "none")]
-        times, others = (np.array(runs) for runs in options.measure(games, "", active_time))
-        return of(start_runs.quotient(times - others, others))
+        games = [liars_runs.scenario_of("numbers", "local_min", worst, policy, 0.0) for policy in (defence, "none")]
+        times, reference = (np.array(runs) for runs in options.measure(games, "", active_time))
+        return of(start_runs.quotient(times - reference, reference))
 
     return number
 
 
 def of_latency(latency: float, motion: str) -> Number:
     """Return what measures how much active time a latency costs a body."""
-    late, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, each) for each in (latency, 0.0))
+    late, prompt = (bodies_runs.pursuit(bodies_runs.ONE, motion, delay) for delay in (latency, 0.0))
     return difference(active_time, late, prompt)
 
 
@@ -217,8 +223,8 @@ def of_inertia(latency: float, motion: str) -> Number:
 
     def number(options: Options) -> tuple[float, float]:
         games = [
-            bodies_runs.pursuit(bodies_runs.ONE, each, at)
-            for each in (motion, bodies_runs.SIMPLE)
+            bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, at)
+            for kind_of_motion in (motion, bodies_runs.SIMPLE)
             for at in (latency, 0.0)
         ]
         late, prompt, simple_late, simple_prompt = (
@@ -231,8 +237,8 @@ def of_inertia(latency: float, motion: str) -> Number:
 
 def all_at_once(latency: float, motion: str) -> Number:
     """Return what measures how much more active time a body needs if all decide at once."""
-    some, others = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
-    return difference(active_time, some, others)
+    some, reference = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
+    return difference(active_time, some, reference)
 
 
 def per_handover(motion: str, latency: float) -> Number:
@@ -248,8 +254,10 @@ def per_handover(motion: str, latency: float) -> Number:
 
 def survives(protocol: str, start: Start = "known") -> Number:
     """Return what measures how much longer an evader survives that flees the active pursuers only."""
-    some, others = (evaders_runs.chase(each, protocol) for each in (evaders_runs.CLAIMED, evaders_runs.REFERENCE))
-    return difference(end_time, started(some, start), started(others, start))
+    some, reference = (
+        evaders_runs.chase(strategy, protocol) for strategy in (evaders_runs.CLAIMED, evaders_runs.REFERENCE)
+    )
+    return difference(end_time, started(some, start), started(reference, start))
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:

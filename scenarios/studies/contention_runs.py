@@ -143,13 +143,13 @@ def measure(options: Options) -> list[Pursuits]:
     keys = [(name, access, load) for name in NAMES for access in ACCESSES for load in LOADS]
     runs = options.measure([pursuit(*key) for key in keys], "pursuits", _pursued)
     measured = {key: np.array(values, dtype=float).T for key, values in zip(keys, runs, strict=True)}
-    found = []
+    pursuits = []
     for (name, access, load), (times, caught, lost) in measured.items():
         differences = times - measured[name, REFERENCE, load][0]
         shares = float(caught.mean()), float(lost.mean())
         means = estimate(times), estimate(differences), *shares
-        found.append(Pursuits(name, access, load, heartbeat(name, load), *means))
-    return found
+        pursuits.append(Pursuits(name, access, load, heartbeat(name, load), *means))
+    return pursuits
 
 
 def _pursued(result: Result) -> tuple[float, bool, float]:

@@ -100,9 +100,9 @@ def measure_law(options: Options) -> list[Point]:
     slot = 1.0 / (N * LAMBDA)
     keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]
     scenarios = [static(SCHEDULES[name](slot), delay / LAMBDA) for name, delay in keys]
-    found = means(scenarios, options, "static games", excess_time)
+    estimates = means(scenarios, options, "static games", excess_time)
     unit = N * N * slot
-    return [Point(*key, mean / unit, error / unit) for key, (mean, error) in zip(keys, found, strict=True)]
+    return [Point(*key, mean / unit, error / unit) for key, (mean, error) in zip(keys, estimates, strict=True)]
 
 
 def law(points: Sequence[Point]) -> Callable[[float], float]:
@@ -117,10 +117,10 @@ def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
     g = law(points)
     keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
     alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})
-    (relay, _), *found = means([alone, *(pursuit(*key) for key in keys)], options, "pursuits", active_time)
+    (relay, _), *active_times = means([alone, *(pursuit(*key) for key in keys)], options, "pursuits", active_time)
     return [
         Cell(latency, slot, mean, error, relay + g(latency / (N * slot)) * N * N * slot)
-        for (latency, slot), (mean, error) in zip(keys, found, strict=True)
+        for (latency, slot), (mean, error) in zip(keys, active_times, strict=True)
     ]
 
 
@@ -129,4 +129,4 @@ def means(
 ) -> list[tuple[float, float]]:
     """Run each scenario; return the mean and the standard error of a metric over its runs."""
     estimates = [estimate(values) for values in options.measure(scenarios, label, metric)]
-    return [(each.mean, each.standard_error) for each in estimates]
+    return [(estimate.mean, estimate.standard_error) for estimate in estimates]

@@ -215,7 +215,7 @@ def observe(result: Result) -> Watched:
     reports = [
         event
         for event in result.trace.of(Sent)
-        if isinstance(event.body, tuple) and any(isinstance(each, Sighting) for each in event.body)
+        if isinstance(event.body, tuple) and any(isinstance(part_of_body, Sighting) for part_of_body in event.body)
     ]
     sensing, period = result.scenario.sensing, result.scenario.record.trajectory
     seen = [_is_seen(sample, sensing.radius) for sample in result.trace.of(Sampled)]

@@ -147,9 +147,9 @@ def keys() -> list[tuple[str, str, str, str, float]]:
 
 def scenario_of(part: str, protocol: str, lie: str, defence: str, value: float) -> Scenario:
     """Return the scenario of a cell."""
-    given: dict[str, Any] = {"lies": {}, "numbers": {"liars": int(value)}}.get(part, {})
-    given |= {"clocks": {"offset": value, "latency": LATE}, "latency": {"latency": value}}.get(part, {})
-    return pursuit(protocol, lie, defence, **given)
+    options_of_part: dict[str, Any] = {"lies": {}, "numbers": {"liars": int(value)}}.get(part, {})
+    options_of_part |= {"clocks": {"offset": value, "latency": LATE}, "latency": {"latency": value}}.get(part, {})
+    return pursuit(protocol, lie, defence, **options_of_part)
 
 
 def measure(options: Options) -> list[Cell]:

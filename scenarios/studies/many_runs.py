@@ -229,8 +229,8 @@ def run_negotiations(keys: Sequence[Key], options: Options) -> list[NegotiationS
         static_game(*size, protocol_kind(name), slots, cooled(name, slots) if tau is None else ConstantTau(value=tau))
         for size, name, slots, tau in keys
     ]
-    found = options.measure(scenarios, "negotiations", outcome)
-    return [summarize_negotiations(key, outcomes) for key, outcomes in zip(keys, found, strict=True)]
+    measured = options.measure(scenarios, "negotiations", outcome)
+    return [summarize_negotiations(key, outcomes) for key, outcomes in zip(keys, measured, strict=True)]
 
 
 def protocol_kind(name: str) -> str:
@@ -241,8 +241,8 @@ def protocol_kind(name: str) -> str:
 def summarize_negotiations(key: Key, outcomes: Sequence[Outcome]) -> NegotiationSummary:
     """Return the results of the static games of one key."""
     size, name, slots, tau = key
-    shares = [each.share for each in outcomes]
-    count, mean = portable_sum(each.best for each in outcomes), estimate(shares)
+    shares = [outcome.share for outcome in outcomes]
+    count, mean = portable_sum(outcome.best for outcome in outcomes), estimate(shares)
     ends = wilson(count, len(outcomes))
     return NegotiationSummary(
         *size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends
@@ -261,15 +261,15 @@ def summarize_pursuits(
     size: tuple[int, int], name: str, candidate: Sequence[Chase], reference: Sequence[Chase]
 ) -> PursuitSummary:
     """Return the results of pursuits, with the paired difference from reference runs with the same seeds."""
-    captured = estimate([each.captured for each in candidate])
-    duration = estimate([each.duration for each in candidate])
-    paired = estimate([each.duration - other.duration for each, other in zip(candidate, reference, strict=True)])
+    captured = estimate([run.captured for run in candidate])
+    duration = estimate([run.duration for run in candidate])
+    paired = estimate([run.duration - other.duration for run, other in zip(candidate, reference, strict=True)])
     return PursuitSummary(
         *size,
         name,
         captured.mean,
         captured.half_width,
-        sum(each.captured == 1.0 for each in candidate) / len(candidate),
+        sum(run.captured == 1.0 for run in candidate) / len(candidate),
         duration.mean,
         duration.half_width,
         paired.mean,

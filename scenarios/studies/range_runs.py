@@ -122,9 +122,9 @@ def measure(options: Options) -> list[Pursuits]:
     """Run each protocol for each team at each range."""
     keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
     times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
-    found = []
+    pursuits = []
     for key in keys:
-        own, other = times[key], times[(*key[:2], REFERENCE)]
-        active, paired = estimate(own), estimate([a - b for a, b in zip(own, other, strict=True)])
-        found.append(Pursuits(*key, active.mean, active.half_width, paired.mean, paired.half_width))
-    return found
+        values, other = times[key], times[(*key[:2], REFERENCE)]
+        active, paired = estimate(values), estimate([a - b for a, b in zip(values, other, strict=True)])
+        pursuits.append(Pursuits(*key, active.mean, active.half_width, paired.mean, paired.half_width))
+    return pursuits

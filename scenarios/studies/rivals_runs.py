@@ -136,7 +136,7 @@ def measured(result: Result) -> tuple[Summary, float | None]:
 
 def cell(
     key: tuple[str, str, float],
-    found: Sequence[tuple[Summary, float | None]],
+    outcomes: Sequence[tuple[Summary, float | None]],
     *,
     reference: Sequence[tuple[Summary, float | None]],
     silent: Sequence[tuple[Summary, float | None]],
@@ -146,13 +146,13 @@ def cell(
 
     Args:
         key: name in `WORLDS`, protocol and latency (s).
-        found: the summary and the time to relay of each run.
+        outcomes: the summary and the time to relay of each run.
         reference: the same for Spatial Adaptive Play.
         silent: the same for a team without announcements.
         prompt: the same for this protocol at latency 0.
     """
-    runs = [run for run, _ in found]
-    relays = [time for _, time in found if time is not None]
+    runs = [run for run, _ in outcomes]
+    relays = [time for _, time in outcomes if time is not None]
     active = estimate([run.active_time for run in runs])
     paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
     saved = portable_sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))

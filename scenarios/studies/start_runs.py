@@ -113,10 +113,10 @@ def measure_costs(options: Options) -> list[Cell]:
     """Measure the cost of latency for each team, rule and start."""
     keys = [(team, rule, start) for team in TEAMS for rule in RULES for start in STARTS]
     scenarios = [pursuit(team, RULES[rule], start, latency) for team, rule, start in keys for latency in LATENCIES]
-    found = iter(options.measure(scenarios, "latencies", active_time))
+    active_times = iter(options.measure(scenarios, "latencies", active_time))
     cells = []
     for key in keys:
-        prompt, *late = (next(found) for _ in LATENCIES)
+        prompt, *late = (next(active_times) for _ in LATENCIES)
         cells.append(Cell(*key, mean(prompt), tuple(paired(times, prompt) for times in late)))
     return cells
 
@@ -129,10 +129,10 @@ def measure_shares(options: Options) -> list[Share]:
         for utility, start in keys
         for latency in (0.0, LONG)
     ]
-    found = iter(options.measure(scenarios, "who chases", times_by_ability))
+    times = iter(options.measure(scenarios, "who chases", times_by_ability))
     shares = []
     for key in keys:
-        prompt, late = np.array(next(found)), np.array(next(found))
+        prompt, late = np.array(next(times)), np.array(next(times))
         shares.append(Share(*key, *(paired(late[:, k], prompt[:, k]) for k in range(2))))
     return shares
 
@@ -141,10 +141,10 @@ def measure_worth(options: Options) -> list[Worth]:
     """Measure what a message is worth, with equal initial knowledge of the speaking and the silent team."""
     keys = [(rule, start) for rule in ("sap", "local_min") for start in STARTS]
     scenarios = [speaking(*key, trigger=trigger) for key in keys for trigger in ("heartbeat", "never")]
-    found = iter(options.measure(scenarios, "messages", times_and_transmissions))
+    measured = iter(options.measure(scenarios, "messages", times_and_transmissions))
     worth = []
     for key in keys:
-        (times, sent), (silent_times, first) = (np.array(next(found)).T for _ in range(2))
+        (times, sent), (silent_times, first) = (np.array(next(measured)).T for _ in range(2))
         worth.append(Worth(*key, mean(times), mean(silent_times), quotient(silent_times - times, sent - first)))
     return worth
 
@@ -173,12 +173,12 @@ def measure_law(options: Options) -> list[Extra]:
     scenarios = [
         at_rest(SCHEDULES[name](slot), x / LAMBDA, start) for name, x in keys for start in ("announced", "known")
     ]
-    found = iter(options.measure(scenarios, "static games", excess_time))
+    times = iter(options.measure(scenarios, "static games", excess_time))
     unit = N * N * slot
     extras = []
     for name, x in keys:
-        announced, known = (np.array(next(found)) / unit for _ in range(2))
-        extras.append(Extra(name, x, paired(announced, known), (1.0 - 1.0 / N) * x))
+        announced, at_start = (np.array(next(times)) / unit for _ in range(2))
+        extras.append(Extra(name, x, paired(announced, at_start), (1.0 - 1.0 / N) * x))
     return extras
 
 
@@ -204,7 +204,7 @@ def times_by_ability(result: Result) -> tuple[float, float]:
     (evader,) = scenario.evaders
     phi = capture_time(start.evaders[0], start.pursuers, start.speeds, evader.speed, scenario.capture.radius)
     times = active_times(result)
-    is_late = [each >= scenario.horizon for each in phi.tolist()]
+    is_late = [time_left >= scenario.horizon for time_left in phi.tolist()]
     late = sum_of(time for time, late in zip(times, is_late, strict=True) if late)
     return late, sum_of(times) - late
 

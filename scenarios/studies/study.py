@@ -43,7 +43,9 @@ class Options:
     ) -> list[list[Measured]]:
         """Run each scenario and return the metric of each of its runs; run k of every scenario has the same seed."""
         seeds = seeds_from(self.seed, self.runs)
-        values = iter(run_many([(each, seed) for each in scenarios for seed in seeds], self.jobs, label, metric))
+        values = iter(
+            run_many([(scenario, seed) for scenario in scenarios for seed in seeds], self.jobs, label, metric)
+        )
         return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
@@ -81,7 +83,7 @@ class Options:
 
 
 def study(
-    name: str, doc: str | None, runs: int, *own: click.Option
+    name: str, doc: str | None, runs: int, *options: click.Option
 ) -> Callable[[Callable[[Options], None]], click.Command]:
     """Return a decorator that turns a function of `Options` into the command of a study.
 
@@ -89,7 +91,7 @@ def study(
         name: name of the study.
         doc: help text of the command.
         runs: default number of runs per cell, which is one combination of settings.
-        own: options that only this study has; see `Options.own`.
+        options: options that only this study has; see `Options.own`.
     """
 
     def command(run: Callable[[Options], None]) -> click.Command:
@@ -107,10 +109,10 @@ def study(
             "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Output folder."
         )
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
-        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **given: Any) -> None:
-            run(Options(name, runs, jobs, seed, out, as_json, given))
+        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **choices: Any) -> None:
+            run(Options(name, runs, jobs, seed, out, as_json, choices))
 
-        main.params.extend(own)
+        main.params.extend(options)
         return main
 
     return command

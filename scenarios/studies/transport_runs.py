@@ -205,10 +205,12 @@ def _cell(
     name: str, value: float, way: str, runs: Sequence[Run], reference: Sequence[Run], ages: Sequence[Run] | None
 ) -> Cell:
     """Return the results of one way in one setting, given its runs, those of `REFERENCE` and those at rest."""
-    times, others = (np.array([run.value for run in each]) for each in (runs, reference))
+    times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
     caught = portable_sum(run.captured for run in runs) / len(runs)
     age, rate = (estimate([run.value for run in ages]), budget_of(ages).bytes) if ages else (None, None)
-    return Cell(name, value, way, estimate(times), estimate(times - others), caught, budget_of(runs).bytes, age, rate)
+    return Cell(
+        name, value, way, estimate(times), estimate(times - of_reference), caught, budget_of(runs).bytes, age, rate
+    )
 
 
 def _with_equal_bytes(
@@ -219,8 +221,10 @@ def _with_equal_bytes(
     metric: Callable[[Result], Run],
 ) -> dict[tuple[str, float, str], list[Run]]:
     """Run each way in each setting; first those with bytes of their own, then those with the bytes of `RELIABLE`."""
-    own = [(*key, way) for key in settings for way in WAYS if way not in EQUAL]
-    runs = dict(zip(own, options.measure([make(settings[key[:2]], key[2]) for key in own], label, metric), strict=True))
+    unequal = [(*key, way) for key in settings for way in WAYS if way not in EQUAL]
+    runs = dict(
+        zip(unequal, options.measure([make(settings[key[:2]], key[2]) for key in unequal], label, metric), strict=True)
+    )
     equal = [(*key, way) for key in settings for way in EQUAL]
     scenarios = [make(settings[key[:2]], key[2], budget_of(runs[*key[:2], RELIABLE])) for key in equal]
     return runs | dict(zip(equal, options.measure(scenarios, f"{label}, equal bytes", metric), strict=True))

@@ -19,7 +19,7 @@ class BareHeap:
     def __init__(self, workload: Workload):
         self.work = workload
         self.tables: list[Table] = [{} for _ in range(workload.size)]
-        self.reached = [[self.tables[node] for node in each] for each in workload.neighbours()]
+        self.reached = [[self.tables[node] for node in neighbours] for neighbours in workload.neighbours()]
         self.times = [*(number * TICK for number in range(workload.turns)), workload.end]
         self.delivered = 0
 

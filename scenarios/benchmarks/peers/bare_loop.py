@@ -35,8 +35,12 @@ def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
         phi = (distances - eps) / (v - v_e)
         i = rng.integers(n)
         active[i] = False
-        others = phi[active]
-        gain = (others.mean() - phi[i]) / (len(others) + 1) if len(others) else scenario.horizon - k * slot - phi[i]
+        active_phi = phi[active]
+        gain = (
+            (active_phi.mean() - phi[i]) / (len(active_phi) + 1)
+            if len(active_phi)
+            else scenario.horizon - k * slot - phi[i]
+        )
         active[i] = rng.random() < expit(gain * k**2 / 10)
         away = x_e - x[nearest]
         x_e = x_e + v_e * slot * away / np.hypot(*away)

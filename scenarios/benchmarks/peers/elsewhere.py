@@ -59,12 +59,15 @@ class Peer:
         _run_command(["apt-get", "download", *self.packages], folder)
         for package in sorted(folder.glob("*.deb")):
             _run_command(["dpkg", "-x", str(package), "."], folder)
-        found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
-        where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
+        library_folders = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
+        where = [f"-I{folder}/usr/include", *(f"-L{folder_of_libraries}" for folder_of_libraries in library_folders)]
         # RPATH, unlike RUNPATH, is also searched for the dependencies of the libraries.
-        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]
-        what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
-        _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
+        there = [
+            "-Wl,--disable-new-dtags",
+            *(f"-Wl,-rpath,{folder_of_libraries}" for folder_of_libraries in library_folders),
+        ]
+        sources = [str(PROGRAMS / self.program), *(f"-l{library}" for library in self.libraries)]
+        _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *sources], folder)
         return [str(folder / "program")]
 
     def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:
@@ -109,7 +112,10 @@ def text(work: Workload) -> str:
     """Return a workload as the text that the programs read."""
     latency = work.latency
     mean, cv = (latency.value, 0.0) if isinstance(latency, Constant) else (latency.mean, latency.cv)
-    lines = [f"{work.turns} {TICK} {mean} {cv} {work.seed}", *(" ".join(map(str, each)) for each in work.neighbours())]
+    lines = [
+        f"{work.turns} {TICK} {mean} {cv} {work.seed}",
+        *(" ".join(map(str, neighbours)) for neighbours in work.neighbours()),
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -57,7 +57,7 @@ class Contention:
         self.size, self.times, self.airtime, self.access = len(positions), times, airtime, access
         places = positions.tolist()
         decibels = -10.0 * capture.exponent / log(10.0)
-        self.power = [[decibels * log(max(dist(one, other), 1e-3)) for other in places] for one in places]
+        self.power = [[decibels * log(max(dist(place, other), 1e-3)) for other in places] for place in places]
         self.threshold = capture.threshold
         variance = log1p(latency.cv**2)
         self.mean, self.deviation = log(latency.mean) - variance / 2, sqrt(variance)

@@ -24,7 +24,7 @@ class PlainSimPy:
     def __init__(self, workload: Workload):
         self.work = workload
         self.env = simpy.Environment()
-        self.neighbours = [np.array(each, dtype=np.intp) for each in workload.neighbours()]
+        self.neighbours = [np.array(neighbours, dtype=np.intp) for neighbours in workload.neighbours()]
         self.tables: list[Table] = [{} for _ in range(workload.size)]
         self.rng = stream(workload.seed, "latency")
         self.sent = 0
@@ -124,7 +124,7 @@ class PerBroadcast(PlainSimPy):
 
     def __init__(self, workload: Workload):
         super().__init__(workload)
-        self.reached = [[self.tables[node] for node in each] for each in workload.neighbours()]
+        self.reached = [[self.tables[node] for node in neighbours] for neighbours in workload.neighbours()]
         self.delivered = 0
         self.look = 0.0
         """Time, s, at which a node reads next: all arrivals until then can be written at once."""

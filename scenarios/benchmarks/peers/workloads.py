@@ -99,7 +99,7 @@ class Arrivals:
     def __init__(self, work: Workload):
         assert isinstance(work.latency, Lognormal)
         self._latency = work.latency
-        self._neighbours = [np.array(each, dtype=np.intp) for each in work.neighbours()]
+        self._neighbours = [np.array(neighbours, dtype=np.intp) for neighbours in work.neighbours()]
         self._rng = stream(work.seed, "latency")
         self._block, self._next = np.empty(0), 0
 
