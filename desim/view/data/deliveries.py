@@ -46,17 +46,17 @@ def deliveries(result: Result) -> list[Delivery]:
         ValueError: if the trace lacks messages that were sent.
     """
     require_messages(result)
-    found: dict[tuple[int, int], Delivery] = {}
+    by_receiver: dict[tuple[int, int], Delivery] = {}
     never = ended(result).t + 1
     for event in result.trace:
         if isinstance(event, Broadcast | Sent | Queued):
             for delivery in _begun(event, never):
-                found[delivery.transmission, delivery.dst] = delivery
+                by_receiver[delivery.transmission, delivery.dst] = delivery
         elif isinstance(event, Lost):
-            delivery = found[event.transmission, event.dst]
+            delivery = by_receiver[event.transmission, event.dst]
             left = min(delivery.left, event.t)
-            found[event.transmission, event.dst] = delivery._replace(left=left, until=event.t, cause=event.cause)
-    return sorted(found.values(), key=lambda each: (each.left, each.transmission, each.dst))
+            by_receiver[event.transmission, event.dst] = delivery._replace(left=left, until=event.t, cause=event.cause)
+    return sorted(by_receiver.values(), key=lambda delivery: (delivery.left, delivery.transmission, delivery.dst))
 
 
 def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
@@ -91,15 +91,15 @@ def chasing(result: Result) -> list[list[Chase]]:
     """Return the chases of each pursuer, in order of time."""
     actions, end = list(started(result).active), ended(result).t
     since = [0] * len(actions)
-    found: list[list[Chase]] = [[] for _ in actions]
+    chases_by_pursuer: list[list[Chase]] = [[] for _ in actions]
     for change, before in changes_with_previous(result):
         if before:
-            found[change.pursuer].append(Chase(since[change.pursuer], change.t, before))
+            chases_by_pursuer[change.pursuer].append(Chase(since[change.pursuer], change.t, before))
         actions[change.pursuer], since[change.pursuer] = action(change), change.t
-    for own, begin, chased in zip(found, since, actions, strict=True):
+    for chases_of_pursuer, begin, chased in zip(chases_by_pursuer, since, actions, strict=True):
         if chased:
-            own.append(Chase(begin, end, chased))
-    return found
+            chases_of_pursuer.append(Chase(begin, end, chased))
+    return chases_by_pursuer
 
 
 class Handover(NamedTuple):
@@ -121,13 +121,13 @@ def handover_events(result: Result) -> list[Handover]:
 def outages(result: Result) -> list[tuple[TracedFault, Interval]]:
     """Return the faults of a run with their intervals, in order of their start; the end of the run ends all faults."""
     end, open_faults = ended(result).t, list[FaultStarted]()
-    found: list[tuple[TracedFault, Interval]] = []
+    intervals: list[tuple[TracedFault, Interval]] = []
     for event in result.trace:
         if isinstance(event, FaultStarted):
             open_faults.append(event)
         elif isinstance(event, FaultEnded):
-            began = next(each for each in open_faults if each.fault == event.fault)
+            began = next(began_fault for began_fault in open_faults if began_fault.fault == event.fault)
             open_faults.remove(began)
-            found.append((event.fault, Interval(began.t, event.t)))
-    found += [(began.fault, Interval(began.t, end)) for began in open_faults]
-    return sorted(found, key=lambda each: each[1])
+            intervals.append((event.fault, Interval(began.t, event.t)))
+    intervals += [(began.fault, Interval(began.t, end)) for began in open_faults]
+    return sorted(intervals, key=lambda outage: outage[1])

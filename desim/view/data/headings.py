@@ -31,10 +31,10 @@ class Headings:
     def __init__(self, scenario: Scenario, seed: int):
         team, evaders = scenario.team, scenario.evaders
         able = [k for k in range(team.count) if team.has_inertia and k not in team.relays]
-        known = dict(zip(able, [team.headings(seed)[k] for k in able], strict=True))
-        known |= {team.count + k: each.heading(seed, k) for k, each in enumerate(evaders) if each.has_inertia}
-        self.players = tuple(known)
-        self._headings = list(known.values())
+        headings = dict(zip(able, [team.headings(seed)[k] for k in able], strict=True))
+        headings |= {team.count + k: evader.heading(seed, k) for k, evader in enumerate(evaders) if evader.has_inertia}
+        self.players = tuple(headings)
+        self._headings = list(headings.values())
         self._places: list[complex] = []
         self._t = 0
         self._environment, self._size = scenario.environment, team.count
@@ -47,9 +47,9 @@ class Headings:
             if place == before:  # also a captured player, which the flow does not carry
                 continue
             drift = self._drift(self.players[k], (before + place) / 2.0, sample.t)
-            own = place - before - drift
-            if abs(own) > ROUNDING * (abs(place) + 1.0) + SLOW * abs(drift):
-                self._headings[k] = own / abs(own)
+            motion = place - before - drift
+            if abs(motion) > ROUNDING * (abs(place) + 1.0) + SLOW * abs(drift):
+                self._headings[k] = motion / abs(motion)
         self._places, self._t = places, sample.t
         return list(self._headings)
 

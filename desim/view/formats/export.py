@@ -72,12 +72,12 @@ def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False
         ValueError: if the file has the wrong suffix, there is no such exporter, or it has no such parameters.
     """
     if exporter is None:
-        known = suffixes()
-        suffix = max((each for each in known if file.name.lower().endswith(each)), key=len, default=None)
+        by_suffix = suffixes()
+        suffix = max((suffix for suffix in by_suffix if file.name.lower().endswith(suffix)), key=len, default=None)
         if suffix is None:
-            *others, last = known
-            raise ValueError(f"{file}: should end in {', '.join(others)} or {last}")
-        exporter = known[suffix]
+            *other_suffixes, last = by_suffix
+            raise ValueError(f"{file}: should end in {', '.join(other_suffixes)} or {last}")
+        exporter = by_suffix[suffix]
     if isinstance(exporter, str):
         exporter = {"kind": exporter, **parameters}
     try:
@@ -85,9 +85,9 @@ def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False
         chosen: Any = _Chosen.model_validate({"exporter": exporter}, context=context).exporter
     except ValidationError as error:
         raise ValueError(_reason(error, exporter)) from error
-    own = ExporterTraits.of(chosen).suffix
-    if own is not None and not file.name.lower().endswith(own):
-        raise ValueError(f"{file}: should end in {own} for the exporter {kind_of(chosen)}")
+    expected_suffix = ExporterTraits.of(chosen).suffix
+    if expected_suffix is not None and not file.name.lower().endswith(expected_suffix):
+        raise ValueError(f"{file}: should end in {expected_suffix} for the exporter {kind_of(chosen)}")
     return chosen
 
 

@@ -106,8 +106,8 @@ def _names(size: int, has_messages: bool) -> Iterator[Entry]:
 def _slices(result: Result) -> Iterator[Entry]:
     """Yield the slices: chases and faults."""
     several = len(started(result).evaders) > 1
-    for pursuer, own in enumerate(chasing(result)):
-        for begin, end, evader in own:
+    for pursuer, chases_of_pursuer in enumerate(chasing(result)):
+        for begin, end, evader in chases_of_pursuer:
             name = f"chases {evader}" if several else "active"
             yield _entry("X", name, FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
     for k, (fault, (begin, end)) in enumerate(outages(result)):
@@ -120,10 +120,12 @@ def _slices(result: Result) -> Iterator[Entry]:
 def _instants(result: Result) -> Iterator[Entry]:
     """Yield the instants: decisions, handovers, captures, and the end of the run."""
     changed, several = {id(change) for change in changes(result)}, len(started(result).evaders) > 1
-    for each in decisions(result):
-        starts = f"switches to {action(each)}" if several else "starts"
-        name = (starts if chases(each) else "stops") if id(each) in changed else "keeps action"
-        yield _entry("i", name, FIRST + each.pursuer, each.t, cat="decision", s="t", args={"active": each.active})
+    for decision in decisions(result):
+        starts = f"switches to {action(decision)}" if several else "starts"
+        name = (starts if chases(decision) else "stops") if id(decision) in changed else "keeps action"
+        yield _entry(
+            "i", name, FIRST + decision.pursuer, decision.t, cat="decision", s="t", args={"active": decision.active}
+        )
     for t, pursuer, evader in handover_events(result):
         whom: dict[str, int] = {"evader": evader} if several else {}
         name = f"{pursuer} takes over {evader}" if several else f"{pursuer} takes over"
@@ -153,7 +155,7 @@ def _counts(result: Result) -> Iterator[Entry]:
     With several evaders, also yield the counter of the pursuers of each evader, at the start and when it changes.
     """
     start = started(result)
-    on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
+    on = {evader: sum(action == evader for action in start.active) for evader in range(1, len(start.evaders) + 1)}
 
     def counts(t: int, evaders: Iterable[int]) -> Iterator[Entry]:
         yield _entry("C", "active pursuers", TEAM, t, args={"number": portable_sum(on.values())})
@@ -175,15 +177,19 @@ def _messages(result: Result) -> Iterator[Entry]:
     at the end of the run, a slice of zero duration follows the end.
     """
     size, over = len(started(result).active), ended(result).t
-    for each in deliveries(result):
-        link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.transmission}.{each.dst}"}
-        name, tid = f"{each.src} to {each.dst}", FIRST + size + each.dst
-        says = {"bytes": each.size, "says": json.loads(body_json(each.body))}
-        if each.created < each.left:
-            says["waited (s)"] = (each.left - each.created) / SECOND
-        fate = f"lost: {each.cause}" if each.cause else "in flight" if each.until > over else "arrived"
-        yield _entry("b", name, tid, each.left, **link, args=says)
-        yield _entry("e", name, tid, each.until, **link, args={"fate": fate})
+    for delivery in deliveries(result):
+        link: dict[str, Any] = {
+            "pid": FIRST + delivery.dst,
+            "cat": "message",
+            "id": f"{delivery.transmission}.{delivery.dst}",
+        }
+        name, tid = f"{delivery.src} to {delivery.dst}", FIRST + size + delivery.dst
+        says = {"bytes": delivery.size, "says": json.loads(body_json(delivery.body))}
+        if delivery.created < delivery.left:
+            says["waited (s)"] = (delivery.left - delivery.created) / SECOND
+        fate = f"lost: {delivery.cause}" if delivery.cause else "in flight" if delivery.until > over else "arrived"
+        yield _entry("b", name, tid, delivery.left, **link, args=says)
+        yield _entry("e", name, tid, delivery.until, **link, args={"fate": fate})
 
 
 def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more: Any) -> Entry:
@@ -197,5 +203,5 @@ def _microseconds(t: int) -> float | int:
     """
     if t % 1000 == 0:
         return t // 1000
-    found = t / 1000
-    return found if int(found * 1000.0) == t else nextafter(found, inf)
+    microseconds = t / 1000
+    return microseconds if int(microseconds * 1000.0) == t else nextafter(microseconds, inf)

@@ -134,8 +134,8 @@ def columns_of(kinds: Collection[str] = KINDS) -> list[str]:
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise ValueError(f"there are no events {', '.join(unknown)}; there are {', '.join(KINDS)}")
     fields = {field for kind in EVENTS if kind.__name__ in kinds for field in kind._fields}
-    own = {"line", "event"} | {column for field in fields for column in PARTS.get(field, (field,))}
-    return [column for column in COLUMNS if column in own]
+    shown = {"line", "event"} | {column for field in fields for column in PARTS.get(field, (field,))}
+    return [column for column in COLUMNS if column in shown]
 
 
 def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Row]:
@@ -143,7 +143,7 @@ def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Ro
     for line, event in enumerate(events, start=1):
         if (name := type(event).__name__) in kinds:
             head = {"line": line, "event": name, "t": seconds(event.t)}
-            yield from ({**head, **own} for own in _own_rows(event))
+            yield from ({**head, **own_row} for own_row in _own_rows(event))
 
 
 def write_csv(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
@@ -230,8 +230,8 @@ def _own_rows(event: Event) -> Iterator[Row]:
         yield from _players(event)
         return
     fields = zip(event._fields, event, strict=True)
-    row = {name: _value(name, each) for name, each in fields if name not in {"t", "dst", "arrival"}}
-    yield from ({**row, **each} for each in _receivers(event) or [{}])
+    row = {name: _value(name, value) for name, value in fields if name not in {"t", "dst", "arrival"}}
+    yield from ({**row, **receiver} for receiver in _receivers(event) or [{}])
 
 
 def _players(event: Started | Sampled) -> Iterator[Row]:

@@ -83,28 +83,28 @@ class Control:
     """The position of the key among the keys that come first; None for all others."""
 
 
-def controls(given: Scenario | Mapping[str, Any]) -> list[Control]:
+def controls(scenario: Scenario | Mapping[str, Any]) -> list[Control]:
     """Return a control for each key of a scenario except its sweep, first the controls of `FIRST`.
 
     The scenario is given as a model or, if it is not valid, as tables.
     """
-    found = _controls(Scenario, dict(given) if isinstance(given, Scenario) else given, ())
-    return sorted(found, key=lambda each: len(FIRST) if each.first is None else each.first)
+    unsorted = _controls(Scenario, dict(scenario) if isinstance(scenario, Scenario) else scenario, ())
+    return sorted(unsorted, key=lambda control: len(FIRST) if control.first is None else control.first)
 
 
-def _controls(model: type[BaseModel], given: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Control]:
+def _controls(model: type[BaseModel], values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Control]:
     """Yield the controls of the fields of a model, given their values, at a place in the file."""
     for name, field in fields_of(model).items():
         if name in {"kind", "sweep"}:
             continue
         default = None if field.is_required() else field.get_default(call_default_factory=True)
-        value = given.get(name, default)
+        value = values.get(name, default)
         if isinstance(value, list | tuple):
-            value = [each.given if isinstance(each, NamedMetric) else each for each in value]
-        tables = isinstance(value, list) and value and all(isinstance(each, BaseModel | dict) for each in value)
-        for k, each in enumerate(value) if tables else [(None, value)]:
+            value = [metric.given if isinstance(metric, NamedMetric) else metric for metric in value]
+        tables = isinstance(value, list) and value and all(isinstance(entry, BaseModel | dict) for entry in value)
+        for k, entry in enumerate(value) if tables else [(None, value)]:
             place = (*above, name) if k is None else (*above, name, str(k))
-            yield from _of_value(field, each, place)
+            yield from _of_value(field, entry, place)
 
 
 def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[Control]:
@@ -153,8 +153,8 @@ def _kind(choice: OneOf, value: Any) -> tuple[str, type[BaseModel] | None]:
 
 def _scalar(place: tuple[str, ...], field: FieldInfo, value: Any) -> Control:
     """Return the control of a value that is no model."""
-    types = [each for each in _types(field.annotation) if each is not NoneType]
-    options = tuple(as_text(each) for kind in types if get_origin(kind) is Literal for each in get_args(kind))
+    types = [kind for kind in _types(field.annotation) if kind is not NoneType]
+    options = tuple(as_text(text) for kind in types if get_origin(kind) is Literal for text in get_args(kind))
     if types == [bool]:
         return _control(place, "flag", as_text(value), field)
     if options or types not in ([int], [float]):
@@ -169,11 +169,11 @@ def _scalar(place: tuple[str, ...], field: FieldInfo, value: Any) -> Control:
 def _bounds(field: FieldInfo) -> tuple[float, float, bool]:
     """Return the bounds of a number (-inf and inf if it has none), and whether it may equal the lower bound."""
     low, high, may_be_low = -inf, inf, True
-    for each in markers_of(field):
-        if isinstance(each, Ge | Gt):
-            low, may_be_low = float(each.ge if isinstance(each, Ge) else each.gt), isinstance(each, Ge)  # type: ignore[arg-type]
-        elif isinstance(each, Le | Lt):
-            high = float(each.le if isinstance(each, Le) else each.lt)  # type: ignore[arg-type]
+    for marker in markers_of(field):
+        if isinstance(marker, Ge | Gt):
+            low, may_be_low = float(marker.ge if isinstance(marker, Ge) else marker.gt), isinstance(marker, Ge)  # type: ignore[arg-type]
+        elif isinstance(marker, Le | Lt):
+            high = float(marker.le if isinstance(marker, Le) else marker.lt)  # type: ignore[arg-type]
     return low, high, may_be_low
 
 
@@ -183,7 +183,7 @@ def _types(annotation: Any) -> list[Any]:
         return [annotation]
     if get_origin(annotation) is Annotated:
         return _types(get_args(annotation)[0])
-    return [each for inner in get_args(annotation) for each in _types(inner)]
+    return [kind for inner in get_args(annotation) for kind in _types(inner)]
 
 
 def _slider(key: str, unit: str | None, low: float, high: float, value: Any, *, may_be_low: bool) -> Slider | None:

@@ -44,14 +44,14 @@ def side_by_side(first: Result, second: Result) -> str:
     """
     from jinja2 import Environment
 
-    found = differences(first, second)
+    all_differences = differences(first, second)
     template = files("desim.view.pages").joinpath("pair.html").read_text(encoding="utf-8")
     page = Environment(autoescape=True, keep_trailing_newline=True).from_string(template)
     return page.render(
         names=[run_name(first), run_name(second)],
-        summary=_summary(found),
-        differences=found[:MAX_DIFFERENCES],
-        more=max(len(found) - MAX_DIFFERENCES, 0),
+        summary=_summary(all_differences),
+        differences=all_differences[:MAX_DIFFERENCES],
+        more=max(len(all_differences) - MAX_DIFFERENCES, 0),
         pages=[replay_page(first), replay_page(second)],
     )
 
@@ -62,11 +62,11 @@ def differences(first: Result, second: Result) -> list[Difference]:
     Keys that do not change a run (`name`, `record`, `sweep`) do not count. Of two models of different kinds, the kinds
     are compared and not their parameters.
     """
-    one, other = (
-        {"seed": each.seed} | {key: value for key, value in each.scenario.plain().items() if key not in IGNORED}
-        for each in (first, second)
+    first_values, other_values = (
+        {"seed": result.seed} | {key: value for key, value in result.scenario.plain().items() if key not in IGNORED}
+        for result in (first, second)
     )
-    return list(_differences("", one, other))
+    return list(_differences("", first_values, other_values))
 
 
 def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
@@ -78,8 +78,8 @@ def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
         for name in names:
             yield from _differences(f"{key}.{name}".lstrip("."), first.get(name), second.get(name))
     elif isinstance(first, list) and isinstance(second, list) and _pairs_up(first, second):
-        for k, (one, other) in enumerate(zip(first, second, strict=True)):
-            yield from _differences(f"{key}.{k}", one, other)
+        for k, (first_entry, other_entry) in enumerate(zip(first, second, strict=True)):
+            yield from _differences(f"{key}.{k}", first_entry, other_entry)
     else:
         are_numbers = _is_number(first) and _is_number(second)
         yield Difference(key, _text(first), _text(second), unit_of_key(key, Scenario) if are_numbers else None)
@@ -105,7 +105,7 @@ def _text(value: Any) -> str:
     if value is None or value == []:
         return "none"
     if isinstance(value, dict):
-        text = value.get("kind") or ", ".join(f"{key} {_text(each)}" for key, each in value.items())
+        text = value.get("kind") or ", ".join(f"{key} {_text(inner)}" for key, inner in value.items())
     elif isinstance(value, list):
         inner = ", ".join(map(_text, value))
         text = inner if isinstance(value[0], dict) else f"[{inner}]"
@@ -116,9 +116,9 @@ def _text(value: Any) -> str:
     return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 1]}…"
 
 
-def _summary(found: list[Difference]) -> str | None:
+def _summary(all_differences: list[Difference]) -> str | None:
     """Return the text for runs of the same scenario; None if their scenarios differ."""
-    if not found:
+    if not all_differences:
         return "the same scenario and the same seed"
-    (key, first, second, _), *others = found
-    return f"the same scenario, seeds {first} and {second}" if key == "seed" and not others else None
+    (key, first, second, _), *further = all_differences
+    return f"the same scenario, seeds {first} and {second}" if key == "seed" and not further else None

@@ -140,7 +140,7 @@ def page(playground: Playground) -> str:
     from jinja2 import Environment
 
     template, script = (
-        files("desim.view.pages").joinpath(f"play.{each}").read_text(encoding="utf-8") for each in ("html", "js")
+        files("desim.view.pages").joinpath(f"play.{suffix}").read_text(encoding="utf-8") for suffix in ("html", "js")
     )
     environment = Environment(autoescape=True, keep_trailing_newline=True)
     return environment.from_string(template).render(
@@ -191,8 +191,8 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Host") not in self._play.hosts:
             return "Other host"
         origin = self.headers.get("Origin")
-        own = {f"http://{each}" for each in self._play.hosts}
-        if origin not in own if self.command == "POST" else origin is not None and origin not in own:
+        own_origins = {f"http://{host}" for host in self._play.hosts}
+        if origin not in own_origins if self.command == "POST" else origin is not None and origin not in own_origins:
             return "Other origin"
         return None
 
@@ -203,15 +203,15 @@ class _Handler(BaseHTTPRequestHandler):
             body = self.rfile.read(min(int(length), MAX_BODY))
             left = int(length) - len(body)
             # If a part of the request stays unread, the client may miss the answer.
-            while left > 0 and (rest := self.rfile.read(min(left, MAX_BODY))):
-                left -= len(rest)
+            while left > 0 and (skipped := self.rfile.read(min(left, MAX_BODY))):
+                left -= len(skipped)
             self._play.arrived(self.connection)
             try:
-                found: Any = json.loads(body) if int(length) <= MAX_BODY else None
+                content: Any = json.loads(body) if int(length) <= MAX_BODY else None
             except (ValueError, RecursionError):
-                found = None
-            if is_request(found):
-                return dict(found)
+                content = None
+            if is_request(content):
+                return dict(content)
         self.send_error(HTTPStatus.BAD_REQUEST)
         return None
 
@@ -263,8 +263,8 @@ class _Handler(BaseHTTPRequestHandler):
         if body["pinned"] is None:
             self.send_error(HTTPStatus.BAD_REQUEST, "No pinned run")
             return
-        found = self._play.session.compare(body["now"], body["pinned"], body["count"], body["page"])
-        self._play.begin_comparison(body["page"], _or_error(found))
+        answers = self._play.session.compare(body["now"], body["pinned"], body["count"], body["page"])
+        self._play.begin_comparison(body["page"], _or_error(answers))
         self._send_json(self._play.next_of_comparison(body["page"]))
 
     def _more(self) -> None:

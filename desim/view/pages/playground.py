@@ -82,8 +82,8 @@ class Playground:
         """
         source = self.base.copy()
         source.tables.pop("sweep", None)
-        for each in changes:
-            source.override(each)
+        for change in changes:
+            source.override(change)
         return source
 
     def scenario(self, changes: Changes) -> Scenario:
@@ -120,17 +120,19 @@ class Playground:
             scenario = self.scenario(now)
         except ScenarioError as error:
             return _json({"errors": _by_key(error, now), "controls": self.controls(now)})
-        shown = {"controls": [asdict(each) for each in controls(scenario)], "texts": self.texts(now)}
+        shown = {"controls": [asdict(control) for control in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
             is_other = pinned is not None and sorted(pinned) != sorted(now)
-            own = _own_metrics(scenario)
+            named_metrics = _own_metrics(scenario)
             with within(self.timeout):
                 return _json(
                     shown
                     | {
                         "page": replay_page(result, other if is_other else None),
-                        "metrics": list(_compared(summary(result), None if other is None else summary(other), own)),
+                        "metrics": list(
+                            _compared(summary(result), None if other is None else summary(other), named_metrics)
+                        ),
                         "seeds": [result.seed, None if other is None else other.seed],
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
@@ -146,7 +148,7 @@ class Playground:
     @property
     def values(self) -> dict[str, str]:
         """The value of each key before any change, as `Control.value`."""
-        return {each["key"]: each["value"] for each in self.controls(())}
+        return {control["key"]: control["value"] for control in self.controls(())}
 
     def controls(self, changes: Changes) -> list[Answer]:
         """Return the controls of a scenario; those of the base if the changes cannot be applied."""
@@ -155,22 +157,22 @@ class Playground:
         except ScenarioError:
             source = self.base
         try:
-            return [asdict(each) for each in controls(validate(source))]
+            return [asdict(control) for control in controls(validate(source))]
         except ScenarioError:
-            return [asdict(each) for each in controls(source.tables)]
+            return [asdict(control) for control in controls(source.tables)]
 
     def texts(self, changes: Changes) -> dict[str, str]:
         """Return the scenario with changes as the text of a file, as a command, and as a program."""
         source = self.changed(changes)
         file = str(self.file or f"{self.name}.toml")
         allow = ["--allow-import"] if self.file is not None and self.base.allow_import else []
-        options = [word for each in changes for word in ("--set", each)] if self.file is not None else []
-        given = f", {list(changes)!r}" if options else ""
+        options = [word for change in changes for word in ("--set", change)] if self.file is not None else []
+        arguments = f", {list(changes)!r}" if options else ""
         return {
             "toml": tomli_w.dumps(Source.of(validate(source)).tables if self.file is None else source.tables),
             "command": shlex.join(["desim", "run", file, *allow, *options]),
             "python": "from desim import load, run\n\n"
-            f"result = run(load({file!r}{given}{', allow_import=True' if allow else ''}))\n",
+            f"result = run(load({file!r}{arguments}{', allow_import=True' if allow else ''}))\n",
         }
 
     def save(self, changes: Changes, made: provenance.Document) -> Answer:
@@ -201,7 +203,7 @@ class Playground:
     def pair(self, now: Changes, pinned: Changes, seed: int) -> tuple[Summary, Summary] | str:
         """Run the scenario with `now` and with `pinned`, on one seed; return the metrics of both, or why one failed."""
         try:
-            first, second = (self._measured(each, seed) for each in (now, pinned))
+            first, second = (self._measured(changes, seed) for changes in (now, pinned))
         except (Exception, TimedOut) as error:
             return _reason(error)
         return first, second
@@ -299,10 +301,10 @@ class Session:
                 for future in self.workers.done(pending):
                     pending.remove(future)
                     try:
-                        found = self._result(future)
+                        outcome = self._result(future)
                     except Exception as error:
-                        found = f"{type(error).__name__}: {error}"
-                    (failures if isinstance(found, str) else pairs).append(found)
+                        outcome = f"{type(error).__name__}: {error}"
+                    (failures if isinstance(outcome, str) else pairs).append(outcome)
                     yield _differences(pairs, failures, count, _own_metrics(scenario))
         finally:
             for future in pending:
@@ -350,7 +352,10 @@ def is_request(body: Any) -> bool:
     now, pinned, count = body.get("now"), body.setdefault("pinned", None), body.setdefault("count", 1)
     is_of_page = isinstance(body.setdefault("page", ""), str)
     changes = [now] if pinned is None else [now, pinned]
-    has_changes = all(isinstance(each, list) and all(isinstance(one, str) for one in each) for each in changes)
+    has_changes = all(
+        isinstance(request_changes, list) and all(isinstance(change, str) for change in request_changes)
+        for request_changes in changes
+    )
     return has_changes and is_of_page and isinstance(count, int) and 1 <= count <= MAX_SEEDS
 
 
@@ -360,11 +365,11 @@ def _own_metrics(scenario: Scenario) -> Mapping[str, Metric]:
 
 
 def _differences(
-    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, own: Mapping[str, Metric]
+    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, named_metrics: Mapping[str, Metric]
 ) -> Answer:
     """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
 
-    `own` are the user's metrics by name.
+    `named_metrics` are the user's metrics by name.
     """
     rows = []
     for name in _ordered(pairs[0][0]) if pairs else []:
@@ -374,33 +379,33 @@ def _differences(
             if now.get(name) is not None and pinned.get(name) is not None
         ]
         if complete:
-            values, others = map(list, zip(*complete, strict=True))
-            found = paired(values, others)
+            values, pinned_values = map(list, zip(*complete, strict=True))
+            difference = paired(values, pinned_values)
             rows.append(
-                _row(name, pairs[0][0], own)
+                _row(name, pairs[0][0], named_metrics)
                 | {
                     "now": _formatted(mean(values).mean),
-                    "pinned": _formatted(mean(others).mean),
-                    "difference": with_half_width(found, found.count, sign="+"),
-                    "differs": abs(found.mean) > found.half_width,
-                    "sign": found.mean,
-                    "count": found.count,
+                    "pinned": _formatted(mean(pinned_values).mean),
+                    "difference": with_half_width(difference, difference.count, sign="+"),
+                    "differs": abs(difference.mean) > difference.half_width,
+                    "sign": difference.mean,
+                    "count": difference.count,
                 }
             )
     done = len(pairs) + len(failures)
     return _json({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
-def _compared(now: Summary, pinned: Summary | None, own: Mapping[str, Metric]) -> Iterator[Answer]:
+def _compared(now: Summary, pinned: Summary | None, named_metrics: Mapping[str, Metric]) -> Iterator[Answer]:
     """Yield the value of each numeric metric of a run, and its difference from that of the pinned run.
 
-    `own` are the user's metrics by name.
+    `named_metrics` are the user's metrics by name.
     """
     for name in _ordered(now):
         value, other = now[name], None if pinned is None else pinned.get(name)
         if value is None and other is None:
             continue
-        row = _row(name, now, own) | {"value": _formatted(value)}
+        row = _row(name, now, named_metrics) | {"value": _formatted(value)}
         if value is not None and other is not None and value != other:  # inf - inf is nan
             difference = float(value) - float(other)
             text = _formatted(difference, "+")
@@ -409,15 +414,15 @@ def _compared(now: Summary, pinned: Summary | None, own: Mapping[str, Metric]) -
         yield row
 
 
-def _row(name: str, found: Summary, own: Mapping[str, Metric]) -> Answer:
+def _row(name: str, metrics: Summary, named_metrics: Mapping[str, Metric]) -> Answer:
     """Return the name of a metric, its unit and whether more of it is better or worse."""
-    row = {"name": words(name), "unit": unit_of(name, found.units), "more_is": more_is(name, own)}
+    row = {"name": words(name), "unit": unit_of(name, metrics.units), "more_is": more_is(name, named_metrics)}
     return row | {"first": name in FIRST}
 
 
-def _ordered(found: Summary) -> list[str]:
+def _ordered(metrics: Summary) -> list[str]:
     """Return the names of the metrics that are numbers, beginning with `FIRST`."""
-    names = [name for name in found if name not in METRICS or METRICS[name].is_number]
+    names = [name for name in metrics if name not in METRICS or METRICS[name].is_number]
     return [*FIRST, *(name for name in names if name not in FIRST)]
 
 

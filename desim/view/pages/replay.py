@@ -227,11 +227,11 @@ def _model(model: Any) -> str:
     """Return a model as text: its kind and its numbers except 0 and inf; if it is not a `Value`, its name."""
     if not isinstance(model, Value):
         return name_of(model)
-    given = {name: value for name, value in model if name not in model.unused_fields}
+    parameters = {name: value for name, value in model if name not in model.unused_fields}
     shown = [
-        f"{name.replace('_', ' ')} {_number(each)}"
-        for name, each in given.items()
-        if type(each) in {int, float} and isfinite(each) and each
+        f"{name.replace('_', ' ')} {_number(number)}"
+        for name, number in parameters.items()
+        if type(number) in {int, float} and isfinite(number) and number
     ]
     name = kind_of(model).replace("_", " ")
     return f"{name} ({', '.join(shown)})" if shown else name
@@ -268,9 +268,9 @@ class _Ticks(NamedTuple):
 
     def __call__(self, times: ArrayLike) -> str:
         """Return times (ns) as a column of ticks; times after the end of the run map to ticks after `last`."""
-        given = np.asarray(times, np.int64)
-        ticks = (given + self.length // 2) // self.length
-        ticks = np.where(given > self.end, np.maximum(ticks, self.last + 1), ticks)
+        instants = np.asarray(times, np.int64)
+        ticks = (instants + self.length // 2) // self.length
+        ticks = np.where(instants > self.end, np.maximum(ticks, self.last + 1), ticks)
         return _column(np.minimum(ticks, MAX_REPLAY_TIME), "<u4")
 
 
@@ -280,10 +280,10 @@ def _column(values: ArrayLike, kind: str) -> str:
     Raises:
         ValueError: if a number does not fit the dtype.
     """
-    given = np.asarray(values)
-    column = given.astype(kind)
-    if not np.array_equal(column, given):
-        raise ValueError(f"a replay cannot store {np.abs(given).max()} in a column of {np.dtype(kind).name}")
+    numbers = np.asarray(values)
+    column = numbers.astype(kind)
+    if not np.array_equal(column, numbers):
+        raise ValueError(f"a replay cannot store {np.abs(numbers).max()} in a column of {np.dtype(kind).name}")
     return b64encode(column.tobytes()).decode()
 
 
@@ -297,7 +297,8 @@ def _document(result: Result, ghost: Result | None = None) -> ReplayData:
         "end": ticks.last,
         "evaders": len(start.evaders),
         "captures": [
-            {"t": ticks.nearest(each.t), "evader": each.evader, "capturer": each.capturer} for each in captures(result)
+            {"t": ticks.nearest(capture.t), "evader": capture.evader, "capturer": capture.capturer}
+            for capture in captures(result)
         ],
         "radius": scenario.capture.radius,
         "sensing_range": scenario.sensing.radius if scenario.sensing.limited else None,
@@ -335,18 +336,18 @@ def _reception(result: Result) -> ReplayData:
     the reception probability increases with distance anywhere.
     """
     links, size = result.scenario.network, len(started(result).active)
-    found: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
+    reception: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
     if not isfinite(links.range):
-        return found
+        return reception
     if type(links.reception) is Disk:
-        return found | {"radius": links.range}
+        return reception | {"radius": links.range}
     if not _falls(links):
-        return found | {"known": False}
+        return reception | {"known": False}
     places = _places(result)
     farthest = 2.0 * float(np.hypot(*np.ptp(places.reshape(-1, 2), axis=0))) + 1.0
     if links.fading == "message":
-        return found | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
-    return found | {"radii": _column(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
+        return reception | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
+    return reception | {"radii": _column(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
 
 
 def _falls(links: Links) -> bool:
@@ -363,7 +364,7 @@ def _falls(links: Links) -> bool:
 def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     """Return the (size, size) maximum distances, m, of reception between nodes, by bisection up to `farthest`."""
     places = np.zeros((size, 2))
-    found = np.zeros((size, size))
+    radii = np.zeros((size, size))
     graph = Complete()(size)
     per_link = links.fading == "per_link"
     topology = Topology(graph, links.range, lambda: places, links.reception, per_link=per_link, seed=seed)
@@ -374,13 +375,13 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
             places[node] = 0.0
             heard = np.isin(np.arange(size), topology.neighbours(node))
             low, high = np.where(heard, middle, low), np.where(heard, high, middle)
-        found[node] = low
-    return found
+        radii[node] = low
+    return radii
 
 
 def _places(result: Result) -> Floats:
     """Return the (samples, N + M, 2) positions, m, of all players, pursuers first."""
-    return np.array([[*each.pursuers, *each.evaders] for each in samples(result)])
+    return np.array([[*sample.pursuers, *sample.evaders] for sample in samples(result)])
 
 
 def _per_metre(places: Floats) -> float:
@@ -399,7 +400,7 @@ def _path(result: Result, ticks: _Ticks) -> ReplayData:
     shifts = np.diff(units, axis=0)
     kind = "<i2" if np.abs(shifts).max(initial=0) < 2**15 else "<i4"
     return {
-        "t": ticks([each.t for each in samples(result)]),
+        "t": ticks([sample.t for sample in samples(result)]),
         "per_metre": per_metre,
         "start": _column(units[0], "<i4"),
         "bits": 8 * np.dtype(kind).itemsize,
@@ -425,20 +426,26 @@ def _estimates(result: Result, ticks: _Ticks) -> ReplayData | None:
 
     Positions and semi-axes have the unit of the path; the angle of the major axis is that of `_headings`.
     """
-    found = result.trace.of(Estimated)
-    if not found:
+    estimates = result.trace.of(Estimated)
+    if not estimates:
         return None
     per_metre = _per_metre(_places(result))
-    mean, half = (np.array([(each.xx + sign * each.yy) / 2.0 for each in found]) for sign in (1.0, -1.0))
-    offset = np.hypot(half, [each.xy for each in found])  # of the two eigenvalues of a covariance from their mean
+    mean, half = (
+        np.array([(estimate.xx + sign * estimate.yy) / 2.0 for estimate in estimates]) for sign in (1.0, -1.0)
+    )
+    offset = np.hypot(
+        half, [estimate.xy for estimate in estimates]
+    )  # of the two eigenvalues of a covariance from their mean
     variances = np.column_stack([mean + offset, mean - offset])
     semi_axes = np.minimum(np.sqrt(np.maximum(variances, 0.0)) * per_metre, MAX_LENGTH)
-    angles = np.array([atan2(each.xy, (each.xx - each.yy) / 2.0) / 2.0 for each in found])
-    centres = np.clip(np.array([[each.x, each.y] for each in found]) * per_metre, -MAX_LENGTH, MAX_LENGTH)
+    angles = np.array([atan2(estimate.xy, (estimate.xx - estimate.yy) / 2.0) / 2.0 for estimate in estimates])
+    centres = np.clip(
+        np.array([[estimate.x, estimate.y] for estimate in estimates]) * per_metre, -MAX_LENGTH, MAX_LENGTH
+    )
     return {
-        "t": ticks([each.t for each in found]),
-        "pursuer": _column([each.pursuer for each in found], "<u2"),
-        "evader": _column([each.evader for each in found], "<u2"),
+        "t": ticks([estimate.t for estimate in estimates]),
+        "pursuer": _column([estimate.pursuer for estimate in estimates], "<u2"),
+        "evader": _column([estimate.evader for estimate in estimates], "<u2"),
         "centres": _column(np.rint(centres), "<i4"),
         "semi_axes": _column(np.rint(semi_axes), "<i4"),
         "turn": TURN,
@@ -476,13 +483,13 @@ def _flow(result: Result, ticks: _Ticks) -> ReplayData | None:
 
 def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
     """Return as columns the decisions, the breakdowns, and the releases of pursuers by the capture of their evader."""
-    found = list(_acts(result))
+    events = list(_acts(result))
     why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
-        "t": ticks([event.t for event in found]),
-        "who": _column([event.pursuer for event in found], "<u2"),
-        "active": _column([action(event) for event in found], _kind(result)),
-        "cause": _column([why[type(event)] for event in found], "u1"),
+        "t": ticks([event.t for event in events]),
+        "who": _column([event.pursuer for event in events], "<u2"),
+        "active": _column([action(event) for event in events], _kind(result)),
+        "cause": _column([why[type(event)] for event in events], "u1"),
     }
 
 
@@ -506,11 +513,11 @@ def _kind(result: Result) -> str:
 
 def _relays(result: Result, ticks: _Ticks) -> ReplayData:
     """Return the handovers (`desim.view.data.deliveries.Handover`) as columns."""
-    found = handover_events(result)
+    handovers = handover_events(result)
     return {
-        "t": ticks([each.t for each in found]),
-        "who": _column([each.pursuer for each in found], "<u2"),
-        "evader": _column([each.evader for each in found], "<u2"),
+        "t": ticks([handover.t for handover in handovers]),
+        "who": _column([handover.pursuer for handover in handovers], "<u2"),
+        "evader": _column([handover.evader for handover in handovers], "<u2"),
     }
 
 
@@ -531,23 +538,23 @@ def _messages(result: Result, ticks: _Ticks) -> ReplayData:
     The page shows a message from the instant at which it is sent or queued (`begin`) until it arrives or is lost. The
     message leaves its sender at the start of its transmission (`left`).
     """
-    own = sorted(deliveries(result), key=lambda each: (each.created, each.transmission, each.dst))
-    rows = [list(row) for _, row in groupby(own, key=lambda each: each.transmission)]
-    causes = sorted({each.cause for each in own if each.cause is not None})
+    sent = sorted(deliveries(result), key=lambda delivery: (delivery.created, delivery.transmission, delivery.dst))
+    rows = [list(row) for _, row in groupby(sent, key=lambda delivery: delivery.transmission)]
+    causes = sorted({delivery.cause for delivery in sent if delivery.cause is not None})
     number = {None: 0} | {cause: k for k, cause in enumerate(causes, start=1)}
     return {
         "begin": ticks([row[0].created for row in rows]),
         "left": ticks([row[0].left for row in rows]),
         "src": _column([row[0].src for row in rows], "<u2"),
         "count": _column([len(row) for row in rows], "<u2"),
-        "dst": _column([each.dst for each in own], "<u2"),
-        "end": ticks([each.until for each in own]),
-        "fate": _column([number[each.cause] for each in own], "u1"),
+        "dst": _column([delivery.dst for delivery in sent], "<u2"),
+        "end": ticks([delivery.until for delivery in sent]),
+        "fate": _column([number[delivery.cause] for delivery in sent], "u1"),
         "causes": [cause.replace("_", " ") for cause in causes],
     }
 
 
-def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
+def _beliefs(pieces: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
     """Return the changes of beliefs as columns: time, reader, source, and the action of the source as last received.
 
     The reader is the pursuer that holds the belief; the source is the pursuer that the belief is about. An action is
@@ -555,32 +562,32 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
     `announce.start` = "known", the initial actions are known. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1
-    known = known[~known["superseded"] | (known["until"] > known["begin"])]  # as at time 0, without latency
-    is_certain = (result.scenario.announce.start == "known") & (known["begin"] == 0)
-    value = np.where(known["presumed"] & ~is_certain, unheard, known["active"].astype(int))
-    columns = (known["reader"], known["source"], value)
-    changed = np.ones(len(known), bool)
+    pieces = pieces[~pieces["superseded"] | (pieces["until"] > pieces["begin"])]  # as at time 0, without latency
+    is_certain = (result.scenario.announce.start == "known") & (pieces["begin"] == 0)
+    value = np.where(pieces["presumed"] & ~is_certain, unheard, pieces["active"].astype(int))
+    columns = (pieces["reader"], pieces["source"], value)
+    changed = np.ones(len(pieces), bool)
     changed[1:] = np.any([column[1:] != column[:-1] for column in columns], axis=0)
-    known, value = known[changed], value[changed]
-    order = np.argsort(known["begin"], kind="stable")
+    pieces, value = pieces[changed], value[changed]
+    order = np.argsort(pieces["begin"], kind="stable")
     return {
-        "t": ticks(known["begin"][order]),
-        "reader": _column(known["reader"][order], "<u2"),
-        "source": _column(known["source"][order], "<u2"),
+        "t": ticks(pieces["begin"][order]),
+        "reader": _column(pieces["reader"][order], "<u2"),
+        "source": _column(pieces["source"][order], "<u2"),
         "value": _column(value[order], _kind(result)),
     }
 
 
 def _distrust(result: Result, ticks: _Ticks) -> ReplayData | None:
     """Return the changes of trust as columns: time, pursuer, suspect, and whether it begins; None if there are none."""
-    found = result.trace.of(Distrusted)
-    if not found:
+    changes = result.trace.of(Distrusted)
+    if not changes:
         return None
     return {
-        "t": ticks([each.t for each in found]),
-        "who": _column([each.pursuer for each in found], "<u2"),
-        "suspect": _column([each.suspect for each in found], "<u2"),
-        "begins": _column([each.distrusted for each in found], "u1"),
+        "t": ticks([change.t for change in changes]),
+        "who": _column([change.pursuer for change in changes], "<u2"),
+        "suspect": _column([change.suspect for change in changes], "<u2"),
+        "begins": _column([change.distrusted for change in changes], "u1"),
     }
 
 

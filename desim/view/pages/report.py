@@ -76,8 +76,10 @@ class Study:
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or base
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
-        found = flat(scenario, _has_keys).items()
-        fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}
+        settings = flat(scenario, _has_keys).items()
+        fixed = {
+            key: json.dumps(value, ensure_ascii=False) for key, value in settings if not f"{key}.".startswith(swept)
+        }
         return cls(result, fixed, made, _explanation(folder), commands, versions)
 
     @property
@@ -128,18 +130,18 @@ def report(study: Study) -> str:
         commands=shell_lines(study.commands),
         asked=None if made is None else wanted(made, study.commands),
         origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
-        panels=[_inline(multiples(result, [each]), f"panel-{each}", words(each)) for each in panels],
+        panels=[_inline(multiples(result, [panel]), f"panel-{panel}", words(panel)) for panel in panels],
         phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
         waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
     )
 
 
-def _waterfalls(found: Explanation) -> Iterator["Markup"]:
+def _waterfalls(explanation: Explanation) -> Iterator["Markup"]:
     """Yield a figure for each metric of an explanation: the cost of each imperfection in this metric."""
     from desim.study.results.figures import waterfall
 
-    for name, cost in found.costs.items():
-        yield _inline(waterfall(replace(found, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")
+    for name, cost in explanation.costs.items():
+        yield _inline(waterfall(replace(explanation, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")
 
 
 def findings(study: Study) -> Iterator[str]:
@@ -164,40 +166,40 @@ def _greatest_cost(explanation: Explanation) -> Iterator[str]:
     parts = [(name, saving.mean) for name, saving in cost.parts.items() if saving.mean.count > 1]
     if not parts:
         return
-    name, found = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
-    if _excludes_0(found, len(parts)):
+    name, estimate = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
+    if _excludes_0(estimate, len(parts)):
         yield (
             f"Of the imperfections with an effect distinguishable from 0, {name} matters most: it changes the "
-            f"{cost.label} by {_size(found, cost.unit)}."
+            f"{cost.label} by {_size(estimate, cost.unit)}."
         )
     else:
         yield (
             f"No imperfection has an effect on the {cost.label} that is distinguishable from 0; the greatest"
-            f"{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name}, {_size(found, cost.unit)}."
+            f"{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name}, {_size(estimate, cost.unit)}."
         )
 
 
 def _greatest_difference(study: Study) -> Iterator[str]:
     """Yield a sentence about the greatest paired difference in the first measured metric; see `findings`."""
     result = study.result
-    metric = next((each for each in (*SHOWN, *result.units) if each in study.measured), None)
+    metric = next((name for name in (*SHOWN, *result.units) if name in study.measured), None)
     if not result.common or metric is None:
         return
     differences = [
-        (key, k, other, found)
+        (key, k, other, difference)
         for key in result.keys
-        for k, (other, found) in _differences_along(result, key, metric).items()
-        if found.count > 1
+        for k, (other, difference) in _differences_along(result, key, metric).items()
+        if difference.count > 1
     ]
     if not differences:
         return
     count = len(differences)
-    key, k, other, found = max(differences, key=lambda each: (_excludes_0(each[-1], count), abs(each[-1].mean)))
-    value, first = (text(result.groups[each].settings[key]) for each in (k, other))
-    rest = result.groups[k].in_words(without=[key])
-    change = f"{value} instead of {first}{f' (with {rest})' if rest else ''}"
-    size = _size(found, METRICS[metric].unit if metric in METRICS else result.units[metric])
-    if _excludes_0(found, count):
+    key, k, other, estimate = max(differences, key=lambda row: (_excludes_0(row[-1], count), abs(row[-1].mean)))
+    value, first = (text(result.groups[group].settings[key]) for group in (k, other))
+    other_settings = result.groups[k].in_words(without=[key])
+    change = f"{value} instead of {first}{f' (with {other_settings})' if other_settings else ''}"
+    size = _size(estimate, METRICS[metric].unit if metric in METRICS else result.units[metric])
+    if _excludes_0(estimate, count):
         among = (
             f" Of {count} paired differences, this is the greatest that is distinguishable from 0." if count > 1 else ""
         )
@@ -216,21 +218,21 @@ def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, 
     result maps the position of the configuration in `groups` to the position of its reference and the difference.
     References themselves are absent.
     """
-    others = result.first_along(key)
-    found = {other: result.differences(metric, reference=other) for other in set(others)}
-    return {k: (other, found[other][k]) for k, other in enumerate(others) if k != other}
+    references = result.first_along(key)
+    by_reference = {other: result.differences(metric, reference=other) for other in set(references)}
+    return {k: (other, by_reference[other][k]) for k, other in enumerate(references) if k != other}
 
 
-def _excludes_0(found: Estimate, count: int) -> bool:
+def _excludes_0(estimate: Estimate, count: int) -> bool:
     """Return whether a mean, one of `count`, differs from 0 in a two-sided t test at a level of 5 % / `count`."""
     from scipy.special import stdtrit
 
-    return bool(abs(found.mean) > stdtrit(found.count - 1, 1.0 - 0.025 / count) * found.standard_error)
+    return bool(abs(estimate.mean) > stdtrit(estimate.count - 1, 1.0 - 0.025 / count) * estimate.standard_error)
 
 
-def _size(found: Estimate, unit: str) -> str:
-    size = with_half_width(found, found.count, "+", unit)
-    return f"{size} (95 % interval, {found.count} pairs of runs with the same seed)"
+def _size(estimate: Estimate, unit: str) -> str:
+    size = with_half_width(estimate, estimate.count, "+", unit)
+    return f"{size} (95 % interval, {estimate.count} pairs of runs with the same seed)"
 
 
 def _explanation(folder: Path) -> Explanation | None:
@@ -246,7 +248,7 @@ def _explanation(folder: Path) -> Explanation | None:
 
 def _has_keys(node: Any) -> bool:
     """Return whether a node is a table with keys or a list of tables; a list of numbers or strings is one value."""
-    return any(isinstance(each, dict) for each in node) if isinstance(node, list) else bool(node)
+    return any(isinstance(value, dict) for value in node) if isinstance(node, list) else bool(node)
 
 
 def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
@@ -262,7 +264,9 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
 
 def _computed_by(versions: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """Return the versions that computed the runs, as a label and a text, if there are several."""
-    texts = [", ".join(f"{name} {version}" for name, version in each.items()) for each in versions]
+    texts = [
+        ", ".join(f"{name} {version}" for name, version in versions_of_run.items()) for versions_of_run in versions
+    ]
     return {"runs computed by": "; and by ".join(texts)} if len(texts) > 1 else {}
 
 
@@ -273,14 +277,14 @@ def _origin(made: provenance.Document) -> dict[str, str]:
         "first seed": str(made["seed"]),
         "commit": f"{made['commit']}{state}" if made["commit"] else "unknown",
         "hash of the source code": made["code"],
-        **{f"version of {name}": each or "unknown" for name, each in made["versions"].items()},
-        **{str(name): each for name, each in made["platform"].items()},
+        **{f"version of {name}": version or "unknown" for name, version in made["versions"].items()},
+        **{str(name): value for name, value in made["platform"].items()},
     }
     if made["folder"] is None:
         rows["scenario"] = "built by a script"
     if made["unrecorded"]:
         rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
-    return {name: str(each) for name, each in rows.items()}
+    return {name: str(value) for name, value in rows.items()}
 
 
 def _signs(cell: str) -> str:
@@ -300,9 +304,9 @@ def _inline(figure: "Figure", name: str, label: str) -> "Markup":
                 above.remove(inner)
     for element in root.iter():
         element.tag = element.tag.removeprefix(f"{{{SVG}}}")
-        attributes = {key.removeprefix(f"{{{XLINK}}}"): each for key, each in element.attrib.items()}
+        attributes = {key.removeprefix(f"{{{XLINK}}}"): value for key, value in element.attrib.items()}
         element.attrib.clear()
-        element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
+        element.attrib.update({key: _attribute(key, value, name) for key, value in attributes.items()})
     for key in ("height", "version"):
         root.attrib.pop(key, None)
     root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # at this width, fonts are as large as in print
@@ -318,5 +322,5 @@ def _attribute(key: str, value: str, name: str) -> str:
     if key == "href":
         return value.replace("#", f"#{name}-", 1)
     if key == "style":
-        value = re.sub("#[0-9a-f]{6}", lambda found: COLOURS.get(found[0], found[0]), value)
+        value = re.sub("#[0-9a-f]{6}", lambda match: COLOURS.get(match[0], match[0]), value)
     return value.replace("url(#", f"url(#{name}-")

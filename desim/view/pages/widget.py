@@ -79,18 +79,18 @@ class PlayWidget(anywidget.AnyWidget):
         else:
             self.send({"number": request["number"], "error": "the request is malformed"})
 
-    def _answer(self, number: str, what: str, body: Answer) -> None:
+    def _answer(self, number: str, kind: str, body: Answer) -> None:
         session, last = self._session, Answer()
-        if what == "run":
+        if kind == "run":
             last = session.run(body["now"], body["pinned"], body["page"])
-        elif what == "save":
+        elif kind == "save":
             last = session.save(body["now"])
-        elif what == "cancel":
+        elif kind == "cancel":
             session.cancel(body["page"])
-        elif what == "seeds":
+        elif kind == "seeds":
             try:
-                for each in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
-                    self.send({"number": number, "answer": each, "isLast": False})
+                for answer in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
+                    self.send({"number": number, "answer": answer, "isLast": False})
             except Exception as error:
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
         self.send({"number": number, "answer": last, "isLast": True})

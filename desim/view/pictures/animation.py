@@ -99,10 +99,10 @@ def animate(
             f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MAX_FRAMES} frames: choose a higher"
             " speed, fewer fps, or a shorter window"
         )
-    first, *rest = frames(result, times)
-    pauses = [pause] * len(rest) + [HOLD]
+    first, *further = frames(result, times)
+    pauses = [pause] * len(further) + [HOLD]
     with replacing(path) as part:
-        first.save(part, "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+        first.save(part, "GIF", save_all=True, append_images=further, duration=pauses, loop=0, optimize=False)
     return len(times)
 
 
@@ -121,7 +121,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
         artist.set_animated(True)
     canvas.draw()
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
-    found: list[Image.Image] = []
+    images: list[Image.Image] = []
     before = times[0] - 1
     with progress(len(times), "frames", "frame") as bar:
         for t in times:
@@ -129,10 +129,10 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
             for artist in scene.at(t, before):
                 figure.draw_artist(artist)
             image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-            found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+            images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
             before = t
             bar.update()
-    return found
+    return images
 
 
 def _colours(result: Result) -> tuple[str, ...]:
@@ -142,17 +142,17 @@ def _colours(result: Result) -> tuple[str, ...]:
 
 def _palette(of: Sequence[str]) -> Image.Image:
     """Return an image with the common palette of all frames: white, and the shades of the given colours."""
-    colours = [_shade(each, k / SHADES) for each in of for k in range(1, SHADES + 1)]
+    colours = [_shade(colour, k / SHADES) for colour in of for k in range(1, SHADES + 1)]
     levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
-    found = Image.new("P", (1, 1))
-    found.putpalette(levels.ravel().tolist())
-    return found
+    image = Image.new("P", (1, 1))
+    image.putpalette(levels.ravel().tolist())
+    return image
 
 
 def _shade(colour: str, share: float) -> Floats:
     """Return a colour blended with white, as RGB; `share` in [0, 1] is the weight of the colour."""
-    found: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
-    return found
+    shades: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
+    return shades
 
 
 class _EvaderArtists:
@@ -182,7 +182,7 @@ class _EvaderArtists:
 
 def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
     """Return artists in drawing order: the first of every tuple, then the second of every tuple, and so on."""
-    return [each for layer in zip(*artists, strict=True) for each in layer]
+    return [artist for layer in zip(*artists, strict=True) for artist in layer]
 
 
 class _Scene:
@@ -190,7 +190,7 @@ class _Scene:
 
     def __init__(self, figure: Figure, result: Result):
         self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
-        self._captured = {each.evader: each for each in captures(result)}
+        self._captured = {capture.evader: capture for capture in captures(result)}
         axes = figure.add_subplot()
         self._set(axes)
         left, right = axes.get_xlim()
@@ -202,7 +202,7 @@ class _Scene:
         (self._crosses,) = axes.plot([], [], LOST_MARK, color=LOST, ms=5, mew=1.2, label="lost")
         (self._inactive,) = axes.plot([], [], PURSUER_MARK, mfc="white", mec=INACTIVE, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._evaders[:MAX_NAMED])]
+        shown = [self._inactive, *self._chasers(), *(artists.evader for artists in self._evaders[:MAX_NAMED])]
         shown += [self._dots, self._arrived] if len(self._messages.left) else []
         shown += [self._crosses] if self._messages.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
@@ -215,17 +215,17 @@ class _Scene:
             return [first.together, first.alone]
         greys = {first.together: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
         return [
-            Line2D([], [], marker="o", ls="", mfc=grey, mec=GREY, ms=each.get_markersize(), label=str(each.get_label()))
-            for each, grey in greys.items()
+            Line2D([], [], marker="o", ls="", mfc=grey, mec=GREY, ms=line.get_markersize(), label=str(line.get_label()))
+            for line, grey in greys.items()
         ]
 
     def _in_order(self) -> list[Artist]:
         """Return the moving artists in drawing order."""
-        below = [(each.trails, each.relay, each.path) for each in self._evaders]
-        chasers = [(each.together, each.alone) for each in self._evaders]
-        above = [(each.evader, each.star, each.number) for each in self._evaders]
-        found = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
-        return [*found, self._dots, self._arrived, self._crosses, *_by_layer(above), self._caption]
+        below = [(drawn.trails, drawn.relay, drawn.path) for drawn in self._evaders]
+        chasers = [(drawn.together, drawn.alone) for drawn in self._evaders]
+        above = [(drawn.evader, drawn.star, drawn.number) for drawn in self._evaders]
+        artists = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
+        return [*artists, self._dots, self._arrived, self._crosses, *_by_layer(above), self._caption]
 
     def _set(self, axes: Axes) -> None:
         everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
@@ -262,17 +262,17 @@ class _Scene:
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
-            each.pursuer: each.evader
-            for each in self._active_periods
-            if each.begin <= t
-            and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
+            period.pursuer: period.evader
+            for period in self._active_periods
+            if period.begin <= t
+            and (t < period.end or (t == period.end == end and (lone or period.evader not in self._captured)))
         }
 
     def _set_evader(self, evader: int, artists: _EvaderArtists, t: int, chasers: Floats) -> None:
-        begun = [each for each in self._active_periods if each.begin <= t and each.evader == evader]
+        begun = [period for period in self._active_periods if period.begin <= t and period.evader == evader]
         for line, alone in ((artists.trails, False), (artists.relay, True)):
-            own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
-            line.set_data(_joined(own))
+            paths = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
+            line.set_data(_joined(paths))
         past = self._paths.of_evader(evader, 0, t)
         artists.path.set_data(past.T)
         artists.together.set_data(chasers.T if len(chasers) > 1 else ([], []))
@@ -323,8 +323,8 @@ class _MessageDots:
         """Return the (k, 2) positions, m, of the messages in flight."""
         flying = (self.left <= t) & (t < self._until)
         share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
-        found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
-        return found
+        places: Floats = self._source[flying] + share * (self._target - self._source)[flying]
+        return places
 
     def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
         """Return the (k, 2) positions, m, of the marks of messages lost after `before` and up to `t` (ns).
@@ -335,19 +335,21 @@ class _MessageDots:
         way = (self._target - self._source)[gone]
         length = np.hypot(way[:, 0], way[:, 1])
         share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]
-        found: Floats = self._target[gone] - share * way
-        return found
+        places: Floats = self._target[gone] - share * way
+        return places
 
 
 def _message_dots(result: Result, paths: Paths, short: float) -> _MessageDots:
     """Return the messages of a run, or none if they were not recorded; for `short` see `_MessageDots`."""
-    own = deliveries(result) if messages_recorded(result) else []
-    left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
-    source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
+    messages = deliveries(result) if messages_recorded(result) else []
+    left, until = (
+        np.array(times, dtype=np.int64) for times in ([p.left for p in messages], [p.until for p in messages])
+    )
+    source, target = np.zeros((len(messages), 2)), np.zeros((len(messages), 2))
     for pursuer in range(paths.pursuers.shape[1]):
-        sent = np.array([each.src == pursuer for each in own], dtype=bool)
-        read = np.array([each.dst == pursuer for each in own], dtype=bool)
+        sent = np.array([delivery.src == pursuer for delivery in messages], dtype=bool)
+        read = np.array([delivery.dst == pursuer for delivery in messages], dtype=bool)
         source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
     return _MessageDots(
-        left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target, short
+        left, until, np.array([delivery.cause is not None for delivery in messages], dtype=bool), source, target, short
     )

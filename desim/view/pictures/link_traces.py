@@ -51,12 +51,12 @@ def link_traces(scenario: Scenario) -> Figure:
     Raises:
         ValueError: if no link follows measurements.
     """
-    found = dict(_traces(scenario))
-    if not found:
+    traces = dict(_traces(scenario))
+    if not traces:
         raise ValueError('no link follows measurements: a latency or loss of the kind "trace" or "signal_trace"')
-    with styled((SIZE[0], SIZE[1] * len(found) + LEGEND)) as figure:
-        panels = figure.subplots(len(found), 1, squeeze=False)[:, 0]
-        for axes, (key, trace) in zip(panels, found.items(), strict=True):
+    with styled((SIZE[0], SIZE[1] * len(traces) + LEGEND)) as figure:
+        panels = figure.subplots(len(traces), 1, squeeze=False)[:, 0]
+        for axes, (key, trace) in zip(panels, traces.items(), strict=True):
             _draw(axes, trace)
             axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
             axes.set(xlabel="time of the measurements (s)", ylabel=_y_label(trace))
@@ -87,13 +87,13 @@ def _links(trace: LinkTrace) -> list[_Link]:
     """Return the links of a trace; of two directions with the same rows, the one from the lower node."""
     measured, arrow = trace.measurements, "↔" if trace.both_ways else "→"
     factor = 1000.0 if isinstance(trace, LatencyTrace) else 1.0
-    found = []
+    links = []
     for src, dst, line in zip(measured.src, measured.dst, Playback(trace).lines(), strict=True):
         if not trace.both_ways or src < dst:
             times, values, is_missing = line
             label = "all links" if trace.src is None else f"{src} {arrow} {dst}"
-            found.append(_Link(label, times, values * factor, is_missing))
-    return found
+            links.append(_Link(label, times, values * factor, is_missing))
+    return links
 
 
 def _draw(axes: Axes, trace: LinkTrace) -> None:

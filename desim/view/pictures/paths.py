@@ -89,21 +89,21 @@ def active_periods(result: Result) -> list[ActivePeriod]:
 def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
     active = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}
     times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
-    found, alone = [], len(active) == 1
+    periods, alone = [], len(active) == 1
     for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
             _, pursuer, by = step
             if by < 0:
-                found.append(ActivePeriod(pursuer, active.pop(pursuer), begin, alone, evader))
+                periods.append(ActivePeriod(pursuer, active.pop(pursuer), begin, alone, evader))
             else:
                 active[pursuer] = begin
         if (len(active) == 1) != alone and begin < end:
-            found += [
+            periods += [
                 ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin
             ]
             active, alone = dict.fromkeys(active, begin), not alone
-    found += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
-    return [each for each in found if each.begin < each.end]
+    periods += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
+    return [period for period in periods if period.begin < period.end]
 
 
 class Paths:
@@ -143,12 +143,12 @@ class Paths:
         x, y = self.at(handover.pursuer, np.array([handover.t]))[0].tolist()
         return x, y
 
-    def _between(self, known: Floats, begin: int, end: int) -> Floats:
+    def _between(self, positions: Floats, begin: int, end: int) -> Floats:
         inside = self.t[(begin < self.t) & (self.t < end)]
-        return self._along(known, np.concatenate([[begin], inside, [end]]))
+        return self._along(positions, np.concatenate([[begin], inside, [end]]))
 
-    def _along(self, known: Floats, times: Integers) -> Floats:
-        return np.stack([np.interp(times, self.t, known[:, axis]) for axis in (0, 1)], axis=1)
+    def _along(self, positions: Floats, times: Integers) -> Floats:
+        return np.stack([np.interp(times, self.t, positions[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def draw_pursuit(axes: Axes, result: Result) -> None:
@@ -174,7 +174,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
         label = "evader" if paths.count == 1 else f"evader {evader}"
         mark: dict[str, Any] = {"ms": 3} if paths.count == 1 else {"ms": 6, "mfc": look.inner, "mew": 1.2}
         axes.plot(*paths.evaders[:, evader - 1].T, lw=1.2, label=label, **{**EVADER_PATH, "marker": look.mark, **mark})
-    places = [paths.evaders[-1, each.evader - 1] for each in captures(result)]
+    places = [paths.evaders[-1, capture.evader - 1] for capture in captures(result)]
     if places:
         axes.plot(*np.transpose(places), CAPTURE_MARK, color="black", ms=7, mew=0, zorder=7, label="capture")
 
@@ -196,7 +196,7 @@ def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[i
 def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     label = "takes over"
     for evader, look in looks.items():
-        places = [paths.position_of(each) for each in handover_events(result) if each.evader == evader]
+        places = [paths.position_of(event) for event in handover_events(result) if event.evader == evader]
         if places:
             style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
             axes.plot(*np.transpose(places), HANDOVER_MARK, ls="", label=label, **style)
@@ -212,10 +212,10 @@ def label_handovers(axes: Axes, result: Result) -> None:
     paths, chain = Paths(result), handover_events(result)
     everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
     ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
-    named = [(paths.position_of(each), str(each.pursuer), each.evader, "normal") for each in chain]
+    named = [(paths.position_of(handover), str(handover.pursuer), handover.evader, "normal") for handover in chain]
     if paths.count > 1:
         named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
-    places, names = [each[0] for each in named], [each[1] for each in named]
+    places, names = [named_place[0] for named_place in named], [named_place[1] for named_place in named]
     texts = label_points(axes, places, names, avoid=ends, zorder=6)
     for text, (_, _, evader, weight) in zip(texts, named, strict=True):
         text.set(color=EvaderStyle.of(evader, paths.count).alone, weight=weight)
@@ -248,13 +248,16 @@ def label_points(
     points = 72.0 / axes.figure.dpi
     everything = axes.transData.transform(np.array([*places, *avoid], dtype=float)) * points
     taken = [
-        np.concatenate([each - HALF_MARKER, each + HALF_MARKER]) for each in everything
+        np.concatenate([place - HALF_MARKER, place + HALF_MARKER]) for place in everything
     ]  # left, bottom, right, top
     frame = np.array(axes.bbox.extents) * points
     texts: list[Text] = []
     for name, place, anchor in zip(names, places, everything, strict=False):
         boxes = _beside(anchor, DIGIT_WIDTH * LABEL_SIZE * len(name), DIGIT_HEIGHT * LABEL_SIZE)
-        costs = [portable_sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
+        costs = [
+            portable_sum(_common(box, box_taken) for box_taken in taken) + _area(box) - _common(box, frame)
+            for box in boxes
+        ]
         best = boxes[int(np.argmin(costs))]
         taken.append(best)
         x, y = (best[:2] - anchor).tolist()
@@ -273,9 +276,9 @@ def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:
     return [np.array([left, bottom, left + width, bottom + height]) for left, bottom in corners[:4] + corners[5:]]
 
 
-def _common(one: Floats, other: Floats) -> float:
+def _common(first: Floats, other: Floats) -> float:
     """Return the area of the intersection of two boxes."""
-    sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
+    sides = np.minimum(first[2:], other[2:]) - np.maximum(first[:2], other[:2])
     return float(np.prod(np.maximum(sides, 0.0)))
 
 

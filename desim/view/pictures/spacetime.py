@@ -69,14 +69,14 @@ def spacetime(
     width, height = size_of(size)
     shown = list(pursuers) if pursuers is not None else _busiest(result)
     _check(result, shown, begin, end)
-    window, own = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
+    window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
     with styled((width, height or 1.2 + 0.3 * len(shown)), font=7 if width < NARROW else 8) as figure:
         axes = figure.add_subplot()
         rows = {pursuer: row for row, pursuer in enumerate(shown)}
         _draw_pursuers(axes, result, rows, window)
         _draw_outages(axes, result, rows, window)
         _draw_captures(axes, result, rows, window)
-        _draw_messages(axes, own, rows, _mean_latency(own), len(started(result).evaders))
+        _draw_messages(axes, shown_messages, rows, _mean_latency(shown_messages), len(started(result).evaders))
         _draw_decisions(axes, result, rows, window)
         axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
@@ -86,10 +86,10 @@ def spacetime(
         some = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
         axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
         handles, labels = axes.get_legend_handles_labels()
-        found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
+        by_label: dict[str, Artist] = dict(zip(labels, handles, strict=True))
         figure.legend(
-            list(found.values()),
-            list(found),
+            list(by_label.values()),
+            list(by_label),
             loc="outside lower center",
             ncols=3 if width < NARROW else 5,
             columnspacing=1.0,
@@ -135,27 +135,27 @@ def _window(
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
     last = min(last, ended(result).t)
-    own = [
-        each
-        for each in deliveries(result)
-        if each.src in among and each.dst in among and each.left <= last and each.until >= first
+    inside = [
+        message
+        for message in deliveries(result)
+        if message.src in among and message.dst in among and message.left <= last and message.until >= first
     ]
-    if end is None and len(own) > most // 2:
-        last = next((each.left for each in own[most // 2 :] if each.left > first), last)
-        own = [each for each in own if each.left <= last]
-    if len(own) > most:
-        fits = max((each.left for each in own[:most] if each.left < own[most].left), default=first)
+    if end is None and len(inside) > most // 2:
+        last = next((message.left for message in inside[most // 2 :] if message.left > first), last)
+        inside = [message for message in inside if message.left <= last]
+    if len(inside) > most:
+        fits = max((message.left for message in inside[:most] if message.left < inside[most].left), default=first)
         advice = f"end the window at {seconds(fits):.9f} s, or " if fits > first else ""
         raise ValueError(
-            f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
+            f"{len(inside)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
             f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider figure"
         )
-    return Interval(first, last), own
+    return Interval(first, last), inside
 
 
-def _mean_latency(own: Sequence[Delivery]) -> float:
+def _mean_latency(messages: Sequence[Delivery]) -> float:
     """Return the mean latency, s, of the messages that are not lost; 0 if there are none."""
-    times = [each.until - each.left for each in own if each.cause is None]
+    times = [message.until - message.left for message in messages if message.cause is None]
     return float(np.mean(times)) / SECOND if times else 0.0
 
 
@@ -170,7 +170,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
         for chase in chases_of[pursuer]
         if chase.begin <= window.end and chase.end >= window.begin
     ]
-    for row, chase in sorted(inside, key=lambda each: each[1].evader):  # the order of the legend
+    for row, chase in sorted(inside, key=lambda drawn: drawn[1].evader):  # the order of the legend
         x = [max(chase.begin, window.begin) / SECOND, min(chase.end, window.end) / SECOND]
         colour = _hue(chase.evader, several)
         label = f"chases {chase.evader}" if several else "active"
@@ -182,7 +182,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Shade the faults: a crash on the line of its pursuer, other faults over the whole height."""
-    inside = [each for each in outages(result) if each[1].begin < window.end and each[1].end > window.begin]
+    inside = [outage for outage in outages(result) if outage[1].begin < window.end and outage[1].end > window.begin]
     level = 0
     for fault, (begin, end) in inside:
         x = max(begin, window.begin) / SECOND, min(end, window.end) / SECOND
@@ -226,27 +226,29 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
                 )
 
 
-def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
+def _draw_messages(
+    axes: Axes, messages: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int
+) -> None:
     """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
 
-    def kind(each: Delivery) -> tuple[str, str]:
-        announced = action_in_game(each.body, evaders)
+    def kind(message: Delivery) -> tuple[str, str]:
+        announced = action_in_game(message.body, evaders)
         if announced is None:
             return "#555555", "message"
         if not announced:
             return PALE, "message: inactive"
         return _hue(announced, evaders > 1), f"message: chases {announced}" if evaders > 1 else "message: active"
 
-    arrived = sorted((each for each in own if each.cause is None), key=kind)
+    arrived = sorted((message for message in messages if message.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):
         t, row = _ends(list(group), rows)
         axes.quiver(*t[0:1], *row[0:1], *(t[1:] - t[:1]), *(row[1:] - row[:1]), color=colour, zorder=3.0, **ARROWS)
         axes.plot([], [], color=colour, marker=">", ms=4, lw=1.0, label=label)
-    lost = [each for each in own if each.cause is not None]
+    lost = [message for message in messages if message.cause is not None]
     if not lost:
         return
     t, row = _ends(lost, rows)
-    collided = np.array([each.cause == "collision" for each in lost])
+    collided = np.array([message.cause == "collision" for message in lost])
     at_once = (t[1] == t[0]) & ~collided  # an acknowledged message that is given up has collided at its receiver
     way = np.where(at_once, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
     t[1] += np.where(at_once, latency * way, 0.0)
@@ -263,17 +265,21 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
             axes.plot([], [], color=LOST, ls=":", marker=mark, ms=size, lw=1.0, label=label)
 
 
-def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:
+def _ends(messages: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:
     """Return the (2, k) times, s, and the (2, k) rows at which deliveries begin and end."""
-    t = np.array([(each.left, each.until) for each in own], dtype=float).T / SECOND
-    return t, np.array([(rows[each.src], rows[each.dst]) for each in own], dtype=float).T
+    t = np.array([(message.left, message.until) for message in messages], dtype=float).T / SECOND
+    return t, np.array([(rows[message.src], rows[message.dst]) for message in messages], dtype=float).T
 
 
 def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
-    inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
-    changed = {id(each) for each in changes(result)}
-    turns = {id(each) for each, before in changes_with_previous(result) if before and chases(each)}
+    inside = [
+        decision
+        for decision in decisions(result)
+        if window.begin <= decision.t <= window.end and decision.pursuer in rows
+    ]
+    changed = {id(change) for change in changes(result)}
+    turns = {id(change) for change, before in changes_with_previous(result) if before and chases(change)}
     looks: list[tuple[str, dict[str, Any], list[Any]]] = [
         ("keeps action", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
         (
@@ -294,5 +300,5 @@ def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: In
     ]
     for label, look, marked in looks:
         if marked:
-            x, y = [each.t / SECOND for each in marked], [rows[each.pursuer] for each in marked]
+            x, y = [decision.t / SECOND for decision in marked], [rows[decision.pursuer] for decision in marked]
             axes.plot(x, y, ls="", zorder=5, clip_on=False, label=label, **look)
