@@ -12,6 +12,7 @@ from scipy.integrate import quad, solve_ivp
 from desim import (
     AffineFlow,
     Announcements,
+    ConstantHeading,
     Environment,
     Evader,
     GyreFlow,
@@ -203,6 +204,22 @@ def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance
     within_a_step = flow.top_acceleration * scenario.motion.step**2 + 1e-8
     for before, after in zip(last.pursuers + last.evaders, shifted.pursuers + shifted.evaders, strict=True):
         assert complex(*after) - complex(*before) == pytest.approx(shift, abs=within_a_step)
+
+
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_a_steady_flow_on_all_only_shifts_a_pursuer_with_a_constant_bearing(order):
+    scenario = Scenario(
+        team=Team(positions=[(0.0, 0.0)], guidance="constant_bearing", active_at_start=1.0),
+        evader=Evader(position=(3.0, 1.0), strategy=ConstantHeading(angle=2.0)),
+        motion=Motion(order=order),
+        horizon=0.5,
+    )
+    still, carried = (
+        run(each).trace.of(Sampled)[-1]
+        for each in (scenario, scenario.model_copy(update={"environment": {"flow": STEADY}}))
+    )
+    shift = STEADY.displacement(0.0, 0.5)
+    assert complex(*carried.pursuers[0]) - complex(*still.pursuers[0]) == pytest.approx(shift, abs=1e-8)
 
 
 @pytest.mark.slow
