@@ -106,6 +106,12 @@ def test_tables_that_are_not_valid_have_the_controls_of_their_kinds():
     assert by_key({"protocol": {"kind": "none"}})["protocol"].value == "none"
 
 
+def test_a_list_of_tables_and_of_something_else_has_one_control():
+    found = by_key({"fault": [{"kind": "crash", "node": 1}, 5]})
+    assert found["fault"].value.endswith(", 5]")
+    assert not any(key.startswith("fault.") for key in found)
+
+
 def test_a_table_of_measurements_has_no_control():
     keys = {each.key for each in controls(load(SCENARIOS / "measured.toml"))}
     assert "network.latency.table" not in keys
