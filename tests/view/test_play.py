@@ -246,6 +246,26 @@ def test_a_comparison_that_is_closed_begins_no_more_runs(small, monkeypatch):
     assert begun == [3_000_000] * 4
 
 
+def test_a_comparison_that_is_closed_cancels_the_runs_that_have_not_begun(small):
+    class Waiting(InProcess):
+        def __init__(self):
+            self.count, self.futures = 3, []
+
+        def submit(self, call):
+            self.futures.append(Future())
+            return self.futures[-1]
+
+        def done(self, pending):
+            self.futures[0].set_exception(ValueError("no result"))
+            return [self.futures[0]]
+
+    workers = Waiting()
+    comparison = Session(small, workers).compare(SMALL, SMALL, 30)
+    assert next(comparison)["failed"] == 1
+    comparison.close()
+    assert [future.cancelled() for future in workers.futures] == [False, True, True]
+
+
 def test_differences_are_of_the_pairs_in_which_both_have_a_value():
     pairs = [
         ({"active_time": a}, {"active_time": b}) for a, b in [(10.0, 8.0), (None, 100.0), (30.0, None), (20.0, 16.0)]
@@ -435,6 +455,16 @@ def test_a_request_that_takes_too_long_to_arrive_is_ended(small, monkeypatch):
         thread.join(30)
         assert not thread.is_alive()
         assert not made._incoming
+
+
+@pytest.mark.parametrize(("error", "is_told"), [(ConnectionResetError("gone"), False), (KeyError("rgb"), True)])
+def test_an_error_in_a_request_is_told_unless_the_browser_has_closed_the_connection(small, capsys, error, is_told):
+    with PlayServer(Session(small, InProcess())) as made:
+        try:
+            raise error
+        except type(error):
+            made.handle_error(None, ("127.0.0.1", 1))
+    assert ("KeyError: 'rgb'" in capsys.readouterr().err) == is_told
 
 
 def test_a_wrong_file_is_refused_as_by_run(tmp_path):
