@@ -16,6 +16,7 @@ from desim.pursuit.sensing.tracking import (
     Measurement,
     Track,
     corrected,
+    corrected_by_state,
     fused,
     merged,
     stationary_gains,
@@ -119,6 +120,20 @@ def test_a_covariance_of_rank_one_stays_positive_after_a_measurement_of_rank_one
         before = singular(rng, 4)
         _, after = corrected([0.0] * 4, before.tolist(), [0.0] * 4, singular(rng, 4).tolist())
         assert np.linalg.eigvalsh(np.array(after))[0] > -1e-12 * np.trace(before)
+
+
+@given(st.integers(0, 2**32), st.sampled_from([spread, singular]), st.sampled_from([spread, singular]))
+def test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry(seed, spread_before, spread_of_errors):
+    """To the last bit, also if a covariance is singular, or all variances are equal."""
+    rng = np.random.default_rng(seed)
+    state, seen = rng.normal(size=(2, 4)).tolist()
+    eye = np.diag(rng.choice([0.0, 0.25, 1.0], size=4)).tolist()
+    for before, errors in (
+        (spread_before(rng, 4).tolist(), spread_of_errors(rng, 4).tolist()),
+        (spread_before(rng, 4).tolist(), eye),
+        (eye, spread_of_errors(rng, 4).tolist()),
+    ):
+        assert corrected_by_state(state, before, seen, errors) == corrected(state, before, seen, errors)
 
 
 @pytest.mark.slow

@@ -308,13 +308,13 @@ class TrackingView(LimitedView):
 
 def _packed(evader: int, track: Track) -> Tracked:
     """Return a track as a report."""
-    covariance = np.array(track.covariance)
-    return Tracked(evader, track.stamp, tuple(track.state), tuple(covariance[np.triu_indices(4)].tolist()))
+    assert track.covariance is not None
+    (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance
+    return Tracked(evader, track.stamp, tuple(track.state), (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv))
 
 
 def _unpacked(report: Tracked) -> Track:
     """Return the track of a report."""
-    covariance = np.zeros((4, 4))
-    covariance[np.triu_indices(4)] = report.covariance
-    full = covariance + covariance.T - np.diag(np.diag(covariance))
-    return Track(report.stamp, list(report.state), full.tolist())
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = report.covariance
+    covariance = [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
+    return Track(report.stamp, list(report.state), covariance)
