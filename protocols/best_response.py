@@ -40,9 +40,11 @@ class BetterReply(LearningRule):
 
     kind: Literal["better_reply"] = "better_reply"
     alpha: RevisionProbability = 0.5
-    """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia. If all change at once
-    with probability 1, they may swap actions for ever; with a small one they settle slowly. If in doubt, use 0.5, or 1
-    if only one pursuer revises at a time."""
+    """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia.
+
+    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly. If in
+    doubt, use 0.5, or 1 if only one pursuer revises at a time.
+    """
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield a better action or the present one at each turn."""

@@ -74,8 +74,10 @@ class CBBA(Auction):
     kind: Literal["cbba"] = "cbba"
     winner_timeout: Timeout = 2.0
     """Time, s, after which a winner without a newer announcement is dropped. It should cover many heartbeats and many
-    turns of the pursuers that forward claims: the default is 20 heartbeats, and 10 turns in a team of 20. A short time
-    drops winners that are alive, and a long one waits for crashed ones. If in doubt, use 20 heartbeats."""
+    turns of the pursuers that forward claims: the default is 20 heartbeats, and 10 turns in a team of 20.
+
+    A short time drops winners that are alive, and a long one waits for crashed ones. If in doubt, use 20 heartbeats.
+    """
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
         """Return the size of an announcement, bytes: that of `Auction`, and a time stamp for each pursuer."""

@@ -33,7 +33,10 @@ class Centralised(Value):
     """The planner and the pursuers see the evaders at any distance, whatever `sensing.radius` is."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
-    """Time delta between two decisions, s. If in doubt, use the motion step: velocities do not change faster."""
+    """Time delta between two decisions, s.
+
+    If in doubt, use the motion step: velocities do not change faster.
+    """
 
     def __call__(self, me: Agent) -> Process:
         """In every slot, assign to each evader at most one pursuer that can capture it before the horizon."""

@@ -73,13 +73,17 @@ class Flooding(Value):
 
     kind: Literal["flooding"] = "flooding"
     hops: Annotated[int, Field(ge=1, strict=True)] = 5
-    """Largest number of hops that an announcement travels. With fewer hops than the diameter of the network, some
-    pursuers hear nothing; more cost nothing, because duplicates are dropped. If in doubt, use the diameter and one or
-    two hops more."""
+    """Largest number of hops that an announcement travels.
+
+    With fewer hops than the diameter of the network, some pursuers hear nothing; more cost nothing, because duplicates
+    are dropped. If in doubt, use the diameter and one or two hops more.
+    """
     jitter: Time = 0.005
-    """Longest random delay J before a rebroadcast, s; the delay keeps neighbours from transmitting simultaneously. With
-    a short delay, neighbours that received together also transmit together; a long one is added at each hop. If in
-    doubt, use the airtime of an announcement times the number of neighbours."""
+    """Longest random delay J before a rebroadcast, s; the delay keeps neighbours from transmitting simultaneously.
+
+    With a short delay, neighbours that received together also transmit together; a long one is added at each hop. If in
+    doubt, use the airtime of an announcement times the number of neighbours.
+    """
 
     @property
     def forwarding_jitter(self) -> float:
@@ -135,8 +139,10 @@ class ReliableOneHop(Reliable):
     hops: ClassVar[int] = 1
     kind: Literal["reliable"] = "reliable"
     window: SendWindow = 1
-    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait. If
-    in doubt, use 1: only the newest announcement matters, and `keep_last` keeps no other."""
+    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait.
+
+    If in doubt, use 1: only the newest announcement matters, and `keep_last` keeps no other.
+    """
     depth: Depth = 1
     """Number of messages that `keep_last` keeps."""
 

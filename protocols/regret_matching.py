@@ -39,11 +39,15 @@ class RegretMatching(LearningRule):
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
     """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
-    0 it is the mean over all turns. The memory is about 1 / rho turns. If in doubt, use 0 in a static game, and 0.1 if
-    the players move."""
+    0 it is the mean over all turns.
+
+    The memory is about 1 / rho turns. If in doubt, use 0 in a static game, and 0.1 if the players move.
+    """
     alpha: RevisionProbability = 1.0
-    """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia. If in doubt, use 1 if only one pursuer revises
-    at a time, and 0.5 if several may do so at once."""
+    """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.
+
+    If in doubt, use 1 if only one pursuer revises at a time, and 0.5 if several may do so at once.
+    """
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield an action drawn in proportion to its regret, or the present one."""
@@ -68,7 +72,13 @@ class GeneralisedRegretMatching(RegretMatching):
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
     """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
-    0 it is the mean over all turns. The memory is about 1 / rho turns: a long one averages over positions that are
-    past, a short one over chance. If in doubt, use 0.1."""
+    0 it is the mean over all turns.
+
+    The memory is about 1 / rho turns: a long one averages over positions that are past, a short one over chance. If in
+    doubt, use 0.1.
+    """
     alpha: RevisionProbability = 0.5
-    """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia. If in doubt, use 0.5."""
+    """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.
+
+    If in doubt, use 0.5.
+    """

@@ -76,9 +76,11 @@ class Server(Value):
     host: Annotated[int, Field(ge=0, strict=True)] = 0
     """The pursuer that carries the server."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, and between two repetitions of an order, s. A long period delays orders
-    and hides losses; a short one loads the channel at the host with N reports each time. If in doubt, use 0.1 for
-    speeds of about 1 m/s."""
+    """Time between two reports of a pursuer, and between two repetitions of an order, s.
+
+    A long period delays orders and hides losses; a short one loads the channel at the host with N reports each time. If
+    in doubt, use 0.1 for speeds of about 1 m/s.
+    """
 
     def __call__(self, me: Agent) -> Process:
         """Run the server on the host; report and obey on the other pursuers."""

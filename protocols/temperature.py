@@ -40,8 +40,11 @@ class ConstantTau(Value):
 
     kind: Literal["constant"] = "constant"
     value: Positive = 0.1
-    """Temperature tau, s. Far above the differences of the gains, actions are random; far below, the team keeps the
-    first equilibrium that it finds. If in doubt, use a tenth of the usual difference between two capture times."""
+    """Temperature tau, s.
+
+    Far above the differences of the gains, actions are random; far below, the team keeps the first equilibrium that it
+    finds. If in doubt, use a tenth of the usual difference between two capture times.
+    """
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
@@ -73,8 +76,11 @@ class GeometricTau(Value):
     first: Positive = 1.0
     """Temperature of slot 0, s."""
     ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.97
-    """Factor from one slot to the next, in (0, 1). Cooling by 1/e takes about 1 / (1 - ratio) slots. A fast one freezes
-    the team before each pursuer has revised a few times. If in doubt, use 1 - 1/(3 N) for a team of N."""
+    """Factor from one slot to the next, in (0, 1).
+
+    Cooling by 1/e takes about 1 / (1 - ratio) slots. A fast one freezes the team before each pursuer has revised a few
+    times. If in doubt, use 1 - 1/(3 N) for a team of N.
+    """
     floor: Positive = 0.001
     """Least temperature, s."""
 

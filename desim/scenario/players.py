@@ -88,7 +88,10 @@ class Team(Value):
     """How a pursuer follows the velocity that the guidance commands."""
     power_exponent: Annotated[float, Field(ge=0, le=10, strict=True)] = 2.0
     """Exponent p of the power that a drive needs at a speed v, v^p, for the metric `energy`: 1 against dry friction, as
-    of wheels; 2 against viscous friction; 3 against the drag of air or water. If in doubt, use 2."""
+    of wheels; 2 against viscous friction; 3 against the drag of air or water.
+
+    If in doubt, use 2.
+    """
     relay: tuple[RelayNode, ...] = ()
     """Pursuers that never chase and move along a record, whatever their `positions` and `speeds` are."""
 
@@ -234,20 +237,27 @@ class Evader(Value):
     box: Box = (8.0, 12.0)
     """Lower and upper bound of both initial coordinates, m."""
     speed: Speed = 0.9
-    """Speed v_e, m/s. An evader as fast as a pursuer can flee from it for ever, and close to that speed captures take
-    long. If in doubt, use nine tenths of the speed of the slowest pursuer."""
+    """Speed v_e, m/s.
+
+    An evader as fast as a pursuer can flee from it for ever, and close to that speed captures take long. If in doubt,
+    use nine tenths of the speed of the slowest pursuer.
+    """
     strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
     """Evasion strategy."""
     sensing_range: Limit = inf
     """Distance up to which it senses pursuers, m."""
     reaction_delay: Time = 0.0
-    """Delay of its observations of the pursuers' positions and actions, s. If in doubt, use 0; persons and animals take
-    0.1 to 0.3."""
+    """Delay of its observations of the pursuers' positions and actions, s.
+
+    If in doubt, use 0; persons and animals take 0.1 to 0.3.
+    """
     motion_interval: Time = 0.0
     """Time between two looks from which it infers which pursuers chase, s; 0: it knows their actions, at any distance.
-    A pursuer counts as active if it seems to have moved by more than half of what its speed allows. In a short
-    interval, errors of the positions look like motion; after a long one, the evader learns late who chases. If in
-    doubt, use 0, or with errors the time in which the slowest pursuer moves by ten times `motion_error`."""
+    A pursuer counts as active if it seems to have moved by more than half of what its speed allows.
+
+    In a short interval, errors of the positions look like motion; after a long one, the evader learns late who chases.
+    If in doubt, use 0, or with errors the time in which the slowest pursuer moves by ten times `motion_error`.
+    """
     motion_error: Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)] = 0.0
     """Standard deviation of each coordinate of the pursuers' positions at these looks, m."""
     dynamics: Annotated[Dynamics, DYNAMICS] = Simple()

@@ -43,9 +43,11 @@ class Sweep(Value):
     """A sweep of a scenario over a grid of its keys and over seeds (`desim sweep`)."""
 
     reps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 30
-    """Number of runs of each configuration. The width of a confidence interval falls with the square root of this
-    number: half the width takes four times the runs. If in doubt, use 30 to explore, and 100 or more for a figure to be
-    published."""
+    """Number of runs of each configuration.
+
+    The width of a confidence interval falls with the square root of this number: half the width takes four times the
+    runs. If in doubt, use 30 to explore, and 100 or more for a figure to be published.
+    """
     seeds: Literal["common", "independent"] = "common"
     """common: run k of every configuration has the seed 1,000,000 `seed` + k (common random numbers), so that
     configurations are compared on equal seeds; independent: every run has its own seed."""

@@ -52,7 +52,8 @@ def explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPat
         for each in error["ctx"]["errors"]:
             yield from explain(each, source, error["ctx"]["model"], place)
         return
-    description = " ".join((info.description or "").split()).rstrip(".") if info else ""
+    # The first paragraph says what the key is; the next ones advise what to choose, too much for an error message.
+    description = " ".join((info.description or "").partition("\n\n")[0].split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] not in SAYS_ENOUGH else ""
     more = [BASE] if owner is source.model and source.line(place) else []
     yield _problem(source, place, f"{_reason(error, place, owner, info, more, source.model)}{note}{_input_text(error)}")

@@ -48,9 +48,11 @@ class SharedSeed(Value):
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     kind: Literal["shared_seed"] = "shared_seed"
     slot: Period = 0.01
-    """Length delta of a slot, s. In a slot shorter than the latency of an announcement, a pursuer decides before it
-    hears of the last decision; long slots make a pursuer wait for N of them on average. If in doubt, use the latency,
-    and at least the motion step."""
+    """Length delta of a slot, s.
+
+    In a slot shorter than the latency of an announcement, a pursuer decides before it hears of the last decision; long
+    slots make a pursuer wait for N of them on average. If in doubt, use the latency, and at least the motion step.
+    """
 
     def mean_slot(self, me: Agent) -> float:
         """Return delta, s."""
@@ -77,9 +79,11 @@ class Poisson(Value):
 
     kind: Literal["poisson"] = "poisson"
     rate: Rate = 5.0
-    """Revisions per second of each pursuer, 1/s. With a low rate the team reacts late. At a high one, decisions fall
-    within the latency of each other and are based on old beliefs. If in doubt, use 5, and at most 1 / (N times the
-    latency)."""
+    """Revisions per second of each pursuer, 1/s.
+
+    With a low rate the team reacts late. At a high one, decisions fall within the latency of each other and are based
+    on old beliefs. If in doubt, use 5, and at most 1 / (N times the latency).
+    """
 
     def mean_slot(self, me: Agent) -> float:
         """Return 1 / (N rate), s."""
@@ -109,11 +113,17 @@ class Rounds(Value):
     """Several pursuers may revise at the same instant."""
     kind: Literal["rounds"] = "rounds"
     period: Period = 0.1
-    """Time between two rounds, s. In a period shorter than the latency of an announcement, a round begins before the
-    decisions of the last one are known. If in doubt, use twice the latency, and at least 0.1."""
+    """Time between two rounds, s.
+
+    In a period shorter than the latency of an announcement, a round begins before the decisions of the last one are
+    known. If in doubt, use twice the latency, and at least 0.1.
+    """
     participation: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
-    """Probability that a pursuer revises in a round, in (0, 1]. With 1 all revise at once, and rules without inertia
-    may swap actions for ever; with a small one few revise. If in doubt, use 1 for rules with inertia, and else 0.5."""
+    """Probability that a pursuer revises in a round, in (0, 1].
+
+    With 1 all revise at once, and rules without inertia may swap actions for ever; with a small one few revise. If in
+    doubt, use 1 for rules with inertia, and else 0.5.
+    """
 
     def mean_slot(self, me: Agent) -> float:
         """Return period / (q N), s, where q is `participation`."""
@@ -142,7 +152,10 @@ class Periodic(Value):
     period: Period = 0.2
     """Mean time between two revisions of a pursuer, s."""
     jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.5
-    """Largest share by which a wait is longer or shorter than the period, in [0, 1). If in doubt, use 0.5."""
+    """Largest share by which a wait is longer or shorter than the period, in [0, 1).
+
+    If in doubt, use 0.5.
+    """
 
     def mean_slot(self, me: Agent) -> float:
         """Return period / N, s."""

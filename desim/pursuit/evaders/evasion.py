@@ -89,8 +89,10 @@ class MaxMin(Fleeing):
 
     kind: Literal["max_min"] = "max_min"
     candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 72
-    """Number of candidate headings, evenly spaced and including that of pure evasion. If in doubt, use 72, which is 5
-    degrees apart; the time of a run grows with it."""
+    """Number of candidate headings, evenly spaced and including that of pure evasion.
+
+    If in doubt, use 72, which is 5 degrees apart; the time of a run grows with it.
+    """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the candidate heading u with the greatest min_i phi_i(u).
@@ -134,8 +136,11 @@ class VoronoiVertex(Fleeing):
     """Lower and upper bound of both coordinates of the arena, m."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     """Share by which another vertex must be farther than the vertex ahead, the one closest to the present heading,
-    before the evader turns to the farther one. With 0 the evader may turn back and forth between two vertices at each
-    motion step; with values near 1 it goes on to a vertex that has become worse. If in doubt, use 0.1."""
+    before the evader turns to the farther one.
+
+    With 0 the evader may turn back and forth between two vertices at each motion step; with values near 1 it goes on to
+    a vertex that has become worse. If in doubt, use 0.1.
+    """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading to the farthest vertex, or to the vertex ahead if it is almost as far."""
@@ -160,8 +165,10 @@ class Diffusion(Value):
     turns_at_once: ClassVar[bool] = False
     kind: Literal["diffusion"] = "diffusion"
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
-    """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t). The
-    evader keeps its direction for about 2 / sigma^2. If in doubt, use 0.5, a turn every 8 seconds."""
+    """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t).
+
+    The evader keeps its direction for about 2 / sigma^2. If in doubt, use 0.5, a turn every 8 seconds.
+    """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the present heading, rotated by a normal angle of variance sigma^2 times the elapsed time."""

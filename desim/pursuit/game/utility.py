@@ -140,8 +140,11 @@ class EdgePenalty(Value):
     kind: Literal["edge_penalty"] = "edge_penalty"
     scope: ClassVar[Scope] = "neighbours"
     factor: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 1.1
-    """The penalty C in units of the time left, C / r. The equilibria are the same for all values; a larger penalty only
-    makes the choices at a temperature above 0 less random. If in doubt, use 1.1."""
+    """The penalty C in units of the time left, C / r.
+
+    The equilibria are the same for all values; a larger penalty only makes the choices at a temperature above 0 less
+    random. If in doubt, use 1.1.
+    """
 
     def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float:
         """Return the gain, s."""

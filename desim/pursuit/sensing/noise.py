@@ -38,8 +38,10 @@ class PositionNoise(Value):
 
     kind: Literal["position"] = "position"
     deviation: Deviation = 0.5
-    """Standard deviation of each coordinate, m. If in doubt, use the value of the data sheet: about 3 for satellite
-    navigation, 0.1 for ultra-wideband radio."""
+    """Standard deviation of each coordinate, m.
+
+    If in doubt, use the value of the data sheet: about 3 for satellite navigation, 0.1 for ultra-wideband radio.
+    """
 
     def __call__(self, offset: complex, first: float, second: float) -> complex:
         """Return the measured vector to an evader, m, given the true one and two standard normal draws."""

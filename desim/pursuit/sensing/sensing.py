@@ -46,15 +46,20 @@ class Sensing(Value):
     If all clocks are equal, this phi is an upper bound. It is refused with a flow, and for pursuers with inertia."""
     period: Period = 0.1
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
-    until the sighting is `track_timeout` old or a newer one is reported to it. An estimate may be wrong by the way of
-    the evader in this time; short periods load a contended channel. If in doubt, use the heartbeat of the
-    announcements."""
+    until the sighting is `track_timeout` old or a newer one is reported to it.
+
+    An estimate may be wrong by the way of the evader in this time; short periods load a contended channel. If in doubt,
+    use the heartbeat of the announcements.
+    """
     relay: Flag = False
     """Whether a pursuer also relays the newest reported sighting, so that sightings spread over several hops."""
     track_timeout: Timeout = 5.0
-    """Time T_lost, s: an evader is lost if its newest sighting is older than this. With a short time, pursuers give up
-    an evader whose estimate is still good; with a long one, they chase a place that it has left. If in doubt, use the
-    time in which the evader crosses the sensing radius, and at least ten periods of reports."""
+    """Time T_lost, s: an evader is lost if its newest sighting is older than this.
+
+    With a short time, pursuers give up an evader whose estimate is still good; with a long one, they chase a place that
+    it has left. If in doubt, use the time in which the evader crosses the sensing radius, and at least ten periods of
+    reports.
+    """
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the
     speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
@@ -63,8 +68,10 @@ class Sensing(Value):
     noise: Annotated[Noise, NOISES] = Noiseless()
     """Noise of sightings."""
     interval: Period = 0.05
-    """Time between two noisy sightings of a pursuer, s; without noise it sees at every motion step. If in doubt, use
-    the interval of the real sensor; the time of a run grows with the number of sightings."""
+    """Time between two noisy sightings of a pursuer, s; without noise it sees at every motion step.
+
+    If in doubt, use the interval of the real sensor; the time of a run grows with the number of sightings.
+    """
     estimator: Annotated[Unfiltered | Estimator, ESTIMATORS] = Unfiltered()
     """Filter of noisy sightings; without one, the newest sighting is the estimate (`estimate`)."""
     fusion: Fusion = "by_stamp"

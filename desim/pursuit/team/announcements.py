@@ -266,14 +266,19 @@ class Announcements(Value):
     as any later one, by the trigger, and until then the others know nothing of it. If in doubt, use announced: with
     known, initial knowledge crosses any network for free."""
     heartbeat: Period = 0.1
-    """Time between two heartbeats of a pursuer, s. A long time delays the news of a lost announcement and of a crash,
-    because beliefs last three heartbeats by default; a short one loads the channel with N messages each time. If in
-    doubt, use half the mean time between two decisions of a pursuer."""
+    """Time between two heartbeats of a pursuer, s.
+
+    A long time delays the news of a lost announcement and of a crash, because beliefs last three heartbeats by default;
+    a short one loads the channel with N messages each time. If in doubt, use half the mean time between two decisions
+    of a pursuer.
+    """
     jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
     """Largest share by which the time between two heartbeats is longer or shorter than `heartbeat`, in [0, 1). Without
     jitter, heartbeats of two pursuers that overlap once on a contended channel overlap each time. On such a channel,
-    the first announcement (`start`) is sent after a random time of up to this share of `heartbeat`. If in doubt, use
-    0.25 where nodes contend for a channel, as OLSR does (RFC 3626), and else 0."""
+    the first announcement (`start`) is sent after a random time of up to this share of `heartbeat`.
+
+    If in doubt, use 0.25 where nodes contend for a channel, as OLSR does (RFC 3626), and else 0.
+    """
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"

@@ -158,9 +158,11 @@ class Trimmed(Value):
 
     kind: Literal["trimmed"] = "trimmed"
     liars: Annotated[int, Field(ge=0, strict=True)] = 1
-    """F: number of liars to tolerate. With a small number, liars keep others from the chase; with a large one, honest
-    claims are ignored, and up to F + 1 pursuers chase. If in doubt, use 1, and never more than a quarter of the
-    team."""
+    """F: number of liars to tolerate.
+
+    With a small number, liars keep others from the chase; with a large one, honest claims are ignored, and up to F + 1
+    pursuers chase. If in doubt, use 1, and never more than a quarter of the team.
+    """
 
     @property
     def period(self) -> float | None:
@@ -214,10 +216,16 @@ class Accusations(_Observing):
 
     kind: Literal["accusations"] = "accusations"
     quorum: Annotated[int, Field(ge=1, strict=True)] = 2
-    """Number of accusers that is enough to block a teammate: one more than the liars to tolerate. With a small quorum,
-    a few liars get honest pursuers blocked; a large one may never come together. If in doubt, use 2."""
+    """Number of accusers that is enough to block a teammate: one more than the liars to tolerate.
+
+    With a small quorum, a few liars get honest pursuers blocked; a large one may never come together. If in doubt, use
+    2.
+    """
     interval: Period = 0.2
-    """Time between two accusations of a pursuer, s. If in doubt, use two heartbeats."""
+    """Time between two accusations of a pursuer, s.
+
+    If in doubt, use two heartbeats.
+    """
 
     @property
     def period(self) -> float | None:
@@ -241,9 +249,11 @@ class Reputation(_Observing):
     threshold: Probability = INITIAL_REPUTATION
     """Least reputation that is believed, in [0, 1]; without evidence it is 1/2."""
     decay_time: Duration = 10.0
-    """Time in which the weight of an announcement decays to 1/e, s. With a short time, a liar is forgiven between two
-    lies; with a long one, a pursuer that was honest for long is believed long after its first lie. If in doubt, use 100
-    heartbeats."""
+    """Time in which the weight of an announcement decays to 1/e, s.
+
+    With a short time, a liar is forgiven between two lies; with a long one, a pursuer that was honest for long is
+    believed long after its first lie. If in doubt, use 100 heartbeats.
+    """
 
     def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
