@@ -27,7 +27,7 @@ from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
-from protocols.server import Order, Server
+from protocols.server import Server, TeamOrder
 from tests.many import LOSSY, at_rest, by_evader, chased, times
 from tests.omniscient import RoundTrip
 
@@ -174,7 +174,7 @@ def obeyed(result):
 
 
 def orders(result):
-    return [sent for sent in result.trace.of(Sent) if isinstance(sent.body, Order)]
+    return [sent for sent in result.trace.of(Sent) if isinstance(sent.body, TeamOrder)]
 
 
 def overtaken(result):
@@ -232,7 +232,7 @@ def test_a_period_costs_one_report_and_one_order_per_pursuer():
     """
     result = run(static(Server(), latency=0.05))
     told = orders(result)
-    reports = [sent for sent in result.trace.of(Sent) if not isinstance(sent.body, Order)]
+    reports = [sent for sent in result.trace.of(Sent) if not isinstance(sent.body, TeamOrder)]
     assert (len(reports), {sent.size for sent in reports}) == (5 * 51, {72})
     assert (len(told), {sent.size for sent in told}) == (5 * (51 if phase(0) > 0.05 else 50), {32})
     assert len(result.trace.of(Sent)) == len(reports) + len(told)
@@ -388,9 +388,9 @@ def test_an_order_names_the_chaser_of_each_evader():
 
 
 def test_an_order_is_of_as_many_numbers_as_there_are_evaders():
-    assert [Order(7, (1,)).action(j) for j in range(3)] == [0, 1, 0]
-    assert [Order(7, (None,)).action(j) for j in range(3)] == [0, 0, 0]
-    assert [Order(7, (None, 0, 2)).action(j) for j in range(3)] == [2, 0, 3]
+    assert [TeamOrder(7, (1,)).action(j) for j in range(3)] == [0, 1, 0]
+    assert [TeamOrder(7, (None,)).action(j) for j in range(3)] == [0, 0, 0]
+    assert [TeamOrder(7, (None, 0, 2)).action(j) for j in range(3)] == [2, 0, 3]
 
 
 def test_a_pursuer_ordered_to_chase_a_captured_evader_stays_without_a_decision():
@@ -436,7 +436,7 @@ def test_the_host_waits_for_the_reports_of_the_first_round_of_a_tdma():
     """Slots of 1 s: the report of pursuer 1 leaves at 1 s; 3 periods of the protocol take 0.3 s."""
     medium = Bitrate(bitrate=1e5, access=Tdma(slot=1.0), queue_limit=1)
     result = run(static(Server(), count=3, network=Links(medium=medium)), 0)
-    numbers = [each.body.number for each in result.trace.of(Sent) if isinstance(each.body, Order)]
+    numbers = [each.body.number for each in result.trace.of(Sent) if isinstance(each.body, TeamOrder)]
     assert min(numbers) >= SECOND
 
 
