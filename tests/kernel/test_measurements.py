@@ -336,6 +336,14 @@ def test_a_reception_ratio_is_one_minus_a_loss(between):
     assert ratio.scaled(np.array([0.75, 1.0])).tolist() == [0.25, 0.0]
 
 
+def test_the_line_of_a_link_has_one_row_at_time_0_and_one_at_the_end():
+    trace = LatencyTrace(table="t,src,dst,value\n0,0,1,0.5\n1,1,0,0.25\n")
+    lines = [
+        (times.tolist(), values.tolist(), is_missing.any()) for times, values, is_missing in Playback(trace).lines()
+    ]
+    assert lines == [([0.0, 2.0], [0.5, 0.5], False), ([0.0, 1.0, 2.0], [0.25] * 3, False)]
+
+
 @pytest.mark.parametrize("cell", ["", " ", "nan", "NaN", "NA", "n/a", "NULL", "none"])
 def test_a_missing_value_may_be_written_in_several_ways(cell):
     assert LossTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
