@@ -14,13 +14,22 @@ from click.testing import CliRunner
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import plain, summary
 from desim.cli import main
-from desim.kernel.core.events import MESSAGES, Trace
+from desim.kernel.core.events import LOST, MESSAGES, Broadcast, Lost, Queued, Sent, Trace
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import line_of
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import Announcements
 from desim.results import provenance
-from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
+from desim.results.run_folder import (
+    _inconsistencies,
+    can_plot,
+    events,
+    read,
+    simulate,
+    simulate_below,
+    write,
+    write_below,
+)
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump, load
@@ -375,6 +384,22 @@ def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path
     change, told = MISFITS[name]
     with pytest.raises(ValueError, match=rf"trace\.jsonl: line \d+ (is not an event: )?{told}"):
         read(rewritten(recorded, tmp_path / "x", change))
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        (Broadcast(1, 4, 0, 0, (1, 2), (LOST, 9), 0, 8, "a"),),
+        (Queued(1, 4, 0, (1,), 8), Sent(1, 4, 0, 1, LOST, 0, 8, "a")),
+    ],
+)
+def test_a_message_without_an_arrival_has_an_event_that_says_that_it_was_lost(events):
+    said = [*events, Lost(1, 4, 0, 1, "link")]
+    assert [*_inconsistencies(said)] == []
+    assert [*_inconsistencies(events)] == [
+        (len(events), "has no arrival at 1, but no event says that this message was lost")
+    ]
+    assert [*_inconsistencies(said[-1:])] == [(1, "loses a message that was not sent: 4 to 1")]
 
 
 @dataclass(frozen=True)
