@@ -65,6 +65,11 @@ def test_a_run_shows_what_it_was_and_how_it_ended():
     assert set(table.tags) == {"table", "tr", "th", "td", "img"}
 
 
+def test_the_picture_of_a_run_is_below_its_table(monkeypatch):
+    monkeypatch.setattr("desim.view.pictures.run_figure.html_picture", lambda result: f"<img alt='{result.seed}'>")
+    assert run(NEVER, 5)._repr_html_().endswith("</table><img alt='5'>")
+
+
 @pytest.mark.slow
 def test_the_trajectories_are_shown_if_they_were_recorded():
     """A picture of PNG, which a page shows without a request."""
