@@ -12,19 +12,21 @@ import pytest
 from desim import Scenario, run
 from desim.kernel.core.events import Broadcast, Sent
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.faults import Crash
+from desim.kernel.models.faults import ClockSkew, Crash
 from desim.kernel.models.graphs import Edges, Ring
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
+from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import repeat
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, records_in
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
+from protocols.geometric import Voronoi
 from protocols.schedules.periodic import Poisson
 
 
@@ -288,6 +290,36 @@ def test_a_claim_does_not_reveal_the_position_of_its_sender():
         else:
             assert np.isnan(times).all()
             assert np.isnan(places).all()
+
+
+class Forgetful(dict):
+    """A mapping that keeps nothing."""
+
+    def __setitem__(self, key, value):
+        pass
+
+
+@pytest.mark.parametrize("payload", ["state", "course"])
+@pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), BestResponse(schedule=Poisson(rate=5.0))])
+def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkeypatch, payload, protocol):
+    """The same trace if the view that pursuers share keeps no motions, where one clock is wrong."""
+    scenario = Scenario(
+        horizon=3.0,
+        team=Team(count=6, speeds=1.0),
+        protocol=protocol,
+        announce=Announcements(payload=payload, heartbeat=0.2),
+        network=Links(latency=Constant(value=0.05)),
+        faults=[ClockSkew(offset=0.05, node=0)],
+    )
+    shared = list(run(scenario).trace)
+    start = View.__init__
+
+    def forgetting(view, *given):
+        start(view, *given)
+        view.reckonings = Forgetful()
+
+    monkeypatch.setattr(View, "__init__", forgetting)
+    assert list(run(scenario).trace) == shared
 
 
 @pytest.mark.parametrize("memory", [True, False])

@@ -5,6 +5,7 @@ several pursuers at once or for one alone, so the velocity of a pursuer must not
 and velocities are complex numbers, as in `desim.pursuit.core.state`.
 """
 
+from math import sqrt
 from typing import Literal, Protocol
 
 import numpy as np
@@ -49,6 +50,10 @@ class PurePursuit(Value):
         """Return the (N,) velocities, m/s."""
         return toward(aims, speeds)
 
+    def one(self, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
+        """Return the velocity of one pursuer, m/s."""
+        return aim * (speed / max(abs(aim), SMALLEST))
+
 
 class ConstantBearing(Value):
     """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
@@ -77,6 +82,22 @@ class ConstantBearing(Value):
         along = np.sqrt(np.maximum(along_squared, 0.0))
         meets = (along_squared >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
         return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
+
+    def one(self, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
+        """Return the velocity of one pursuer, m/s.
+
+        Kept equal to the velocities of all by
+        `tests/pursuit/test_guidance.py::test_the_course_of_one_is_exactly_that_of_the_team`.
+        """
+        distance = abs(gap)
+        inverse = 1.0 / max(distance, SMALLEST)  # numpy multiplies by it, too
+        x, y, w = gap.real * inverse, gap.imag * inverse, evader_velocity
+        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y
+        along_squared = speed * speed - across * across
+        along = sqrt(max(along_squared, 0.0))
+        if along_squared >= 0.0 and along - away > NO_SPEED and distance > 0.0:
+            return complex(x * along - y * across, y * along + x * across)
+        return aim * (speed / max(abs(aim), SMALLEST))
 
 
 def apollonius_disc(evader: complex, pursuer: complex, evader_speed: float, speed: float) -> tuple[complex, float]:
@@ -128,6 +149,6 @@ def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: 
     Kept equal to the velocities of all by
     `tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
     """
-    if type(law) is PurePursuit:  # the same result, several times faster
-        return aim * (speed / max(abs(aim), SMALLEST))
+    if type(law) is PurePursuit or type(law) is ConstantBearing:  # the same result, several times faster
+        return law.one(gap, aim, evader_velocity, speed)
     return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])

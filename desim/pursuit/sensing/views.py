@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
+from desim.kernel.core.records import Record
 from desim.kernel.core.units import seconds
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.dead_reckoning import MotionState, moved_towards
@@ -54,6 +55,10 @@ class View:
     Args:
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
+
+    Attributes:
+        reckonings: by pursuer, the last of its records from which somebody extrapolated, at which time (ns, local
+            clock), and its motion then; used by `desim.pursuit.team.beliefs`.
     """
 
     unlimited: ClassVar[bool] = True
@@ -66,6 +71,7 @@ class View:
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
+        self.reckonings: dict[int, tuple[Record, int, MotionState]] = {}
 
     def sees(self, evader: int) -> bool:
         """Return whether the pursuer sees an evader now."""
@@ -114,11 +120,25 @@ class View:
 
         It is inf if the evader has been captured or is unknown.
         """
-        estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
-        if estimate is None:
-            return inf
-        distance = estimate.distance(motion.position)
-        return self.state.body(evader).capture_time_from(pursuer, motion, estimate.position, distance)
+        return self.capture_times_from([pursuer], [motion], evader)[0]
+
+    def capture_times_from(self, pursuers: Sequence[int], motions: Sequence[MotionState], evader: int) -> list[float]:
+        """Return the capture times of k pursuers, s, given a hypothetical motion of each; see `capture_time_from`."""
+        body = self.state.body(evader)
+        if body.captured is not None:
+            return [inf] * len(pursuers)
+        if self.unlimited:
+            place = body.position
+            distances = [abs(place - motion.position) for motion in motions]
+        else:
+            estimate = self.estimate(evader)
+            if estimate is None:
+                return [inf] * len(pursuers)
+            place, distances = estimate.position, [estimate.distance(motion.position) for motion in motions]
+        return [
+            body.capture_time_from(pursuer, motion, place, distance)
+            for pursuer, motion, distance in zip(pursuers, motions, distances, strict=True)
+        ]
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.
@@ -187,10 +207,10 @@ class View:
 
         It stands still, or brakes, and the flow carries it.
         """
-        state, now, course = self.state, self.state.now, motion.course
-        if age == until or state.static:
+        state, course = self.state, motion.course
+        if age == until or state.static or (course is None and state.environment.is_still):
             return motion
-        place = motion.position
+        now, place = state.now, motion.position
         if course is not None:
             piece, duration = state.dynamics(place, course, 0j), seconds(age - until)
             place, course = piece.at(duration), piece.course_at(duration)

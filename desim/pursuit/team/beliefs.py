@@ -178,12 +178,13 @@ class Beliefs(Knowledge):
         records = self.trusted()
         ids = sorted({*records, self.id})
         motions = [self._motion(records[j]) if j in records else state.motion(j) for j in ids]
-        phi = [
-            self._capture_time(records[j], evader)
-            if j in records and isinstance(records[j].body, TimedAssignment)
-            else view.capture_time_from(j, motion, evader)
-            for j, motion in zip(ids, motions, strict=True)
-        ]
+        times = dict(zip(ids, view.capture_times_from(ids, motions, evader), strict=True))
+        times |= {
+            j: self._capture_time(record, evader)
+            for j, record in records.items()
+            if isinstance(record.body, TimedAssignment)
+        }
+        phi = [times[j] for j in ids]
         return TeamEstimate(ids, np.array([motion.position for motion in motions]), state.speeds[ids], np.array(phi))
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
@@ -252,14 +253,29 @@ class Beliefs(Knowledge):
     def _motion(self, record: Record, orders: Orders = UNORDERED) -> MotionState:
         """Return the motion of a teammate: extrapolated from its record, or sensed; nan if neither is possible.
 
-        The teammate is assumed to continue its announced action until an order changes it.
+        The teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
+        share what they extrapolate from the same record at the same time.
+
+        Kept equal to an extrapolation by each pursuer by
+        `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
         """
         body = record.body
         if not isinstance(body, Located):
             return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
-        motion = body.motion
         ordered = orders.get(record.src, ())
         now = self._clock.stamp
+        if ordered or not self._view.unlimited:
+            return self._reckoned(record, ordered, now)
+        reckonings = self._view.reckonings
+        reckoning = reckonings.get(record.src)
+        if reckoning is None or reckoning[0] is not record or reckoning[1] != now:
+            reckonings[record.src] = reckoning = record, now, self._reckoned(record, ordered, now)
+        return reckoning[2]
+
+    def _reckoned(self, record: Record, ordered: Sequence[tuple[int, int]], now: int) -> MotionState:
+        """Return the motion of a teammate at `now` (ns, local clock), extrapolated from its record; see `_motion`."""
+        body: Located = record.body
+        motion = body.motion
         # The clock of the sender may be ahead of this one.
         since = min(record.stamp, now)
         if not body.active and not any(action for _, action in ordered):
