@@ -309,7 +309,7 @@ def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkey
         protocol=protocol,
         announce=Announcements(payload=payload, heartbeat=0.2),
         network=Links(latency=Constant(value=0.05)),
-        faults=[ClockSkew(offset=0.05, node=0)],
+        fault=[ClockSkew(offset=0.05, node=0)],
     )
     shared = list(run(scenario).trace)
     start = View.__init__

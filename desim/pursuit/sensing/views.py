@@ -3,18 +3,20 @@
 from cmath import isnan
 from collections.abc import Callable, Collection, Sequence
 from math import inf
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
-from desim.kernel.core.records import Record
 from desim.kernel.core.units import seconds
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.dead_reckoning import MotionState, moved_towards
 from desim.pursuit.sensing.noise import expected_distance
 from desim.pursuit.sensing.world_state import WorldState
+
+if TYPE_CHECKING:
+    from desim.kernel.core.records import Record
 
 Prune = Literal["none", "inf", "infeasible"]
 """Which pursuers may not chase an evader; see `Scenario.prune`."""
