@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from desim.kernel.core.seeds import _key, pair_uniform, stream
+from desim.kernel.core.seeds import _key, pair_draw, pair_uniform, stream
 
 
 def test_equal_names_give_equal_draws_and_different_ones_do_not():
@@ -73,6 +73,18 @@ def test_the_uniform_of_a_pair_is_symmetric_only_on_request():
     there = pair_uniform(7, "fading", 3, np.array([5]), symmetric=False)
     back = pair_uniform(7, "fading", 5, np.array([3]), symmetric=False)
     assert there != back
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_the_draw_of_one_pair_is_that_of_many(symmetric):
+    rng = random.Random(1)
+    pairs = [(rng.randrange(2**20), rng.randrange(2**20), rng.randrange(2**40)) for _ in range(100)]
+    src, dst, numbers = np.array([*pairs, (0, 0, 0), (3, 1, 0), (2**31 - 1, 2**31 - 2, 2**62)]).T
+    of_each = [
+        pair_draw(7, "a", *pair, symmetric=symmetric)
+        for pair in zip(*map(np.ndarray.tolist, (src, dst, numbers)), strict=True)
+    ]
+    assert of_each == pair_uniform(7, "a", src, dst, numbers, symmetric=symmetric).tolist()
 
 
 @pytest.mark.parametrize("symmetric", [True, False])

@@ -9,7 +9,7 @@ import numpy as np
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
-from desim.kernel.core.seeds import ROOM, pair_uniform
+from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
 from desim.kernel.models.reception import Disk, ReceptionModel, bound
 
 
@@ -49,6 +49,24 @@ class RangeCheck:
             probability = _probabilities(probability, len(apart), self._reception)
         received: Bools = self._draws(src, dst, message) <= probability
         return received
+
+    def one(self, src: int, dst: int, apart: float, message: int) -> bool:
+        """Return whether one node receives a message.
+
+        Kept equal to the receivers among several nodes by
+        `tests/kernel/test_topology.py::test_several_messages_reach_what_each_of_them_reaches`.
+        """
+        if self._is_certain:
+            return apart <= self._range
+        probability = self._reception(np.array([apart]), self._range)
+        if not self._is_ours:
+            probability = np.broadcast_to(_probabilities(probability, 1, self._reception), 1)
+        if self._per_link:
+            kept = self._drawn.get(src)
+            draw = pair_draw(self._seed, "fading", src, dst) if kept is None else kept.item(dst)
+        else:
+            draw = pair_draw(self._seed, "fading", src, dst, message, symmetric=False)
+        return draw <= float(probability[0])
 
     def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
         """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""

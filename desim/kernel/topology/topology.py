@@ -122,6 +122,9 @@ class Topology:
         if source is None or not len(dst):
             return [True] * len(dst)
         places = source.of if times is None else partial(source.at, times=times)
+        if len(dst) == 1 and isinstance(src, int) and isinstance(message, int):
+            (x, y), (u, v) = places(np.array([src, dst[0]])).tolist()
+            return [self._received.one(src, int(dst[0]), abs(complex(x - u, y - v)), message)]
         receivers = np.asarray(dst)
         if isinstance(src, int):
             apart = distances(places(np.append(src, receivers)), 0)[1:]
