@@ -34,6 +34,7 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
     """
     from desim.view.pages import pair
     from desim.view.pages import replay as single
+    from desim.view.pages.headline import run_name
 
     path = page_at(out, _usual_page(sources))
     if path.resolve() in [each.resolve() for each in sources]:
@@ -48,7 +49,7 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
                 echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{each}", err=True)
         page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results).encode()
     write(page, path)
-    runs = "; ".join(f"{single.run_name(each)}: {_size(each)}" for each in results)
+    runs = "; ".join(f"{run_name(each)}: {_size(each)}" for each in results)
     echo(f"{path}: {_size(*results) if len(results) == 1 else runs}, {len(page) / 1000:,.0f} kB")
 
 

@@ -26,15 +26,17 @@ def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: 
     from desim.scenario.examples import example
     from desim.scenario.toml import read_source
     from desim.study.workers.workers import Processes
-    from desim.view.pages.play_server import PlayServer, page
-    from desim.view.pages.playground import Playground, Session
+    from desim.view.pages.play_page import play_page
+    from desim.view.pages.play_server import PlayServer
+    from desim.view.pages.playground import Playground
+    from desim.view.pages.session import Session
 
     path = example("relay") if file is None else file
     source_of(path, overrides)  # ends the program if the file or an override is invalid
     limit = {} if timeout is None else {"timeout": timeout}
     playground = Playground(read_source(path, allow_import=is_import_allowed()), path, overrides, **limit)
     with making("page to play with"):
-        page(playground)
+        play_page(playground)
     workers = Processes(os.cpu_count() or 1, kept=True)
     with PlayServer(Session(playground, workers)) as server, TemporaryDirectory(prefix="desim-") as folder:
         try:

@@ -32,7 +32,9 @@ from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
 from desim.view.pages import playground as play
 from desim.view.pages.play_server import PlayServer
-from desim.view.pages.playground import Playground, Session, _differences
+from desim.view.pages.metric_rows import differences_over_seeds
+from desim.view.pages.playground import Playground
+from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.view.browser import Page, in_chromium
@@ -271,7 +273,7 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
         ({"active_time": a}, {"active_time": b}) for a, b in [(10.0, 8.0), (None, 100.0), (30.0, None), (20.0, 16.0)]
     ]
     summaries = [(Summary(now), Summary(pinned)) for now, pinned in pairs]
-    (row,) = _differences(summaries, [], 4, {})["metrics"]
+    (row,) = differences_over_seeds(summaries, [], 4, {})["metrics"]
     assert (row["now"], row["pinned"], row["count"]) == ("15", "12", 2)
     assert row["difference"].startswith("+3.000 +- ")
 

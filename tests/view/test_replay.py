@@ -40,17 +40,10 @@ from desim.results.run_folder import write
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from desim.view.data.headings import Headings
-from desim.view.pages.replay import (
-    MAX_REPLAY_TIME,
-    _column,
-    _document,
-    _Ticks,
-    conditions,
-    missing_recordings,
-    replay,
-    replay_page,
-    with_recordings,
-)
+from desim.view.pages.headline import conditions
+from desim.view.pages.replay import missing_recordings, replay, replay_page, with_recordings
+from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed, unpacked
+from desim.view.pages.replay_data import replay_data
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from tests.golden import golden
@@ -124,7 +117,7 @@ SEEING = Scenario(
 
 
 def column(text, kind):
-    return np.frombuffer(b64decode(text), kind)
+    return np.frombuffer(b64decode(text), kind) if "f" in kind else unpacked(text, kind)
 
 
 def spans(result):
@@ -185,7 +178,7 @@ def wrong_now(result, t):
 def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name, result_of):
     """At ticks of nanoseconds, nothing is rounded in runs of up to 2.1 s; else the times between events are judged."""
     result = result_of(name)
-    document, of_trace = _document(result), spans(result)
+    document, of_trace = replay_data(result), spans(result)
     said, tick = document["messages"], document["tick"] * SECOND
     begin = np.repeat(column(said["begin"], "<u4"), column(said["count"], "<u2"))
     end, fate = column(said["end"], "<u4"), column(said["fate"], "u1")
@@ -202,7 +195,7 @@ def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name, 
 
 def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left(result_of):
     result = result_of("crowded")
-    document = _document(result)
+    document = replay_data(result)
     said = document["messages"]
     begin, left = column(said["begin"], "<u4"), column(said["left"], "<u4")
     assert result.trace.of(Queued)
@@ -219,13 +212,13 @@ def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left(
 
 
 def test_headings_estimates_and_the_flow_are_in_the_page_only_where_there_are_any(result_of):
-    document = _document(result_of("relay"))
+    document = replay_data(result_of("relay"))
     assert (document["headings"], document["estimates"], document["flow"]) == (None, None, None)
 
 
 def test_headings_are_within_a_half_unit_of_those_of_the_samples(run_of):
     result = run_of("inertia.toml", "horizon=1.0")
-    given, headings = _document(result)["headings"], Headings(result.scenario, result.seed)
+    given, headings = replay_data(result)["headings"], Headings(result.scenario, result.seed)
     assert given["players"] == list(range(13))
     stored = np.exp(2j * np.pi / given["turn"] * column(given["values"], "u1").reshape(-1, 13))
     wanted = np.array([headings.at(each) for each in (started(result), *result.trace.of(Sampled))])
@@ -235,7 +228,7 @@ def test_headings_are_within_a_half_unit_of_those_of_the_samples(run_of):
 
 def test_estimates_are_the_ellipses_of_the_recorded_covariances(run_of):
     result = run_of("noisy.toml", "horizon=0.5")
-    given, found = _document(result)["estimates"], result.trace.of(Estimated)
+    given, found = replay_data(result)["estimates"], result.trace.of(Estimated)
     long, short = column(given["semi_axes"], "<i4").reshape(-1, 2).T / 1000.0
     axis = np.exp(2j * np.pi / given["turn"] * column(given["angles"], "u1"))
     squared = (long**2 + short**2) / 2.0 + (long**2 - short**2) / 2.0 * axis**2
@@ -281,14 +274,14 @@ def test_the_page_shows_headings_estimates_and_the_flow(shown):
         assert opened.value(f"document.getElementById('{box}').checked") is False
 
 
-KINDS = dict.fromkeys(("t", "begin", "left", "end"), "<u4") | {"start": "<i4", "shifts": "<i2"}
+KINDS = dict.fromkeys(("t", "begin", "left", "end"), "<u4") | {"start": "<i4", "shifts": "<i4"}
 KINDS |= dict.fromkeys(("src", "dst", "count", "who", "evader", "reader", "source"), "<u2")
 
 
 def page_text(result):
     """Return the text of a page, and its data, column by column."""
     lines = Elements(replay_page(result)).lines
-    for part, value in _document(result).items():
+    for part, value in replay_data(result).items():
         is_table = isinstance(value, dict) and part != "reception"
         for name, each in value.items() if is_table else [("", value)]:
             packed = is_table and isinstance(each, str)
@@ -310,7 +303,7 @@ def test_pages_of_runs_by_hand_are_golden():
 
 def test_a_message_in_flight_at_the_end_stays_so_even_if_it_arrives_within_the_tick():
     """At ticks of 10 ns, 4,000,000,004 ns is the last tick, as is the end."""
-    ticks = _Ticks.fit(4 * SECOND)
+    ticks = Ticks.fit(4 * SECOND)
     assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [
         4 * 10**8,
         4 * 10**8 + 1,
@@ -323,7 +316,7 @@ def test_a_message_in_flight_at_the_end_stays_so_even_if_it_arrives_within_the_t
 def test_the_belief_error_of_the_page_equals_that_of_the_analysis(name, result_of):
     """The integral of the wrong pairs, by counting them between any two changes, is the belief error x N (N - 1) T."""
     result = result_of(name)
-    document, size = _document(result), len(started(result).active)
+    document, size = replay_data(result), len(started(result).active)
     beliefs, own = document["beliefs"], document["decisions"]
     changes = [(int(t), 0, k) for k, t in enumerate(column(own["t"], "<u4"))]
     changes += [(int(t), 1, k) for k, t in enumerate(column(beliefs["t"], "<u4"))]
@@ -353,8 +346,8 @@ def test_the_belief_error_of_the_page_equals_that_of_the_analysis(name, result_o
 
 def test_a_pursuer_without_records_has_no_belief_that_teammates_are_inactive(result_of):
     """After a silent start all is unheard of at 0 s; after a known one, nothing."""
-    cold = _document(result_of("cold"))["beliefs"]
-    known = _document(run(load(SCENARIOS / "relay.toml", ['announce.start="known"', "horizon=0.5"])))["beliefs"]
+    cold = replay_data(result_of("cold"))["beliefs"]
+    known = replay_data(run(load(SCENARIOS / "relay.toml", ['announce.start="known"', "horizon=0.5"])))["beliefs"]
     at_first = [column(beliefs["value"], "u1")[column(beliefs["t"], "<u4") == 0] for beliefs in (cold, known)]
     assert at_first[0].tolist() == [UNHEARD] * (8 * 7)
     assert at_first[1].tolist() == [CHASES] * (20 * 19)
@@ -365,7 +358,7 @@ def test_a_pursuer_that_lost_its_memory_has_no_records():
     """Robot 1 breaks down for 0.1 s and forgets: afterwards it has no records, until the next heartbeats."""
     crash = Crash(node=1, start=0.5, end=0.6, memory=False)
     scenario = COLD.model_copy(update={"fault": (crash,), "announce": Announcements(heartbeat=0.5), "horizon": 1.0})
-    beliefs = _document(run(scenario))["beliefs"]
+    beliefs = replay_data(run(scenario))["beliefs"]
     then = column(beliefs["t"], "<u4") == 0.6 * SECOND
     assert set(column(beliefs["value"], "u1")[then]) == {UNHEARD}
     assert set(column(beliefs["reader"], "<u2")[then]) == {1}
@@ -376,8 +369,8 @@ def test_a_pursuer_that_lost_its_memory_has_no_records():
 @pytest.mark.parametrize("name", ["soak", "many"])
 def test_positions_are_exact_to_the_millimetre(name, result_of):
     result = result_of(name)
-    path = _document(result)["path"]
-    shifts = column(path["shifts"], f"<i{path['bits'] // 8}").reshape(
+    path = replay_data(result)["path"]
+    shifts = column(path["shifts"], "<i4").reshape(
         -1, 2 * (len(started(result).active) + len(started(result).evaders))
     )
     places = column(path["start"], "<i4") + np.vstack([np.zeros(shifts.shape[1], int), np.cumsum(shifts, axis=0)])
@@ -390,8 +383,7 @@ def test_positions_are_exact_to_the_millimetre(name, result_of):
 def test_steps_of_more_than_33_metres_are_kept():
     """A pursuer at 1000 m/s, sampled every 0.05 s, moves by 50,000 mm, which 16 bits do not hold."""
     fast = Scenario(team=Team(positions=[(0.0, 0.0)], speeds=1000.0), evader=Evader(position=(600.0, 0.0)), horizon=1.0)
-    path = _document(run(fast))["path"]
-    assert path["bits"] == 32
+    path = replay_data(run(fast))["path"]
     assert column(path["shifts"], "<i4").max() == 50_000
 
 
@@ -401,13 +393,13 @@ def test_actions_on_more_than_255_evaders_are_stored():
     team, evaders = Team(count=2, box=(9.0, 10.0)), Evader(count=300, box=(2.0, 3.0))
     protocol = SpatialAdaptivePlay(schedule=Poisson(rate=0.1))
     result = run(Scenario(team=team, evader=evaders, protocol=protocol, horizon=0.05, record=ALL), seed=2)
-    beliefs = _document(result)["beliefs"]
+    beliefs = replay_data(result)["beliefs"]
     assert column(beliefs["value"], "<u2").tolist() == [started(result).active[k] for k in (1, 0)]
     assert max(started(result).active) > 255
 
 
 def test_a_finite_sensing_radius_is_shown():
-    assert _document(run(SEEING))["sensing_range"] == 2.0
+    assert replay_data(run(SEEING))["sensing_range"] == 2.0
 
 
 @pytest.mark.parametrize(("far", "per_metre"), [(1e6, 1000.0), (2e6, 100.0), (9e8, 1.0)])
@@ -416,20 +408,40 @@ def test_places_far_away_are_in_a_coarser_unit_and_none_is_wrong(far, per_metre)
     team = Team(positions=[(far, 0.0), (-far, 3.0)], speeds=1.0)
     evader = Evader(position=(0.0, -far))
     result = run(Scenario(team=team, evader=evader, motion=Motion(static=True), horizon=0.1))
-    path = _document(result)["path"]
+    path = replay_data(result)["path"]
     assert path["per_metre"] == per_metre
     assert (column(path["start"], "<i4") / per_metre).tolist() == [far, 0.0, -far, 3.0, 0.0, -far]
 
 
 def test_a_column_has_no_number_that_it_does_not_hold():
     with pytest.raises(ValueError, match="cannot store 65536"):
-        _column([1, 65536], "<u2")
+        packed([1, 65536], "<u2")
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1) | st.integers(-2, 2), max_size=40), st.integers(1, 300))
+def test_a_column_holds_the_numbers_that_were_packed(numbers, times):
+    numbers = np.repeat(numbers, times)
+    assert unpacked(packed(numbers, "<i4"), "<i4").tolist() == numbers.tolist()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "form", "size"),
+    [
+        ([7, -300, 7, -300], 0, 1 + 2 * (1 + 2)),
+        ([7, 1000, 2000, 3001], DIFFERENCES, 1 + 1 + 3 * 2),
+        ([5] * 1000, RUNS, 1 + 1 + 2),
+        ([*range(1000)], DIFFERENCES | RUNS, 1 + 2 + 1 + 2),
+    ],
+)
+def test_a_column_has_the_shortest_form(numbers, form, size):
+    content = b64decode(packed(numbers, "<i4"))
+    assert (content[0], len(content)) == (form, size)
 
 
 def test_the_graph_is_stored_by_sender_and_receiver_unless_it_is_complete():
     def arcs(graph):
         given = load(SCENARIOS / "relay.toml", [f"network.graph={graph}", "team.count=3", "horizon=0.1"])
-        found = _document(run(given))["arcs"]
+        found = replay_data(run(given))["arcs"]
         return found and column(found, "<u2").reshape(-1, 2).tolist()
 
     assert arcs("{kind='star'}") == [[0, 1], [0, 2], [1, 0], [2, 0]]
@@ -455,7 +467,7 @@ LOG = LogDistance(exponent=3.0, shadowing=6.0)
 )
 def test_with_a_disk_all_pairs_are_linked_up_to_one_distance(links, radius):
     """With independent fading per message, up to where every second one is received."""
-    reach = _document(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reception"]
+    reach = replay_data(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reception"]
     chance = links.fading == "message"
     assert reach == {"known": True, "chance": chance, "radius": radius, "radii": None}
 
@@ -468,7 +480,7 @@ def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
     links, size = Links(range=10.0, reception=reach), 12
     scenario = FORTY.model_copy(update={"network": links, "horizon": 0.1, "team": Team(count=size)})
     result = run(scenario, seed=5)
-    radii = column(_document(result)["reception"]["radii"], "<f8")
+    radii = column(replay_data(result)["reception"]["radii"], "<f8")
     pairs = np.transpose(np.triu_indices(size, 1))
     for (i, j), radius in zip(pairs.tolist(), radii.tolist(), strict=True):
         places = np.zeros((size, 2))
@@ -482,20 +494,20 @@ def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
 def test_a_reception_that_does_not_fall_with_distance_is_reported_as_not_shown():
     links = Links(range=10.0, reception=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
     result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
-    assert not _document(result)["reception"]["known"]
+    assert not replay_data(result)["reception"]["known"]
     assert any("Links are not shown" in each for each in missing_recordings(result))
 
 
 @given(st.integers(0, 10**18))
 def test_the_tick_is_the_shortest_that_fits(end):
-    length = _Ticks.fit(end).length
+    length = Ticks.fit(end).length
     assert end // length < 2**31
     assert length == 1 or end // (length // 10) >= 2**31
     assert set(str(length)) <= {"0", "1"}
 
 
 def test_ticks_round_to_the_nearest():
-    ticks = column(_Ticks(10, 10**6)([0, 4, 5, 14, 15]), "<u4")
+    ticks = column(Ticks(10, 10**6)([0, 4, 5, 14, 15]), "<u4")
     assert ticks.tolist() == [0, 0, 1, 1, 2]
 
 
@@ -504,9 +516,9 @@ def test_ticks_round_to_the_nearest():
 
 def test_the_data_of_a_ghost_are_its_positions_and_its_number_of_active_pursuers():
     """By hand: 3 are active, 2 after 300 ms; at 400 ms a capture releases 0, which decides at once; 1 after 700 ms."""
-    ghost = _document(history(), pair())["ghost"]
+    ghost = replay_data(history(), pair())["ghost"]
     assert (ghost["pursuers"], ghost["evaders"], ghost["end"]) == (3, 2, SECOND)
-    assert ghost["path"] == _document(pair())["path"]
+    assert ghost["path"] == replay_data(pair())["path"]
     times = [t * MS for t in (0, 150, 300, 400, 400, 700)]
     assert column(ghost["active"]["t"], "<u4").tolist() == times
     assert column(ghost["active"]["count"], "<u4").tolist() == [3, 3, 2, 1, 2, 1]
@@ -520,19 +532,19 @@ def test_a_run_and_its_ghost_have_the_same_ticks_which_fit_the_longer_of_them():
     """5 s are more than 2^31 ns, so a tick is 10 ns; of two short runs it is 1 ns."""
     long = run(SHORT_GHOST.model_copy(update={"horizon": 5.0}))
     for result, ghost in ((history(), long), (long, history())):
-        document = _document(result, ghost)
+        document = replay_data(result, ghost)
         assert document["tick"] == 1e-8
         assert document["end"] == ended(result).t // 10
         assert document["ghost"]["end"] == ended(ghost).t // 10
         assert column(document["ghost"]["path"]["t"], "<u4")[-1] == document["ghost"]["end"]
-    assert _document(history(), run(SHORT_GHOST))["tick"] == 1e-9
+    assert replay_data(history(), run(SHORT_GHOST))["tick"] == 1e-9
 
 
 @pytest.mark.slow
 def test_a_page_without_a_ghost_does_not_mention_any():
     page = replay_page(history())
     assert page == replay_page(history(), None) == replay(history()).page
-    assert _document(history())["ghost"] is None
+    assert replay_data(history())["ghost"] is None
     words = ("the other run, faint", "; other run: pair", 'id="other"')
     assert not [each for each in words if each in page]
     assert not [each for each in words if each not in replay(history(), pair()).page]
@@ -826,7 +838,7 @@ AT = """(t => {
 def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown, result_of):
     """Between the instants of the trace and, where a tick is a nanosecond, at some of them."""
     result = result_of(name)
-    opened, tick = shown(result), round(_document(result)["tick"] * SECOND)
+    opened, tick = shown(result), round(replay_data(result)["tick"] * SECOND)
     edges = np.unique(spans(result))
     edges = edges[edges <= ended(result).t][:: max(len(edges) // 10, 1)]
     times = [*((edges[:-1] + edges[1:]) / 2).tolist(), ended(result).t, *(edges.tolist() if tick == 1 else [])]
@@ -907,7 +919,7 @@ def test_the_page_says_who_lies_and_how_many_believe_it(shown, trust, told):
     opened = shown(result)
     opened.value("(replay.seek(1.5), replay.choose(4), replay.draw())")
     opened.until(f"said.textContent.endsWith({json.dumps(told)})")
-    assert _document(result)["faults"][0] == {
+    assert replay_data(result)["faults"][0] == {
         "kind": "misbehaviour",
         "label": "liar 4",
         "begin": 0,
@@ -922,7 +934,7 @@ def test_the_page_says_who_lies_and_how_many_believe_it(shown, trust, told):
 def test_the_page_shows_chases_and_captures_per_evader_as_in_the_trace(shown, result_of):
     """Just after decisions, just before and after captures, the latest first; a tick is 10 ns."""
     result = result_of("many")
-    opened, tick = shown(result), round(_document(result)["tick"] * SECOND)
+    opened, tick = shown(result), round(replay_data(result)["tick"] * SECOND)
     seized = result.trace.of(Captured)
     decided = [event.t for event in result.trace.of(Decided)]
     times = [0, *(t + 2 * tick for t in decided[::25]), *(each.t + way * tick for each in seized for way in (-2, 2))]

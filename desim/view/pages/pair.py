@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 from desim.scenario.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
-from desim.view.pages.replay import replay_page, run_name
+from desim.view.pages.headline import run_name
+from desim.view.pages.replay import replay_page
 
 MAX_DIFFERENCES = 6
 """Maximum number of keys that the header names."""

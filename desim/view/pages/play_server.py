@@ -19,7 +19,9 @@ from importlib.resources import files
 from typing import Any, cast
 
 from desim.config.json_numbers import to_json
-from desim.view.pages.playground import Answer, Playground, Session, is_request, style
+from desim.view.pages.answers import Answer
+from desim.view.pages.play_page import play_page
+from desim.view.pages.session import Session, is_request
 
 LINGER = 5.0
 """The time, s, for which the server waits for another page after the last one was closed, for example by a reload."""
@@ -135,23 +137,6 @@ class PlayServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
-def page(playground: Playground) -> str:
-    """Return the page of a playground; needs jinja2 (the extra `plot`)."""
-    from jinja2 import Environment
-
-    template, script = (
-        files("desim.view.pages").joinpath(f"play.{suffix}").read_text(encoding="utf-8") for suffix in ("html", "js")
-    )
-    environment = Environment(autoescape=True, keep_trailing_newline=True)
-    return environment.from_string(template).render(
-        name=playground.name,
-        start=list(playground.start),
-        values=playground.values,
-        style=style(),
-        script=script,
-    )
-
-
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request."""
 
@@ -235,7 +220,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send("application/json", json.dumps(to_json(answer), allow_nan=False).encode())
 
     def _page(self) -> None:
-        self._send("text/html", page(self._play.session.playground).encode())
+        self._send("text/html", play_page(self._play.session.playground).encode())
 
     def _life(self) -> None:
         self._send("text/javascript", files("desim.view.pages").joinpath("play_life.js").read_bytes())

@@ -11,7 +11,10 @@ import traitlets
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.workers.workers import Processes, Workers
-from desim.view.pages.playground import Answer, Playground, Session, is_request, style
+from desim.view.pages.answers import Answer
+from desim.view.pages.play_page import style
+from desim.view.pages.playground import Playground
+from desim.view.pages.session import Session, is_request
 
 GLUE = """
 export default {

@@ -1,0 +1,100 @@
+"""The metrics of a run or of a comparison over seeds as rows of a table, beside those of the pinned run."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from desim.analysis.metrics import METRICS, Metric, Summary, more_is, unit_of, users_metrics, words
+from desim.analysis.statistics import mean, paired
+from desim.analysis.tables import with_half_width
+from desim.scenario.scenario import Scenario
+from desim.view.pages.answers import Answer, json_answer
+
+FIRST = (
+    "capture_time",
+    "active_time",
+    "misassigned_time",
+    "handovers",
+    "messages_sent",
+    "messages_lost",
+    "age_mean",
+    "belief_error",
+)
+"""The metrics that are shown first, in their order."""
+
+
+def named_metrics_of(scenario: Scenario) -> Mapping[str, Metric]:
+    """Return the metrics that a scenario names, by name."""
+    return dict(users_metrics(scenario.record.metrics))
+
+
+def differences_over_seeds(
+    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, named_metrics: Mapping[str, Metric]
+) -> Answer:
+    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
+
+    `named_metrics` are the user's metrics by name.
+    """
+    rows = []
+    for name in _ordered(pairs[0][0]) if pairs else []:
+        complete = [
+            (float(now[name]), float(pinned[name]))
+            for now, pinned in pairs
+            if now.get(name) is not None and pinned.get(name) is not None
+        ]
+        if complete:
+            values, pinned_values = map(list, zip(*complete, strict=True))
+            difference = paired(values, pinned_values)
+            rows.append(
+                _row(name, pairs[0][0], named_metrics)
+                | {
+                    "now": _formatted(mean(values).mean),
+                    "pinned": _formatted(mean(pinned_values).mean),
+                    "difference": with_half_width(difference, difference.count, sign="+"),
+                    "differs": abs(difference.mean) > difference.half_width,
+                    "sign": difference.mean,
+                    "count": difference.count,
+                }
+            )
+    done = len(pairs) + len(failures)
+    return json_answer({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
+
+
+def compared_metrics(now: Summary, pinned: Summary | None, named_metrics: Mapping[str, Metric]) -> Iterator[Answer]:
+    """Yield the value of each numeric metric of a run, and its difference from that of the pinned run.
+
+    `named_metrics` are the user's metrics by name.
+    """
+    for name in _ordered(now):
+        value, other = now[name], None if pinned is None else pinned.get(name)
+        if value is None and other is None:
+            continue
+        row = _row(name, now, named_metrics) | {"value": _formatted(value)}
+        if value is not None and other is not None and value != other:  # inf - inf is nan
+            difference = float(value) - float(other)
+            text = _formatted(difference, "+")
+            if float(text.replace(",", "")):
+                row |= {"difference": text, "sign": difference}
+        yield row
+
+
+def _row(name: str, metrics: Summary, named_metrics: Mapping[str, Metric]) -> Answer:
+    """Return the name of a metric, its unit and whether more of it is better or worse."""
+    row = {"name": words(name), "unit": unit_of(name, metrics.units), "more_is": more_is(name, named_metrics)}
+    return row | {"first": name in FIRST}
+
+
+def _ordered(metrics: Summary) -> list[str]:
+    """Return the names of the metrics that are numbers, beginning with `FIRST`."""
+    names = [name for name in metrics if name not in METRICS or METRICS[name].is_number]
+    return [*FIRST, *(name for name in names if name not in FIRST)]
+
+
+def _formatted(value: Any, sign: str = "") -> str:
+    """Return a value of a metric as text."""
+    if value is None or value != value:
+        return "\N{EN DASH}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if float(value).is_integer() and abs(value) < 1e15:
+        return f"{int(value):{sign},}"
+    return f"{value:{sign},.{3 if abs(value) < 100.0 else 1}f}"

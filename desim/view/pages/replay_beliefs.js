@@ -1,0 +1,66 @@
+// The belief matrix: what each pursuer (row) believes of each other (column).
+
+const GUTTER = 18, side = () => Math.min(board.width, board.height);
+function drawMatrix() {
+  if (!belief || !board.width) return;
+  const { context: c, ratio } = board, w = side();
+  c.setTransform(ratio, 0, 0, ratio, 0, 0);
+  c.clearRect(0, 0, board.width, board.height);
+  const cell = (w - GUTTER) / N, gap = cell > 7 ? 1 : 0, from = focus(), gutter = GUTTER;
+  const [across, downwards] = [N > 10 ? 17 : 10, 11].map(room => [1, 2, 5, 10, 20, 50].find(each => each * cell >= room) || 100);
+  c.font = `${Math.max(Math.min(cell - 3, 11), 10)}px ${FONT}`; c.textAlign = "center"; c.textBaseline = "middle";
+  const square = (i, j, inset) => c.rect(gutter + j * cell + inset, gutter + i * cell + inset, cell - 2 * inset - gap, cell - 2 * inset - gap);
+  for (let i = 0; i < N; i++) {  // the actual actions in the margins
+    c.fillStyle = lies[i] ? colour.wrongBelief : truth[i] ? colour.active : colour.soft;
+    if (i % across === 0) c.fillText(i, gutter + (i + .5) * cell, gutter / 2 - 1);
+    if (i % downwards === 0) c.fillText(i, gutter / 2 - 1, gutter + (i + .5) * cell);
+    if (truth[i]) {
+      c.fillStyle = colour.active;
+      c.fillRect(gutter + i * cell, gutter - 3, cell - gap, 2); c.fillRect(gutter - 3, gutter + i * cell, 2, cell - gap);
+    }
+  }
+  if (from >= 0) { c.fillStyle = colour.faint; c.fillRect(gutter, gutter + from * cell, N * cell, cell); }
+  const kinds = [[], [], [], [], []];  // correct: chases, inactive; wrong: phantom, missed; nothing received
+  for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (i !== j) {
+    const thinks = believed(i, j);
+    if (thinks === truth[j]) kinds[thinks ? 0 : heard[i * N + j] === UNHEARD ? 4 : 1].push(i, j);
+    else {
+      if (thinks) kinds[2].push(i, j);
+      if (truth[j]) kinds[3].push(i, j);
+    }
+  }
+  const each = (kind, act) => { for (let k = 0; k < kinds[kind].length; k += 2) act(kinds[kind][k], kinds[kind][k + 1]); };
+  c.fillStyle = colour.active; c.beginPath(); each(0, (i, j) => square(i, j, 0)); c.fill();
+  c.fillStyle = colour.inactive; c.globalAlpha = .55; c.beginPath(); each(1, (i, j) => square(i, j, cell * .38)); c.fill(); c.globalAlpha = 1;
+  c.fillStyle = colour.wrongBelief; c.beginPath();
+  each(2, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap; c.moveTo(x, y); c.lineTo(x + s, y); c.lineTo(x + s, y + s); c.closePath(); });
+  c.fill();
+  const stroke = Math.min(Math.max(cell / 6, 1), 2.5);
+  c.strokeStyle = colour.wrongBelief; c.lineWidth = stroke; c.beginPath(); each(3, (i, j) => square(i, j, stroke / 2 + .5)); c.stroke();
+  if (M > 1 && cell > 12) writeActions(c, each, cell, gap, gutter);
+  c.strokeStyle = colour.inactive; c.lineWidth = 1; c.globalAlpha = .6; c.beginPath();
+  each(4, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell; c.moveTo(x + cell * .25, y + cell * .75); c.lineTo(x + cell * .75, y + cell * .25); });
+  c.stroke(); c.globalAlpha = 1;
+  if (suspicion) {  // what is crossed out is not believed
+    c.strokeStyle = colour.ink; c.lineWidth = 1.2; c.beginPath();
+    for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (distrusts[i * N + j]) {
+      const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap;
+      c.moveTo(x + s * .2, y + s * .2); c.lineTo(x + s * .8, y + s * .8); c.moveTo(x + s * .2, y + s * .8); c.lineTo(x + s * .8, y + s * .2);
+    }
+    c.stroke();
+  }
+  c.fillStyle = colour.line; c.beginPath();
+  for (let i = 0; i < N; i++) square(i, i, 0);
+  c.fill();
+}
+
+/** The believed evader in the middle of a cell or, if the belief is wrong, above the actual one, if any. */
+function writeActions(c, each, cell, gap, gutter) {
+  const write = (hue, action, i, j, x, y) => { c.fillStyle = hue; c.fillText(action, gutter + j * cell + x * (cell - gap), gutter + i * cell + y * (cell - gap) + .5); };
+  c.save();
+  c.font = `650 ${Math.min(cell * .42, 12)}px ${FONT}`;
+  each(0, (i, j) => write(colour.card, truth[j], i, j, .5, .5));
+  each(2, (i, j) => write(colour.card, believed(i, j), i, j, .7, .32));
+  each(3, (i, j) => write(colour.wrongBelief, truth[j], i, j, ...believed(i, j) ? [.3, .7] : [.5, .5]));
+  c.restore();
+}

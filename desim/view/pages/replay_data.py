@@ -1,0 +1,181 @@
+"""The data of a replay: a JSON object with what a run recorded, in columns."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+import numpy as np
+
+from desim.analysis.activity import Change, Released, action, changes_with_previous, chases
+from desim.analysis.knowledge import Pieces, knowledge
+from desim.analysis.trace_index import captures, ended, lacks_messages, started
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.faults import TracedFault
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
+from desim.simulation.run import Result
+from desim.view.data.deliveries import delivery_table, handover_events, outages
+from desim.view.pages.headline import outcome, run_name
+from desim.view.pages.replay_columns import ReplayData, Ticks, packed
+from desim.view.pages.replay_plane import arcs_data, estimates_data, flow_data, headings_data, path_data, reception_data
+
+DECIDED, BROKE_DOWN, RELEASED = range(3)
+"""The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
+
+
+def replay_data(result: Result, ghost: Result | None = None) -> ReplayData:
+    """Return the data of the page."""
+    start, end, scenario = started(result), ended(result), result.scenario
+    ticks = Ticks.fit(end.t, ended(ghost).t if ghost else 0)
+    has_messages = not lacks_messages(result)
+    return {
+        "tick": ticks.length / SECOND,
+        "end": ticks.last,
+        "evaders": len(start.evaders),
+        "captures": [
+            {"t": ticks.nearest(capture.t), "evader": capture.evader, "capturer": capture.capturer}
+            for capture in captures(result)
+        ],
+        "radius": scenario.capture.radius,
+        "sensing_range": scenario.sensing.radius if scenario.sensing.limited else None,
+        "arcs": arcs_data(result),
+        "reception": reception_data(result),
+        "speeds": list(start.speeds),
+        "active": list(start.active),
+        "path": path_data(result, ticks),
+        "headings": headings_data(result),
+        "estimates": estimates_data(result, ticks),
+        "flow": flow_data(result, ticks),
+        "decisions": _decisions(result, ticks),
+        "relays": _relays(result, ticks),
+        "faults": _faults(result, ticks),
+        "messages": _messages(result, ticks) if has_messages else None,
+        "beliefs": _beliefs(knowledge(result), result, ticks) if has_messages else None,
+        "distrust": _distrust(result, ticks),
+        "ghost": _ghost(ghost, Ticks(ticks.length, ended(ghost).t)) if ghost else None,
+    }
+
+
+def _decisions(result: Result, ticks: Ticks) -> ReplayData:
+    """Return as columns the decisions, the breakdowns, and the releases of pursuers by the capture of their evader."""
+    events = list(_acts(result))
+    why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
+    return {
+        "t": ticks([event.t for event in events]),
+        "who": packed([event.pursuer for event in events], "<u2"),
+        "active": packed([action(event) for event in events], _kind(result)),
+        "cause": packed([why[type(event)] for event in events], "u1"),
+    }
+
+
+def _acts(result: Result) -> Iterator[Change]:
+    """Yield the events that set an action, in order, whether or not they change it."""
+    released: defaultdict[int, list[Change]] = defaultdict(list)
+    for change, before in changes_with_previous(result):
+        if isinstance(change, Released):
+            released[before].append(change)
+    for event in result.trace:
+        if isinstance(event, Decided | BrokeDown):
+            yield event
+        elif isinstance(event, Captured):
+            yield from released[event.evader]
+
+
+def _kind(result: Result) -> str:
+    """Return the dtype of a column of actions, with M evaders: 0 .. M, and M + 1 for unknown."""
+    return "u1" if len(started(result).evaders) < 255 else "<u2"
+
+
+def _relays(result: Result, ticks: Ticks) -> ReplayData:
+    """Return the handovers (`desim.view.data.deliveries.Handover`) as columns."""
+    handovers = handover_events(result)
+    return {
+        "t": ticks([handover.t for handover in handovers]),
+        "who": packed([handover.pursuer for handover in handovers], "<u2"),
+        "evader": packed([handover.evader for handover in handovers], "<u2"),
+    }
+
+
+def _faults(result: Result, ticks: Ticks) -> list[ReplayData]:
+    """Return the faults with their intervals, in order of time."""
+    return [_fault(fault, interval.begin, interval.end, ticks) for fault, interval in outages(result)]
+
+
+def _fault(fault: TracedFault, begin: int, until: int, ticks: Ticks) -> ReplayData:
+    """Return the data of a fault that lasted from `begin` to `until` (ns)."""
+    when = {"begin": ticks.nearest(begin), "end": ticks.nearest(until)}
+    return {"kind": fault.kind, "label": fault.label} | when | fault.sketch()
+
+
+def _messages(result: Result, ticks: Ticks) -> ReplayData:
+    """Return the transmissions as columns in order of time, and their deliveries as columns grouped by transmission.
+
+    The page shows a message from the instant at which it is sent or queued (`begin`) until it arrives or is lost. The
+    message leaves its sender at the start of its transmission (`left`).
+    """
+    table = delivery_table(result)
+    first = np.flatnonzero(np.diff(table.transmission, prepend=-1))
+    return {
+        "begin": ticks(table.created[first]),
+        "left": ticks(table.left[first]),
+        "src": packed(table.src[first], "<u2"),
+        "count": packed(np.diff(first, append=len(table.dst)), "<u2"),
+        "dst": packed(table.dst, "<u2"),
+        "end": ticks(table.until),
+        "fate": packed(table.cause + 1, "u1"),
+        "causes": [cause.replace("_", " ") for cause in table.causes],
+    }
+
+
+def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
+    """Return the changes of beliefs as columns: time, reader, source, and the action of the source as last received.
+
+    The reader is the pursuer that holds the belief; the source is the pursuer that the belief is about. An action is
+    0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
+    `announce.start` = "known", the initial actions are known. Of several changes at one instant, the last one counts.
+    """
+    unheard = len(started(result).evaders) + 1
+    # As at time 0, without latency. Columns are taken out one by one: a row of `pieces` is wide, and copying it slow.
+    counts = np.flatnonzero(~pieces["superseded"] | (pieces["until"] > pieces["begin"]))
+    reader, source, begin = (pieces[name][counts] for name in ("reader", "source", "begin"))
+    is_certain = (result.scenario.announce.start == "known") & (begin == 0)
+    value = np.where(pieces["presumed"][counts] & ~is_certain, unheard, pieces["active"][counts].astype(int))
+    changed = np.ones(len(counts), bool)
+    changed[1:] = (reader[1:] != reader[:-1]) | (source[1:] != source[:-1]) | (value[1:] != value[:-1])
+    order = np.flatnonzero(changed)
+    order = order[np.argsort(begin[order], kind="stable")]
+    return {
+        "t": ticks(begin[order]),
+        "reader": packed(reader[order], "<u2"),
+        "source": packed(source[order], "<u2"),
+        "value": packed(value[order], _kind(result)),
+    }
+
+
+def _distrust(result: Result, ticks: Ticks) -> ReplayData | None:
+    """Return the changes of trust as columns: time, pursuer, suspect, and whether it begins; None if there are none."""
+    changes = result.trace.of(Distrusted)
+    if not changes:
+        return None
+    return {
+        "t": ticks([change.t for change in changes]),
+        "who": packed([change.pursuer for change in changes], "<u2"),
+        "suspect": packed([change.suspect for change in changes], "<u2"),
+        "begins": packed([change.distrusted for change in changes], "u1"),
+    }
+
+
+def _ghost(result: Result, ticks: Ticks) -> ReplayData:
+    """Return the part of another run that is shown: its positions, and its number of active pursuers over time."""
+    count = sum(map(bool, started(result).active))
+    times, counts = [0], [count]
+    for change, before in changes_with_previous(result):
+        count += chases(change) - bool(before)
+        times.append(change.t)
+        counts.append(count)
+    return {
+        "name": f"{run_name(result)}, {outcome(result)}",
+        "end": ticks.last,
+        "pursuers": len(started(result).active),
+        "evaders": len(started(result).evaders),
+        "path": path_data(result, ticks),
+        "active": {"t": ticks(times), "count": packed(counts, "<u4")},
+    }

@@ -1,0 +1,461 @@
+// Drawing.
+
+const colour = {};
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ["page", "card", "ink", "soft", "line", "faint", "active", "active-with-others", "inactive", "evader", "in-flight", "delivered", "lost", "wrong-belief"])
+    colour[name.replace(/-./g, part => part[1].toUpperCase())] = style.getPropertyValue("--" + name).trim();
+  stale = axisStale = true;
+}
+const DARK = "#1c2024";  // on light blue, in either theme
+const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
+function surface(canvas) {
+  const context = canvas.getContext("2d"), box = { canvas, context, width: 0, height: 0, ratio: 1 };
+  new ResizeObserver(() => {
+    const { width, height } = canvas.parentElement.getBoundingClientRect();
+    Object.assign(box, { width: Math.floor(canvas.clientWidth || width), height: Math.floor(canvas.clientHeight || height), ratio: devicePixelRatio || 1 });
+    canvas.width = box.width * box.ratio;
+    canvas.height = box.height * box.ratio;
+    stale = axisStale = true;
+  }).observe(canvas.parentElement);
+  return box;
+}
+const arena = surface($("arena")), axis = surface($("axis")), board = surface($("matrix"));
+const whole = (() => {
+  let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
+  const include = (x, y) => { left = Math.min(left, x); right = Math.max(right, x); low = Math.min(low, y); high = Math.max(high, y); };
+  for (let k = 0; k < path.places.length; k += 2) include(path.places[k], path.places[k + 1]);
+  if (ghost) {  // as far as it is shown
+    for (let k = 0; k < ghost.path.places.length && ghost.path.t[Math.floor(k / ghost.path.width)] <= END; k += 2) include(ghost.path.places[k], ghost.path.places[k + 1]);
+    for (const [x, y] of ghostAt(END)) include(x, y);
+  }
+  const size = Math.max(right - left, high - low, 10 * run.radius, 1e-3);
+  return { x: (left + right) / 2, y: (low + high) / 2, width: Math.max(right - left, size / 3), height: Math.max(high - low, size / 3) };
+})();
+let scale = 1, originX = 0, originY = 0;
+const px = x => originX + x * scale, py = y => originY - y * scale;
+const nice = rough => {
+  const power = 10 ** Math.floor(Math.log10(rough)), lead = rough / power;
+  return power * (lead <= 1 ? 1 : lead <= 2 ? 2 : lead <= 5 ? 5 : 10);
+};
+
+function drawArena() {
+  const { context: c, width: w, height: h, ratio } = arena;
+  if (!w) return;
+  c.setTransform(ratio, 0, 0, ratio, 0, 0);
+  c.clearRect(0, 0, w, h);
+  const edge = 30, base = Math.max(Math.min((w - 2 * edge) / whole.width, (h - 2 * edge - 34) / whole.height), 1e-6);
+  scale = base * zoom;
+  const [x, y] = zoom > 1 ? [X[player(watched())], Y[player(watched())]] : [whole.x, whole.y];
+  originX = w / 2 - x * scale;
+  originY = (h + 24) / 2 + y * scale;
+  drawGrid(c, w, h);
+  if ($("flow")?.checked) drawFlow(c, w, h);
+  if ($("sight")?.checked) drawSight(c);
+  for (const each of open) if (isJam(each)) drawJam(c, each);
+  if ($("links").checked && run.reception.known) { drawLinks(c); drawRanges(c); }
+  if ($("other")?.checked) drawGhost(c);
+  if ($("trails").checked) drawTrails(c);
+  if (M > 1) drawTargets(c);
+  if ($("ellipses")?.checked) drawEstimates(c);
+  drawMessages(c);
+  drawPlayers(c, w);
+}
+/** The evader in the centre of a zoomed view: that of the selected pursuer, else one at large, else the last captured. */
+function watched() {
+  const own = focus() >= 0 && truth[focus()];
+  return own || evaders.find(each => !caught.has(each)) || run.captures.at(-1).evader;
+}
+function drawGrid(c, w, h) {
+  const step = nice(70 / scale);
+  c.strokeStyle = colour.faint; c.lineWidth = 1;
+  c.beginPath();
+  for (let x = Math.ceil(-originX / scale / step) * step; px(x) < w; x += step) { c.moveTo(Math.round(px(x)) + .5, 0); c.lineTo(Math.round(px(x)) + .5, h); }
+  for (let y = Math.ceil((originY - h) / scale / step) * step; py(y) > 0; y += step) { c.moveTo(0, Math.round(py(y)) + .5); c.lineTo(w, Math.round(py(y)) + .5); }
+  c.stroke();
+  c.strokeStyle = c.fillStyle = colour.soft;
+  c.beginPath(); c.moveTo(14, h - 18); c.lineTo(14, h - 14); c.lineTo(14 + step * scale, h - 14); c.lineTo(14 + step * scale, h - 18); c.stroke();
+  c.font = `12px ${FONT}`; c.textAlign = "left"; c.textBaseline = "alphabetic";
+  c.fillText(`${+step.toPrecision(3)} m`, 20, h - 20);
+}
+/** The velocity of the flow at a place, m/s, between the points of its grid; null outside of it. */
+function flowAt(x, y) {
+  const { columns, edge, start, t, velocities } = flow, rows = velocities.length / (2 * t.length * columns);
+  const [u, v] = [(x - start[0]) / edge, (y - start[1]) / edge], [i, j] = [Math.floor(u), Math.floor(v)];
+  if (i < 0 || j < 0 || i > columns - 2 || j > rows - 2) return null;
+  const now = Math.max(upto(t, time) - 1, 0), next = Math.min(now + 1, t.length - 1);
+  const share = next > now ? (time - t[now]) / (t[next] - t[now]) : 0;
+  return [0, 1].map(axis => {
+    const at = (k, a, b) => velocities[2 * ((k * rows + j + b) * columns + i + a) + axis];
+    const mean = k => (at(k, 0, 0) * (i + 1 - u) + at(k, 1, 0) * (u - i)) * (j + 1 - v) + (at(k, 0, 1) * (i + 1 - u) + at(k, 1, 1) * (u - i)) * (v - j);
+    return (1 - share) * mean(now) + share * mean(next);
+  });
+}
+const EVERY = 54;  // distance of the arrows of a flow, px; the longest are half as long
+function drawFlow(c, w, h) {
+  const step = EVERY / scale;
+  c.strokeStyle = colour.delivered; c.lineWidth = 1.2; c.globalAlpha = .6;
+  c.beginPath();
+  for (let x = Math.ceil(-originX / EVERY) * step; px(x) < w; x += step) for (let y = Math.ceil((originY - h) / EVERY) * step; py(y) > 0; y += step) {
+    const velocity = flowAt(x, y), speed = velocity && Math.hypot(...velocity);
+    if (!speed) continue;
+    const length = EVERY / 2 * speed / flow.top, [ux, uy] = [velocity[0] / speed, -velocity[1] / speed], tip = Math.min(length / 2, 5);
+    const [fromX, fromY] = [px(x) - ux * length / 2, py(y) - uy * length / 2], [toX, toY] = [fromX + ux * length, fromY + uy * length];
+    c.moveTo(fromX, fromY); c.lineTo(toX, toY);
+    c.moveTo(toX - tip * (ux - .7 * uy), toY - tip * (uy + .7 * ux)); c.lineTo(toX, toY); c.lineTo(toX - tip * (ux + .7 * uy), toY - tip * (uy - .7 * ux));
+  }
+  c.stroke();
+  c.globalAlpha = 1;
+}
+/** The rows of the estimates that are drawn: those of the selected pursuer, or of each chaser about its evader. */
+function shownEstimates() {
+  const end = upto(estimates.t, time), from = focus(), rows = [];
+  for (let k = end - 1; k >= 0 && estimates.t[k] === estimates.t[end - 1]; k--) {
+    const own = estimates.pursuer[k];
+    if (!caught.has(estimates.evader[k]) && (from >= 0 ? own === from : truth[own] === estimates.evader[k])) rows.push(k);
+  }
+  return rows;
+}
+const WITHIN = Math.sqrt(-2 * Math.log(.05));  // 95 % of a normal distribution in the plane are within as many standard deviations
+function drawEstimates(c) {
+  for (const k of shownEstimates()) {
+    const x = px(estimates.centres[2 * k]), y = py(estimates.centres[2 * k + 1]), own = estimates.pursuer[k];
+    const [major, minor] = [0, 1].map(axis => WITHIN * scale * estimates.semiAxes[2 * k + axis]);
+    if (major > 20000) continue;
+    c.strokeStyle = c.fillStyle = own === focus() ? colour.ink : crowd[truth[own]] === 1 ? colour.active : colour.activeWithOthers;
+    c.lineWidth = 1.5;
+    c.beginPath(); c.ellipse(x, y, major, minor, -estimates.turn * estimates.angles[k], 0, 2 * Math.PI);
+    c.globalAlpha = .08; c.fill();
+    c.globalAlpha = 1; c.stroke();
+    c.beginPath(); c.moveTo(x - 5, y); c.lineTo(x + 5, y); c.moveTo(x, y - 5); c.lineTo(x, y + 5); c.stroke();
+  }
+}
+function hatch(c, x, y, r) {
+  c.beginPath();
+  for (let d = -r; d <= r; d += 9) {
+    const half = Math.sqrt(Math.max(r * r - d * d, 0)), k = Math.SQRT1_2;
+    c.moveTo(x + (d - half) * k, y + (d + half) * k); c.lineTo(x + (d + half) * k, y + (d - half) * k);
+  }
+  c.stroke();
+}
+function drawJam(c, jam) {
+  const [x, y, r] = [px(jam.centre[0]), py(jam.centre[1]), jam.radius * scale];
+  c.save();
+  c.globalAlpha = .28; c.strokeStyle = colour.ink; c.lineWidth = 1;
+  if (r < 4000) hatch(c, x, y, r);
+  c.globalAlpha = .7; c.setLineDash([6, 5]); c.lineWidth = 1.5;
+  c.beginPath(); c.arc(x, y, r, 0, 7); c.stroke();
+  c.restore();
+}
+const focus = () => chosen >= 0 ? chosen : hovered;
+/** Draw links, a list of sender, receiver and whether it is two-way; a one-way link has an arrow head at the receiver. */
+function drawWays(c, ways, size) {
+  c.beginPath();
+  for (const [src, dst] of ways) { c.moveTo(px(X[src]), py(Y[src])); c.lineTo(px(X[dst]), py(Y[dst])); }
+  c.stroke();
+  c.setLineDash([]);
+  c.globalAlpha = Math.min(2 * c.globalAlpha, 1);
+  c.beginPath();
+  for (const [src, dst, mutual] of ways) {
+    const x = px(X[dst]), y = py(Y[dst]), dx = x - px(X[src]), dy = y - py(Y[src]), length = Math.hypot(dx, dy);
+    if (mutual || length < 30) continue;
+    const [ux, uy] = [dx / length, dy / length], tip = 10, tail = tip + size, half = size / 2.6;
+    c.moveTo(x - tip * ux, y - tip * uy); c.lineTo(x - tail * ux - half * uy, y - tail * uy + half * ux);
+    c.lineTo(x - tail * ux + half * uy, y - tail * uy - half * ux); c.closePath();
+  }
+  c.fill();
+  c.globalAlpha = 1;
+}
+function drawLinks(c) {
+  const from = focus();
+  if (sparse) {
+    const ways = [];
+    for (let i = 0; i < N; i++) for (let j = i + 1; j < N; j++) {
+      const to = passes(i, j), fro = passes(j, i);
+      if (to || fro) ways.push([to ? i : j, to ? j : i, to && fro]);
+    }
+    c.strokeStyle = c.fillStyle = colour.inactive; c.lineWidth = 1; c.globalAlpha = from >= 0 ? .14 : N > 25 ? .22 : .4;
+    drawWays(c, ways, 8);
+  }
+  if (from < 0) return;
+  const hearing = all.filter(j => passes(j, from)), heardOnly = all.filter(j => passes(from, j) && !passes(j, from));
+  c.strokeStyle = c.fillStyle = colour.soft; c.lineWidth = 1.4; c.globalAlpha = .75;
+  drawWays(c, hearing.map(j => [j, from, passes(from, j)]), 10);
+  c.setLineDash([5, 4]); c.globalAlpha = .75;
+  drawWays(c, heardOnly.map(j => [from, j, false]), 10);
+}
+function drawRanges(c) {
+  if (run.reception.radius === null || run.reception.radius * scale > 20000) return;
+  const from = focus(), shown = (from >= 0 ? [from] : all.filter(i => truth[i]).slice(0, 3)).filter(i => !down[i]);
+  c.setLineDash([2, 5]); c.lineWidth = 1.2; c.strokeStyle = from >= 0 ? colour.soft : colour.active;
+  c.globalAlpha = from >= 0 ? .9 : .45;
+  for (const i of shown) { c.beginPath(); c.arc(px(X[i]), py(Y[i]), run.reception.radius * scale, 0, 7); c.stroke(); }
+  c.setLineDash([]); c.globalAlpha = 1;
+}
+function drawSight(c) {
+  const r = run.sensing_range * scale, from = focus();
+  if (r > 20000) return;
+  c.fillStyle = c.strokeStyle = colour.inactive; c.lineWidth = 1;
+  c.beginPath();
+  for (const i of all) { c.moveTo(px(X[i]) + r, py(Y[i])); c.arc(px(X[i]), py(Y[i]), r, 0, 2 * Math.PI); }
+  c.globalAlpha = .13; c.fill();
+  c.globalAlpha = from >= 0 ? .2 : .4; c.stroke();
+  if (from >= 0) { c.globalAlpha = 1; c.lineWidth = 1.5; c.beginPath(); c.arc(px(X[from]), py(Y[from]), r, 0, 7); c.stroke(); }
+  c.globalAlpha = 1;
+}
+const DASHES = [[7, 4], [2, 3], [10, 3, 2, 3]];
+/** A line from each pursuer to the evader that it chases. */
+function drawTargets(c) {
+  c.strokeStyle = colour.evader; c.lineWidth = 1.3; c.globalAlpha = .75;
+  for (const evader of evaders) {
+    const x = px(X[player(evader)]), y = py(Y[player(evader)]);
+    c.setLineDash(DASHES[(evader - 1) % DASHES.length]);
+    c.beginPath();
+    for (const i of chasersOf(evader)) { c.moveTo(px(X[i]), py(Y[i])); c.lineTo(x, y); }
+    c.stroke();
+  }
+  c.setLineDash([]); c.globalAlpha = 1;
+}
+/** Add the trail of a player, from a sample to the time shown, where it is at x, y. */
+function addTrail(c, { t, width, places }, kept, i, from, [x, y]) {
+  const until = upto(t, time);
+  let begun = false;
+  for (let k = Math.max(upto(kept, from) - 1, 0); k < kept.length && kept[k] < until; k++) {
+    const x = px(places[kept[k] * width + 2 * i]), y = py(places[kept[k] * width + 2 * i + 1]);
+    if (begun) c.lineTo(x, y); else c.moveTo(x, y);
+    begun = true;
+  }
+  if (begun) c.lineTo(px(x), py(y));
+}
+/** The other run: faint trails, and hollow marks without numbers. */
+function drawGhost(c) {
+  const places = ghostAt(time);
+  c.strokeStyle = colour.soft; c.lineJoin = "round";
+  if ($("trails").checked) {
+    c.globalAlpha = .55; c.lineWidth = 1;
+    c.beginPath();
+    places.forEach((at, i) => addTrail(c, ghost.path, ghost.corners[i], i, 0, at));
+    c.stroke();
+  }
+  c.globalAlpha = .8; c.lineWidth = 1.2;
+  c.beginPath();
+  places.forEach(([x, y], i) => {
+    const [u, v, r] = [px(x), py(y), i < ghost.pursuers ? 4.5 : 7];
+    if (i < ghost.pursuers) { c.moveTo(u + r, v); c.arc(u, v, r, 0, 2 * Math.PI); }
+    else { c.moveTo(u, v - r); c.lineTo(u + r, v); c.lineTo(u, v + r); c.lineTo(u - r, v); c.closePath(); }
+  });
+  c.stroke();
+  c.globalAlpha = 1;
+}
+function drawTrails(c) {
+  const recent = upto(path.t, time - 2 / TICK) - 1;
+  c.lineJoin = "round";
+  for (const [hue, players] of [[colour.active, all], [colour.evader, evaders.map(player)]]) {
+    c.strokeStyle = hue;
+    for (const [from, alpha, wide] of [[0, .35, 1.4], [recent, .85, 2.2]]) {
+      c.globalAlpha = alpha; c.lineWidth = wide;
+      c.beginPath();
+      for (const i of players) addTrail(c, path, corners[i], i, from, [X[i], Y[i]]);
+      c.stroke();
+    }
+  }
+  c.globalAlpha = 1;
+}
+/** Messages: in flight, just lost (a collision as an asterisk) and just delivered; the latter two are drawn just short of their receiver, and fade. */
+function drawMessages(c) {
+  drawn = { flying: 0, lost: 0, delivered: 0 };
+  marks = { flying: [], lost: [] };
+  if (!said) return;
+  const collision = said.causes.indexOf("collision") + 1 || -1;
+  const fade = Math.min(.5 * speed, 1) / TICK, flash = .4 * fade, flying = [], gone = [], arrived = [], rim = 9;
+  const rows = upto(said.begin, time);
+  for (let row = 0; row < rows; row++) {
+    if (said.latest[row] + fade <= time) continue;
+    const left = said.left[row], src = said.src[row], waits = time < left;
+    const x = px(waits ? X[src] : said.from[2 * row]), y = py(waits ? Y[src] : said.from[2 * row + 1]);
+    for (let m = said.first[row]; m < said.first[row + 1]; m++) {
+      const end = said.end[m], isLost = said.fate[m] > 0;
+      if (time >= end + (isLost ? fade : flash)) continue;
+      const dx = px(said.to[2 * m]) - x, dy = py(said.to[2 * m + 1]) - y, length = Math.hypot(dx, dy) || 1;
+      const [a, b] = length > 3 * rim ? [rim / length, 1 - rim / length] : [0, 1];
+      if (time < end) {
+        const share = waits ? 0 : (time - left) / (end - left);
+        flying.push(x + dx * (a + share * (b - a)), y + dy * (a + share * (b - a)), dx / length, dy / length, share * length);
+        drawn.flying++;
+      } else if (isLost) {
+        gone.push(x + dx * b, y + dy * b, dx / length, dy / length, (time - end) / fade, said.fate[m] === collision);
+        drawn.lost++;
+      } else {
+        arrived.push(x + dx * b, y + dy * b);
+        drawn.delivered++;
+      }
+    }
+  }
+  marks = { flying, lost: gone };
+  if (drawn.delivered <= 1500) dots(c, colour.delivered, arrived, 2, 2.4);
+  if (drawn.flying <= 1500) {
+    c.strokeStyle = colour.inFlight; c.globalAlpha = .45; c.lineWidth = 1.6;
+    c.beginPath();
+    for (let k = 0; k < flying.length; k += 5) {
+      const tail = Math.min(flying[k + 4], 16);
+      c.moveTo(flying[k] - flying[k + 2] * tail, flying[k + 1] - flying[k + 3] * tail); c.lineTo(flying[k], flying[k + 1]);
+    }
+    c.stroke();
+    c.globalAlpha = 1;
+    dots(c, colour.inFlight, flying, 5, 2.8);
+  } else {
+    c.fillStyle = colour.inFlight;
+    for (let k = 0; k < flying.length; k += 5) c.fillRect(flying[k] - 1.5, flying[k + 1] - 1.5, 3, 3);
+  }
+  c.strokeStyle = colour.lost;
+  for (let shade = 0; shade < 4; shade++) {
+    const crosses = new Path2D(), tails = new Path2D();
+    for (let k = 0; k < gone.length; k += 6) if (Math.min(Math.floor(gone[k + 4] * 4), 3) === shade) {
+      const [x, y, ux, uy] = gone.slice(k, k + 4);
+      crosses.moveTo(x - 3.2, y - 3.2); crosses.lineTo(x + 3.2, y + 3.2); crosses.moveTo(x + 3.2, y - 3.2); crosses.lineTo(x - 3.2, y + 3.2);
+      if (gone[k + 5]) { crosses.moveTo(x - 4.6, y); crosses.lineTo(x + 4.6, y); crosses.moveTo(x, y - 4.6); crosses.lineTo(x, y + 4.6); }
+      tails.moveTo(x - 14 * ux, y - 14 * uy); tails.lineTo(x, y);
+    }
+    c.globalAlpha = 1 - shade / 4;
+    c.lineWidth = 1.8; c.stroke(crosses);
+    c.lineWidth = 1.3; c.setLineDash([2, 2.5]); c.stroke(tails); c.setLineDash([]);
+  }
+  c.globalAlpha = 1;
+}
+/** Dots at x, y of each `width` numbers. */
+function dots(c, hue, places, width, radius) {
+  c.fillStyle = hue;
+  c.beginPath();
+  for (let k = 0; k < places.length; k += width) { c.moveTo(places[k] + radius, places[k + 1]); c.arc(places[k], places[k + 1], radius, 0, 7); }
+  c.fill();
+}
+function drawPlayers(c, w) {
+  const size = w < 460 || N > 60 ? 5.5 : 7, from = focus();
+  c.font = `600 11px ${FONT}`; c.textBaseline = "middle"; c.textAlign = "left";
+  let letters = 0;  // one per group of a partition; unlisted pursuers have none
+  const lettered = cuts.map(cut => ({ cut, first: (letters += cut.groups.length) - cut.groups.length }));
+  for (let pass = 0; pass < 2; pass++) for (let i = 0; i < N; i++) if (!!truth[i] === !!pass) {  // active pursuers on top
+    const x = px(X[i]), y = py(Y[i]);
+    const isAlone = crowd[truth[i]] === 1;
+    drawNose(c, i, x, y, size, !truth[i] ? colour.inactive : isAlone ? colour.active : colour.activeWithOthers);
+    c.beginPath(); c.arc(x, y, size, 0, 7);
+    c.fillStyle = !truth[i] ? colour.card : isAlone ? colour.active : colour.activeWithOthers; c.fill();
+    c.lineWidth = 1.6; c.strokeStyle = truth[i] ? colour.card : colour.inactive; c.stroke();
+    if (M > 1 && truth[i]) inside(c, truth[i], x, y, size + 2, isAlone ? colour.card : DARK);
+    const errors = mistaken[i];
+    if (errors) {  // share of teammates with a wrong belief about it
+      c.strokeStyle = colour.wrongBelief; c.lineWidth = 3;
+      c.beginPath(); c.arc(x, y, size + 4, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * errors / (N - 1)); c.stroke();
+    }
+    if (from >= 0 && from !== i && belief) {  // the belief of the selected pursuer about it
+      const thinks = believed(from, i);
+      if (thinks) { c.strokeStyle = colour.ink; c.lineWidth = 1.5; c.strokeRect(x - size - 7, y - size - 7, 2 * size + 14, 2 * size + 14); }
+      if (thinks && M > 1) mark(c, x - size - 7, y - size - 7, `${thinks}`);
+    }
+    if (i === from) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(x, y, size + 8, 0, 7); c.stroke(); }
+    if (lies[i]) drawLiar(c, i, x, y, size);
+    const side = lettered.map(({ cut, first }) => { const group = cut.side[i]; return group < 0 ? "" : String.fromCharCode(65 + (first + group) % 26); }).join("");
+    if (side) mark(c, x, y - size - 9, side);
+    for (const each of open) if (isCrash(each) && each.node === i) {
+      c.strokeStyle = colour.ink; c.lineWidth = 1.6; c.setLineDash([3, 3]);
+      c.beginPath(); c.arc(x, y, size + 5, 0, 7); c.stroke(); c.setLineDash([]);
+      if (each.scope === "robot") { c.beginPath(); c.moveTo(x - 4, y - 4); c.lineTo(x + 4, y + 4); c.moveTo(x + 4, y - 4); c.lineTo(x - 4, y + 4); c.stroke(); }
+    }
+  }
+  drawNames(c, size, lettered.length > 0);
+  for (const evader of evaders) if (M > 1 && caught.has(evader)) drawCaught(c, evader);
+  for (const evader of evaders) if (M === 1 || !caught.has(evader)) drawEvader(c, evader);
+}
+/** The heading of a player with inertia. */
+function drawNose(c, i, x, y, size, hue) {
+  if (Number.isNaN(heading[i])) return;
+  const [ux, uy] = [Math.cos(heading[i]), -Math.sin(heading[i])], tip = size + 11;
+  c.fillStyle = hue; c.strokeStyle = colour.card; c.lineWidth = 1.2;
+  c.beginPath(); c.moveTo(x + tip * ux, y + tip * uy); c.lineTo(x - .85 * size * uy, y + .85 * size * ux); c.lineTo(x + .85 * size * uy, y - .85 * size * ux); c.closePath();
+  c.fill(); c.stroke();
+}
+const isFooled = (i, liar) => i !== liar && !distrusts[i * N + liar] && believed(i, liar) !== truth[liar];
+/** A pursuer with a Byzantine fault, and the teammates that believe what is wrong about it. */
+function drawLiar(c, i, x, y, size) {
+  c.strokeStyle = colour.wrongBelief; c.lineWidth = 2; c.setLineDash([2, 5]);
+  if (belief) for (const j of all) if (isFooled(j, i)) {
+    c.beginPath(); c.moveTo(x, y); c.lineTo(px(X[j]), py(Y[j])); c.stroke();
+  }
+  c.setLineDash([]);
+  c.fillStyle = colour.wrongBelief; c.strokeStyle = colour.card; c.lineWidth = 1.2;
+  c.beginPath(); c.moveTo(x, y + size); c.lineTo(x + 8, y + size + 14); c.lineTo(x - 8, y + size + 14); c.closePath(); c.fill(); c.stroke();
+  inside(c, "!", x, y + size + 9, 10);
+}
+function drawEvader(c, evader) {
+  const x = px(X[player(evader)]), y = py(Y[player(evader)]), r = M > 1 ? 9.5 : run.radius * scale > 16 ? 6 : 8;
+  c.strokeStyle = colour.evader; c.lineWidth = 1.5;
+  c.globalAlpha = .15; c.fillStyle = colour.evader; c.beginPath(); c.arc(x, y, run.radius * scale, 0, 7); c.fill();
+  c.globalAlpha = 1; c.stroke();
+  if (!caught.has(evader)) drawNose(c, player(evader), x, y, r - 2, colour.evader);
+  c.beginPath(); c.moveTo(x, y - r); c.lineTo(x + r, y); c.lineTo(x, y + r); c.lineTo(x - r, y); c.closePath();
+  c.fill(); c.strokeStyle = colour.card; c.lineWidth = 1.2; c.stroke();
+  if (M > 1) inside(c, evader, x, y, 10);
+  if (caught.has(evader)) {
+    c.strokeStyle = colour.ink; c.lineWidth = 2.5; c.beginPath(); c.arc(x, y, Math.max(16, run.radius * scale + 5), 0, 7); c.stroke();
+    const by = caught.get(evader);  // above the evader, which would hide it
+    c.fillStyle = colour.active; c.strokeStyle = colour.card; c.lineWidth = 1.2; c.beginPath(); c.arc(px(X[by]), py(Y[by]), 4, 0, 7); c.fill(); c.stroke();
+    label(c, `captured by ${by}`, x + Math.max(16, run.radius * scale + 5) + 7, y, colour.ink);
+  }
+}
+function drawCaught(c, evader) {
+  const x = px(X[player(evader)]), y = py(Y[player(evader)]);
+  c.strokeStyle = colour.soft; c.lineWidth = 1; c.beginPath(); c.arc(x, y, run.radius * scale, 0, 7); c.stroke();
+  c.fillStyle = colour.ink; star(c, x, y, 13); c.fill(); c.strokeStyle = colour.card; c.lineWidth = 1.2; c.stroke();
+  inside(c, evader, x, y, 9);
+  label(c, `by ${caught.get(evader)}`, x + 15, y, colour.ink);
+}
+function star(c, x, y, r) {
+  c.beginPath();
+  for (let k = 0; k < 10; k++) {
+    const [reach, angle] = [k % 2 ? .6 * r : r, Math.PI * k / 5];
+    c.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
+  }
+  c.closePath();
+}
+/** A number within a shape, at most `size` px high. */
+function inside(c, number, x, y, size, hue = colour.card) {
+  c.save();
+  c.font = `650 ${Math.min(size, 10) - (number > 9 ? 2 : 0)}px ${FONT}`; c.textAlign = "center"; c.fillStyle = hue;
+  c.fillText(number, x, y + .5);
+  c.restore();
+}
+const SLOTS = [[1, -1], [1, 1], [-1, -1], [-1, 1], [1, 0], [-1, 0]], slot = new Uint8Array(N);  // a label keeps its position
+/** Labels beside the players without overlaps; if there is no room, only those of active and selected pursuers. */
+function drawNames(c, size, isLettered) {
+  const from = focus(), pad = from >= 0 ? 10 : 4, high = isLettered ? size + 17 : size;
+  const half = i => i < N || M === 1 ? size : 11, above = i => i < N ? high : half(i);
+  const taken = [...X].map((x, i) => [px(x) - half(i), py(Y[i]) - above(i), px(x) + half(i), py(Y[i]) + half(i)]);
+  if (M > 1) for (const evader of caught.keys()) {
+    const x = px(X[player(evader)]), y = py(Y[player(evader)]);
+    taken.push([x, y - 6, x + 20 + c.measureText(`by ${caught.get(evader)}`).width, y + 6]);
+  }
+  const isFree = ([left, top, right, bottom]) => taken.every(each => right <= each[0] || left >= each[2] || bottom <= each[1] || top >= each[3]);
+  const matters = i => 2 * (i === from) + truth[i];
+  for (const i of [...all].sort((i, j) => matters(j) - matters(i))) {
+    if (N > 150 && !matters(i)) continue;
+    const wide = 7 * `${i}`.length, box = k => {
+      const [h, v] = SLOTS[k], x = px(X[i]) + h * (size + pad) - (h < 0 ? wide : 0), y = py(Y[i]) + v * size;
+      return [x, y - 5, x + wide, y + 5];
+    };
+    const free = [slot[i], ...SLOTS.keys()].find(k => isFree(box(k)));
+    if (free === undefined && !matters(i)) continue;
+    slot[i] = free ?? slot[i];
+    const place = box(slot[i]);
+    taken.push(place);
+    label(c, i, place[0], place[1] + 5, truth[i] ? colour.ink : colour.soft);
+  }
+}
+function label(c, text, x, y, hue) {
+  c.lineWidth = 3; c.strokeStyle = colour.card; c.lineJoin = "round";
+  c.strokeText(text, x, y); c.fillStyle = hue; c.fillText(text, x, y);
+}
+function mark(c, x, y, letters) {
+  const half = 2 + 4 * letters.length;
+  c.fillStyle = colour.ink; c.beginPath(); c.roundRect(x - half, y - 7, 2 * half, 13, 3); c.fill();
+  c.fillStyle = colour.card; c.textAlign = "center"; c.fillText(letters, x, y); c.textAlign = "left";
+}
