@@ -16,7 +16,9 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from desim.config.errors import WORDINGS, Problem
 from desim.config.exports import homes_of_exports
+from desim.config.extras import naming_extras
 from desim.config.html import PICTURES
 from desim.config.packages import KINDS_OF, check_visible, explain_hidden_packages
 
@@ -151,7 +153,15 @@ def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
     return KINDS
 
 
+def _problems_of_call(error: Any, model: type, values: Mapping[str, Any]) -> tuple[Problem, ...]:
+    """Return the problems of a call of a model; see `desim.config.key_errors.problems_of_call`."""
+    from desim.config.key_errors import problems_of_call
+
+    return problems_of_call(error, model, values)
+
+
 PICTURES["run"] = _picture_of_run
+WORDINGS["call"] = _problems_of_call
 KINDS_OF["protocols"] = _kinds_of_protocols
 explain_hidden_packages()
 _HOMES = homes_of_exports(__file__)
@@ -165,12 +175,14 @@ def __getattr__(name: str) -> object:
     Raises:
         AttributeError: if there is no such name.
         HiddenPackageError: if another package or module hides `protocols`.
+        ModuleNotFoundError: if its module needs a package of an extra that is not installed.
     """
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
     if (home := _HOMES[name]) not in sys.modules:
         check_visible("protocols")
-    return getattr(import_module(home), name)
+    with naming_extras():
+        return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:

@@ -7,9 +7,9 @@ import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
-from pydantic import ValidationError
 
 from desim import Announcements, Edges, Links, Recording, Scenario, Team, explain, run, summary, sweep
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.trace_file import line_of
@@ -111,11 +111,11 @@ def test_a_wrong_attribute_of_an_edge_is_refused_before_a_run(name, value, why):
         made.edges[0, 1][name] = value
         return made
 
-    with pytest.raises(ValidationError, match=f"network.graph: the {name} of the edge from 0 to 1: .*{why}"):
+    with pytest.raises(KeyedError, match=f"network.graph: the {name} of the edge from 0 to 1: .*{why}"):
         SHORT.model_copy(update={"network": Links(graph=graph)})
     with pytest.raises(ValueError, match=f"the {name} of the edge from 0 to 1: .*{why}"):
         Network(Clock(), graph(2))
-    with pytest.raises(ValidationError, match=why):
+    with pytest.raises(KeyedError, match=why):
         Edges.of(graph(3))
 
 

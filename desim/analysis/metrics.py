@@ -52,6 +52,7 @@ from desim.analysis.transport_metrics import (
     retransmissions,
     share_delivered,
 )
+from desim.config.arguments import run_argument
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
@@ -430,9 +431,11 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
         metrics: further metrics by name: functions of a result that return a number, True, False or None.
 
     Raises:
+        TypeError: if it is not the result of a run; the message says what to write instead.
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
         MetricError: if a user's metric fails, or returns a value of another type.
     """
+    run_argument(Result).check(result, "summary")
     return measured(users_metrics(result.scenario.record.metrics, metrics), result)
 
 
@@ -468,8 +471,12 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     Raises:
         ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
     """
+    functions: Any = more
+    if not isinstance(functions, Mapping):
+        form = "{'late': late} for instance; the built-in metrics are always measured"
+        raise TypeError(f"metrics should be functions by name, {form} (got {more!r})")
     metrics: dict[str, Metric] = {}
-    pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *more.items()]
+    pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *functions.items()]
     for name, of in pairs:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")

@@ -29,7 +29,7 @@ def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[
 
 def all_completions() -> list[str]:
     """Return the keys of scenarios in the form of --set, sorted: KEY= and, for a key with kinds, KEY.kind=KIND."""
-    from desim.scenario.key_index import all_keys
+    from desim.config.key_index import all_keys
     from desim.scenario.scenario import Scenario
 
     found = set[str]()

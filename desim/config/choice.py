@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from pathlib import Path
 from types import FunctionType, MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import (
     BaseModel,
@@ -77,6 +77,9 @@ class OneOf:
         is_closed: whether a callable object must derive from one of `models`, because these are not called.
     """
 
+    families: ClassVar["list[OneOf]"] = []
+    """All annotations, for messages that say which other models have a key."""
+
     def __init__(
         self,
         *models: type[BaseModel],
@@ -96,6 +99,7 @@ class OneOf:
         self.number = number
         self.called = called
         self.is_closed = is_closed
+        self.families.append(self)
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return all models by kind: first `models`, then those of `group`, sorted by kind; imports all of them."""
@@ -107,6 +111,10 @@ class OneOf:
             return self._builtin.get(kind)
         model: type[BaseModel] = self._installed[kind].load()
         return model
+
+    def has(self, model: type[BaseModel]) -> bool:
+        """Return whether a class is one of the models."""
+        return self.choice(kind_of(model)) is model
 
     def holds(self, value: Any) -> bool:
         """Return whether a value is an instance of one of the models."""

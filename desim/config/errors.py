@@ -1,6 +1,10 @@
 """Errors about keys: where a key was set, which key is wrong, and why, as fields. Nobody has to parse a message."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+KeyPath = tuple[str | int, ...]
+"""A place: the keys and the indices of lists that lead to a key."""
 
 
 class Problem(NamedTuple):
@@ -20,6 +24,13 @@ class Problem(NamedTuple):
     def below(self, above: str) -> "Problem":
         """Return the problem with its key relative to the table that contains the model at the key `above`."""
         return self._replace(key=f"{above}.{self.key}" if self.key else above)
+
+
+Wording = Callable[[Any, type, Mapping[str, Any]], tuple[Problem, ...]]
+WORDINGS: dict[str, Wording] = {}
+"""By what is constructed, the function that returns the problems, given an error of pydantic, the class and the values.
+
+`desim` hands it in, because what words an error is above the models, whose kinds it lists."""
 
 
 class KeyedError(ValueError):

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from functools import cache
 from inspect import cleandoc, getsource
 from itertools import pairwise
+from pathlib import PurePath
 from types import MappingProxyType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -21,13 +22,13 @@ from pydantic import (
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
-    ValidationInfo,
     model_validator,
 )
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from desim.config.errors import WORDINGS, KeyedError, Problem
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
 from desim.config.python_numbers import as_python, why_no_text
@@ -124,8 +125,68 @@ Rate = Annotated[float, Field(ge=1 / MAX_TIME, le=1 / MIN_PERIOD, allow_inf_nan=
 Flag = Annotated[bool, Field(strict=True)]
 
 
-class Value(BaseModel):
-    """An immutable model that rejects unknown keys; the string below a field is the description of the field."""
+DEPRECATED = frozenset(
+    {
+        "construct",
+        "copy",
+        "dict",
+        "from_orm",
+        "json",
+        "parse_file",
+        "parse_obj",
+        "parse_raw",
+        "schema",
+        "schema_json",
+        "update_forward_refs",
+        "validate",
+    }
+)
+"""The methods of pydantic that it keeps for programs of its first version, and that warn."""
+
+
+def _by_name(model: type[BaseModel], args: Sequence[Any]) -> str:
+    """Return the message for a call of a model by position."""
+    names = [name for name in model.model_fields if name != "kind"]
+    if not names:
+        return f"{model.__name__} has no keys: {model.__name__}()"
+    keys = f"{model.__name__} takes its keys by name: {model.__name__}({names[0]}=...)"
+    others = f"; others: {', '.join(names[1:])}" if names[1:] else ""
+    is_file = isinstance(args[0], str | PurePath) and str(args[0]).endswith(".toml")
+    return keys + others + (f"; a scenario file is read by load({str(args[0])!r})" if is_file else "")
+
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _ValueType
+else:
+
+    class _ValueType(type(BaseModel)):
+        """The type of the classes of values: a call of one raises the errors of a scenario file, not pydantic's.
+
+        Only a call goes this way. Validation inside of pydantic, of a table in a table, does not come here, and so is
+        as fast as it is.
+        """
+
+        def __call__(cls, *args: Any, **values: Any) -> Any:
+            """Return a value with the given fields; raise KeyedError if there is no such field, or it is not valid."""
+            if args and cls.__init__ is BaseModel.__init__:
+                raise TypeError(_by_name(cls, args))
+            try:
+                return super().__call__(*args, **values)
+            except ValidationError as error:
+                problems = WORDINGS["call"](error, cls, values)
+            raise KeyedError(*problems)
+
+        def __dir__(cls) -> list[str]:
+            """Return the names of the attributes without pydantic's deprecated methods, for tab completion."""
+            return [name for name in super().__dir__() if name not in DEPRECATED]
+
+
+class Value(BaseModel, metaclass=_ValueType):
+    """An immutable model that rejects unknown keys; the string below a field is the description of the field.
+
+    A call of a class, `model_copy` and an attempt to set a field raise KeyedError, whose sentences are those of a
+    scenario file. The methods of pydantic, such as `model_validate`, raise its ValidationError. Both are ValueErrors.
+    """
 
     model_config = ConfigDict(
         frozen=True,
@@ -144,19 +205,18 @@ class Value(BaseModel):
 
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
-    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
         """Convert the numbers and lists given for fields, see `as_python`."""
         if not isinstance(given, dict):
             return make(given)
-        if info.context is None and (unknown := given.keys() - cls.model_fields.keys()):  # files have their own texts
-            cls._check_names({name: given[name] for name in given if name in unknown})
         plain, converted = _plain_fields(cls), dict(given)
         for name in plain & given.keys():
             try:
                 converted[name] = as_python(given[name])
             except UnicodeEncodeError as error:
                 problem = PydanticCustomError("text", "{why}", {"why": why_no_text(error)})
-                raise cls._error({name: problem}, given) from error
+                detail = InitErrorDetails(type=problem, loc=(name,), input=given[name])
+                raise ValidationError.from_exception_data(cls.__name__, [detail]) from error
         return make(converted)
 
     @classmethod
@@ -182,13 +242,35 @@ class Value(BaseModel):
             deep: whether the values that stay are copied deeply.
 
         Raises:
-            ValidationError: if there is no such field, or the values are not valid together.
+            KeyedError: if there is no such field, or the values are not valid together.
         """
         copy = super().model_copy(deep=deep)
         if not update:
             return copy
         kept = {name: getattr(copy, name) for name in self.own_fields()}
-        return type(self).model_validate(kept | dict(update), by_name=True)
+        values = kept | dict(update)
+        try:
+            return type(self).model_validate(values, by_name=True)
+        except ValidationError as error:
+            problems = WORDINGS["call"](error, type(self), values)
+        raise KeyedError(*problems)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Raise KeyedError, because a value is immutable; private attributes can be set."""
+        try:
+            super().__setattr__(name, value)
+        except ValidationError:
+            is_key = name in type(self).model_fields
+        else:
+            return
+        how = "with_({" if hasattr(self, "with_") else "model_copy(update={"
+        hint = f"{how}{name!r}: ...}}) returns a changed copy" if is_key else "it has no such key"
+        hint += "" if is_key else did_you_mean(name, type(self).model_fields)
+        raise KeyedError(Problem(f"cannot be set: a {type(self).__name__} is immutable; {hint}", name))
+
+    def __dir__(self) -> list[str]:
+        """Return the names of the attributes without pydantic's deprecated methods, for tab completion."""
+        return [name for name in super().__dir__() if name not in DEPRECATED]
 
     def own_fields(self) -> Set[str]:
         """Return the names of the fields that were given, without those whose values follow from others."""
@@ -197,32 +279,6 @@ class Value(BaseModel):
     def _derived(self) -> Set[str]:
         """Return the names of the fields that were not given, but follow from others."""
         return frozenset()
-
-    @classmethod
-    def _check_names(cls, values: Mapping[str, Any]) -> None:
-        """Raise ValidationError if a name is not a field; with what may be meant, which pydantic does not say."""
-        fields = cls.model_fields
-        names = sorted({*fields, *(field.alias for field in fields.values() if field.alias)})
-        replaced = cls._replaced
-        problems = {
-            name: PydanticCustomError(
-                "extra_forbidden",
-                "unknown key{hint}; allowed: {names}",
-                {"hint": replaced.get(name) or did_you_mean(str(name), names), "names": ", ".join(names)},
-            )
-            for name in values
-            if name not in names
-        }
-        if problems and cls.model_config.get("extra") == "forbid":
-            raise cls._error(problems, values)
-
-    @classmethod
-    def _error(cls, problems: Mapping[str, PydanticCustomError], values: Mapping[str, Any]) -> ValidationError:
-        """Return the error for the problems of some keys."""
-        details = [
-            InitErrorDetails(type=problem, loc=(name,), input=values[name]) for name, problem in problems.items()
-        ]
-        return ValidationError.from_exception_data(cls.__name__, details)
 
     def given(self) -> dict[str, Any]:
         """Return the fields without a default, and those that differ from their defaults, by name."""

@@ -3,21 +3,19 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from operator import getitem
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
-from desim.config.error_texts import text_of
-from desim.config.errors import KeyedError, Problem, problems_of
-from desim.config.model import Value, fields_of, models_in
+from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
+from desim.config.key_errors import holds, model_of, value_at
+from desim.config.model import Value, fields_of
 from desim.config.python_numbers import as_python
 from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
-from desim.scenario.toml_lines import KeyPath
 
 
 class ScenarioError(KeyedError):
@@ -152,7 +150,7 @@ class Source:
                 raise ValueError(f"a dotted key is for instance network.latency.value (got {name!r})")
             self.set(name, as_python(value), origin)
         except ValueError as error:
-            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from error
+            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
 
     def _set_as_text(self, option: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
         """Set a key, which is put after `above`, to a value, given the text of an option."""
@@ -161,7 +159,7 @@ class Source:
             name, value = parse(text)
             self.set(above + name, value, origin)
         except ValueError as error:
-            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from error
+            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
 
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a dotted key to a value; missing tables are created with their default kind.
@@ -187,7 +185,11 @@ class Source:
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
             if holds(node, key) and isinstance(node[key], Value):
-                node[key] = _replaced(node[key], parts[depth:], value)
+                try:
+                    node[key] = _replaced(node[key], parts[depth:], value)
+                except ScenarioError as error:
+                    above = ".".join(map(str, (*place, key)))
+                    raise ScenarioError(*(problem.below(above) for problem in error.problems)) from None
                 self.origins[*place, key] = origin
                 return
             if holds(node, key) and isinstance(node[key], str | int | float):
@@ -232,13 +234,6 @@ class Source:
         return nested if _contains(self.tables, nested) else [*within, key]
 
 
-def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
-    """Return the model class of the value of a field, or of its items; None if there is none."""
-    for one_of in choices_of(info):
-        return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
-    return next(models_in(info.annotation), None)
-
-
 def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
     """Return the model field of a place in the tables of a scenario; for a list item, the field of the list.
 
@@ -253,11 +248,6 @@ def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) ->
     return info
 
 
-def value_at(tables: Any, place: KeyPath) -> Any:
-    """Return the value at a place in tables."""
-    return reduce(getitem, place, tables)
-
-
 def _contains(tables: Any, parts: list[str]) -> bool:
     """Return whether nested tables contain a dotted key."""
     for part in parts:
@@ -265,11 +255,6 @@ def _contains(tables: Any, parts: list[str]) -> bool:
             return False
         tables = tables[part]
     return True
-
-
-def holds(node: Any, key: Any) -> bool:
-    """Return whether a table contains a key, or a list has an index."""
-    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
 
 
 def _tables(model: Value) -> dict[str, Any]:
@@ -294,13 +279,17 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
         ScenarioError: if the model has no such key or rejects the value.
     """
     name, *rest = parts
-    if not isinstance(model, Value) or name not in type(model).model_fields:
+    if not isinstance(model, Value):
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
     try:
-        return model.model_copy(update={name: _replaced(getattr(model, name), rest, value) if rest else value})
-    except ValidationError as error:
-        why = "; ".join(text_of(each) for each in error.errors())
-        raise ScenarioError(Problem(why, name)) from error
+        if rest and name in type(model).model_fields:
+            value = _replaced(getattr(model, name), rest, value)
+    except ScenarioError as error:
+        raise ScenarioError(*(problem.below(name) for problem in error.problems)) from None
+    try:
+        return model.model_copy(update={name: value})
+    except KeyedError as error:
+        raise ScenarioError(*(problem._replace(where="") for problem in error.problems)) from None
 
 
 def _copied(tables: Any) -> Any:

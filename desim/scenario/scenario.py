@@ -192,6 +192,11 @@ class Scenario(Value):
             ScenarioError: if there is no such key, or the scenario would not be valid; the message has a line per
                 error, with what is allowed.
         """
+        keys: Any = changes
+        if not isinstance(keys, Mapping):
+            raise TypeError(
+                f"with_ takes values by key, {{'network.latency.value': 0.5}} for instance (got {changes!r})"
+            )
         source = Source.of(self)
         for name, value in changes.items():
             source.replace(name, value)

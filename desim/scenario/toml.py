@@ -6,17 +6,24 @@ from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomli_w
 
-from desim.config.errors import Problem
+from desim.config.arguments import Argument
+from desim.config.errors import KeyPath, Problem
 from desim.config.own_modules import CodeName
 from desim.config.trust import path_in, regular_or_missing
+from desim.scenario.examples import examples
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_errors import BASE, validated
-from desim.scenario.toml_lines import MAX_PARTS, KeyPath, deep_key, key_lines, tables_of, unreadable
+from desim.scenario.toml_lines import MAX_PARTS, deep_key, key_lines, tables_of, unreadable
+
+INSTEAD_OF_PATH = {"dict": "Scenario(**keys)", "Scenario": "use it as it is, or scenario.with_({{key: value}})"}
+PATH = Argument("the path of a scenario file", (str, Path), MappingProxyType(INSTEAD_OF_PATH))
+"""What `load` takes."""
 
 
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
@@ -31,10 +38,21 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
             it off for files that you do not trust.
 
     Raises:
+        TypeError: if it is not a path; the message says what to write instead.
         ScenarioError: if the file, one of its bases or an override is not valid; the message has one line per error.
         OSError: if the file cannot be read.
     """
-    return validate(read_source(file, overrides, allow_import=allow_import))
+    PATH.check(file, "load")
+    if isinstance(overrides, str):
+        overrides = [overrides]
+    try:
+        source = read_source(file, overrides, allow_import=allow_import)
+    except FileNotFoundError as error:
+        if (name := Path(file).stem) not in examples():
+            raise
+        why = f"{error.strerror}; load(examples()[{name!r}]) reads the example"
+        raise FileNotFoundError(error.errno, why, str(file)) from None
+    return validate(source)
 
 
 def read_source(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:

@@ -5,8 +5,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any
 
-KeyPath = tuple[str | int, ...]
-"""The place of a value in a file: keys and list indices, from the top."""
+from desim.config.errors import KeyPath
 
 
 def tables_of(text: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from desim.config.arguments import scenario_argument
 from desim.config.arrays import Floats, Integers
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
@@ -100,12 +101,16 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
+        TypeError: if it is not a scenario, or a watcher is not a function; the message says what to write instead.
         ValueError: if the seed is negative or not an integer.
         TimedOut: if the caller set a time limit (`desim.simulation.watchdog.within`) and it is exceeded; the text lists
             what each process is waiting for.
         RuntimeError: if code of the scenario calls `sys.exit`, which would otherwise look like success.
     """
+    scenario_argument(Scenario).check(scenario, "run")
     seed = scenario.seed if seed is None else seed_of(seed)
+    if wrong := [watcher for watcher in watchers if not callable(watcher)]:
+        raise TypeError(f"a watcher should be a function of an event (got {wrong[0]!r})")
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)

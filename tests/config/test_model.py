@@ -8,12 +8,13 @@ from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter
 
 import protocols
 from desim import Scenario
 from desim.config import choice
 from desim.config.choice import OneOf, kind_of
+from desim.config.errors import KeyedError
 from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
@@ -37,7 +38,7 @@ def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
     box = TypeAdapter(Box)
     assert box.validate_python((-1.0, 2.0)) == (-1.0, 2.0)
     assert box.validate_python((2.0, 2.0)) == (2.0, 2.0)
-    with pytest.raises(ValidationError, match=r"should be \[lower, upper\] \(got 2 and 1\.5\)"):
+    with pytest.raises(KeyedError, match=r"should be \[lower, upper\] \(got 2 and 1\.5\)"):
         box.validate_python((2.0, 1.5))
 
 
@@ -115,13 +116,13 @@ def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, 
     adapter = TypeAdapter(kind)
     assert [adapter.validate_python(each) for each in good] == good
     for each in bad:
-        with pytest.raises(ValidationError):
+        with pytest.raises(KeyedError):
             adapter.validate_python(each)
 
 
 def test_a_value_is_frozen():
     circle = Circle()
-    with pytest.raises(ValidationError, match="frozen"):
+    with pytest.raises(KeyedError, match="frozen"):
         circle.radius = 2.0
     assert circle == Circle()
 
@@ -131,7 +132,7 @@ def test_equal_values_are_one_in_a_set():
 
 
 def test_an_unknown_key_of_a_value_is_an_error():
-    with pytest.raises(ValidationError, match="radios"):
+    with pytest.raises(KeyedError, match="radios"):
         Circle(radios=2.0)
 
 
@@ -177,13 +178,13 @@ def test_a_bare_string_is_a_kind_and_a_bare_number_that_of_which_it_is_the_one_k
     assert adapter.validate_python("circle") == Circle()
     assert adapter.validate_python(3) == adapter.validate_python(3.0) == Square(side=3.0)
     for wrong in (True, -3.0, "triangle"):
-        with pytest.raises(ValidationError):
+        with pytest.raises(KeyedError):
             adapter.validate_python(wrong)
 
 
 @pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "triangle", 3, None])
 def test_a_value_that_is_neither_a_table_with_a_kind_nor_callable_is_refused(given):
-    with pytest.raises(ValidationError):
+    with pytest.raises(KeyedError):
         Drawing(shape=given)
 
 
@@ -193,7 +194,7 @@ def test_a_callable_is_accepted_unchanged(given):
 
 
 def test_a_class_is_refused_where_its_instance_is_wanted():
-    with pytest.raises(ValidationError, match=r"should be an instance: Circle\(\) instead of Circle"):
+    with pytest.raises(KeyedError, match=r"should be an instance: Circle\(\) instead of Circle"):
         Drawing(shape=Circle)
 
 
@@ -236,7 +237,7 @@ def test_a_listed_object_that_cannot_be_imported_is_refused_as_any_other(monkeyp
     monkeypatch.setattr(protocols, "KINDS", {"desim.shapes": {"round": listed}})
     choice._named_by_entry_points.cache_clear()
     try:
-        with pytest.raises(ValidationError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
+        with pytest.raises(KeyedError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
             TypeAdapter(Annotated[Any, OneOf(Circle)]).validate_python({"kind": listed}, context={"folder": tmp_path})
         assert "also searched" not in str(caught.value)
     finally:
@@ -265,7 +266,7 @@ def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
     assert adapter.validate_python({"kind": "square"}) == Square()
     assert adapter.dump_json(Square()) == b'{"kind":"square","side":2.0}'
     assert set(loaded) == {"square"}
-    with pytest.raises(ValidationError, match="expected tags: 'circle', 'drawing', 'square'"):
+    with pytest.raises(KeyedError, match="expected tags: 'circle', 'drawing', 'square'"):
         adapter.validate_python({"kind": "cube"})
 
 
@@ -280,7 +281,7 @@ def test_a_model_is_not_built_before_it_is_used():
     adapter.validate_python({"kind": "circle"})
     assert not Oval.__pydantic_complete__
     assert adapter.validate_python({"kind": "oval", "width": 2.0}) == Oval(width=2.0)
-    with pytest.raises(ValidationError, match=r"oval.width\n  Input should be greater than 0"):
+    with pytest.raises(KeyedError, match=r"oval.width\n  Input should be greater than 0"):
         adapter.validate_python({"kind": "oval", "width": 0.0})
 
 
@@ -352,5 +353,5 @@ def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):
     if says is None:
         Scenario.model_validate(table)
     else:
-        with pytest.raises(ValidationError, match=re.escape(says)):
+        with pytest.raises(KeyedError, match=re.escape(says)):
             Scenario.model_validate(table)

@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
+from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.python_numbers import as_python, real, whole
 from desim.kernel.models.latency_by_link import LatencyMatrix
@@ -258,7 +259,7 @@ WRONG_ITEMS = {
 def test_a_list_of_wrong_numbers_is_one_error(model, name, values):
     if values == "four columns" and (name == "groups" or model is LatencyMatrix):
         pytest.skip("rows of any length are right; that they are as many is no error of a number")
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(KeyedError) as refused:
         made(model, {name: WRONG_ITEMS[values]})
     assert [error["loc"][0] for error in refused.value.errors()] == [name]
 
@@ -286,9 +287,9 @@ def test_half_of_a_character_is_refused_wherever_a_text_is(model):
 
 @pytest.mark.parametrize("text", ["\ud800", "a\udcff"])
 def test_a_name_that_no_file_can_hold_is_refused_with_its_key(text):
-    with pytest.raises(ValidationError, match=r"name\n  should be a text that a file can hold: '.ud...' is half of"):
+    with pytest.raises(KeyedError, match=r"name\n  should be a text that a file can hold: '.ud...' is half of"):
         Scenario(name=text)
     for value in ([text], {"a": [text]}, {text: 1.0}, np.array([text])):
-        with pytest.raises(ValidationError, match=r"grid\n  should be a text that a file can hold"):
+        with pytest.raises(KeyedError, match=r"grid\n  should be a text that a file can hold"):
             Sweep(grid={"name": value})
     assert Scenario(name="caf\u00e9 \U0001f600").name == "caf\u00e9 \U0001f600"

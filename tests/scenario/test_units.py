@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.scenario.key_index import unit_of_key
+from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 
 

@@ -31,8 +31,8 @@ from desim.study.workers.batch import seeds_from
 from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
 from desim.view.pages import playground as play
-from desim.view.pages.play_server import PlayServer
 from desim.view.pages.metric_rows import differences_over_seeds
+from desim.view.pages.play_server import PlayServer
 from desim.view.pages.playground import Playground
 from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS

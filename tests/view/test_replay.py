@@ -370,9 +370,7 @@ def test_a_pursuer_that_lost_its_memory_has_no_records():
 def test_positions_are_exact_to_the_millimetre(name, result_of):
     result = result_of(name)
     path = replay_data(result)["path"]
-    shifts = column(path["shifts"], "<i4").reshape(
-        -1, 2 * (len(started(result).active) + len(started(result).evaders))
-    )
+    shifts = column(path["shifts"], "<i4").reshape(-1, 2 * (len(started(result).active) + len(started(result).evaders)))
     places = column(path["start"], "<i4") + np.vstack([np.zeros(shifts.shape[1], int), np.cumsum(shifts, axis=0)])
     known = [started(result), *result.trace.of(Sampled)]
     there = np.array([[*each.pursuers, *each.evaders] for each in known]).reshape(len(known), -1)

@@ -8,10 +8,9 @@ from collections.abc import Collection, Iterable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, ValidationError, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
-from desim.config.error_texts import text_of
 from desim.config.model import Flag, Time, Value
 from desim.config.traits import is_ours, positions
 from desim.config.trust import resolve_path
@@ -161,10 +160,7 @@ class LinkTrace(Value):
         order = self.measurements.names
         if order == names or (order is None and not all(map(str.isdecimal, names))):
             return self
-        try:
-            return self.model_copy(update={"nodes": names})
-        except ValidationError as error:
-            raise ValueError(text_of(error.errors(include_url=False)[0])) from error
+        return self.model_copy(update={"nodes": names})
 
     @property
     def is_replayed(self) -> bool:

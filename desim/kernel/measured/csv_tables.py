@@ -108,7 +108,7 @@ def csv_text(path: Path, columns: Collection[str]) -> str:
     try:
         return _csv_of(path.read_bytes(), tuple(columns))
     except ModuleNotFoundError as error:
-        raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from error
+        raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from None
     except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are of these types, too
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise ValueError(f"{path} cannot be read: {reason}") from error

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
-from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.error_texts import text_of
+from desim.config.errors import KeyedError
 from desim.config.model import Flag, Value
 from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
@@ -279,9 +279,8 @@ def _attribute(src: Any, dst: Any, name: str, value: Any) -> Any:
     """Convert an attribute of the edge between two nodes; see `as_model`."""
     try:
         return as_model(name, value)
-    except ValidationError as error:
-        why = text_of(error.errors(include_url=False)[0])
-        raise ValueError(f"the {name} of the edge from {src} to {dst}: {why} (got {value!r})") from error
+    except KeyedError as error:
+        raise ValueError(f"the {name} of the edge from {src} to {dst}: {error.reason}") from None
 
 
 def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
@@ -297,9 +296,8 @@ def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
         if not callable(model):
             return dict(Edge(src=0, dst=0, **{name: model}))[name]
         (LATENCIES if name == "latency" else LOSSES).check(model)
-    except ValidationError as error:
-        why = text_of(error.errors(include_url=False)[0])
-        raise ValueError(f"the {name} of the edge from {src} to {dst}: {why} (got {value!r})") from error
+    except KeyedError as error:
+        raise ValueError(f"the {name} of the edge from {src} to {dst}: {error.reason}") from None
     except ValueError as error:
         raise ValueError(f"the {name} of the edge from {src} to {dst} {error}") from error
     return model

@@ -18,6 +18,7 @@ from typing import Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
+from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import seed_of
@@ -54,6 +55,7 @@ def explain(
     other arguments are as in `sweep`.
 
     Raises:
+        TypeError: if it is not a scenario; the message says what to write instead.
         ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
             `timeout` is out of its range, or a metric has a wrong name, does not exist or is not numeric.
         ScenarioError: if an object of the scenario has no stable hash.
@@ -61,6 +63,9 @@ def explain(
         ConnectionError: if a scheduler does not answer.
         RunError: if no seed completes in all variants.
     """
+    scenario_argument(Scenario).check(scenario, "explain")
+    if isinstance(shown, str):
+        shown = [shown]
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import METRICS
+from desim.config.extras import naming_extras
 from desim.config.trust import csv_cell, replacing
 from desim.study.results.runs import SweepRuns, text
 from desim.study.store.run_table import Row
@@ -36,11 +37,8 @@ def data_frame(result: SweepRuns) -> "pd.DataFrame":
     Raises:
         ImportError: if pandas is not installed.
     """
-    try:
+    with naming_extras():
         import pandas as pd
-    except ImportError as error:
-        missing = "pandas is missing: pip install 'pursuit-desim[frame]', or in a clone '.[frame]'"
-        raise ImportError(missing) from error
     rows = list(records(result))
     columns = {name: [row[name] for row in rows] for name in _columns(result)}
     return pd.DataFrame({name: pd.Series(*_typed(values)) for name, values in columns.items()})

@@ -17,8 +17,8 @@ from desim.analysis.drawing.plots import NARROW, Axes, Figure, as_it_is, size_of
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate
+from desim.config.key_index import unit_of_key
 from desim.config.trust import escaped
-from desim.scenario.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.explanation import AS_IT_IS, IDEAL, Cost, Explanation

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.tables import aligned
+from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
@@ -65,6 +66,7 @@ class SweepResult(SweepRuns):
         fixed = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
         return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))
 
+    @naming_extras()
     def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
         """Return a figure of a metric; needs matplotlib (the extra `plot`).
 
@@ -83,6 +85,7 @@ class SweepResult(SweepRuns):
         Raises:
             ValueError: if the sweep has no such metric, key or value.
             TypeError: if an option does not exist.
+            ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         """
         from desim.study.results import figures
 

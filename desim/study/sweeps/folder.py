@@ -3,12 +3,16 @@
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
+from types import MappingProxyType
 
+from desim.config.arguments import Argument
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
 from desim.simulation.run import Result
 from desim.study.results.result import SweepResult
 from desim.study.store.store import Store
+
+PATH = Argument("the path of a folder with results", (str, Path), MappingProxyType({}))
 
 
 def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
@@ -22,10 +26,12 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
         allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
 
     Raises:
+        TypeError: if it is not a path.
         ValueError: if the path has no run and no sweep, or both (the message says what it has), or if the trace or
             run.json is damaged or of another format.
         OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
     """
+    PATH.check(path, "open")
     path = Path(path)
     if path.is_dir():
         path = _file_in(path)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
+from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.results import environment
@@ -77,9 +78,16 @@ class SweepPlan:
         `metrics` are measured in addition to those that the scenario names (`record.metrics`).
 
         Raises:
+            TypeError: if it is not a scenario, or the grid is not a mapping; the message says what to write instead.
             ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
             ValueError: if there are no runs, the seed is negative, or a metric has a wrong name or is not a function.
         """
+        if not isinstance(scenario, Source):
+            scenario_argument(Scenario).check(scenario, "sweep")
+        of_grid: Any = grid
+        if not isinstance(of_grid, Mapping | None):
+            form = "{'network.latency.value': [0.0, 0.1]}"
+            raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {grid!r})")
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
@@ -237,6 +245,7 @@ def sweep(
             SimPy or networkx computed the runs. Last digits may then differ between runs.
 
     Raises:
+        TypeError: if it is not a scenario, or the grid is not a mapping; the message says what to write instead.
         ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
         ValueError: if there are no runs, a number is out of its range, the metric of `until` does not exist or is not
             numeric, or a metric of `metrics` has a wrong name, is not a function or has no stable hash.
@@ -249,6 +258,10 @@ def sweep(
         checked_limit(timeout)
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
     if until is not None:
+        pair: Any = until
+        if isinstance(pair, str) or len(pair) != 2:
+            form = "('active_time', 0.1)"
+            raise ValueError(f"until should be a metric and a half width, {form} for instance (got {until!r})")
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
+from desim.config.extras import missing
 from desim.config.interrupts import SIGNALS, deferred
 from desim.config.python_numbers import whole
 from desim.config.trust import NO_CWD_IMPORT
@@ -154,8 +155,8 @@ class Cluster(Workers):
     def __init__(self, address: str, patience: float):
         try:
             from distributed import Client
-        except ImportError as error:
-            raise ConnectionError(f"{address}: Dask is missing: pip install 'pursuit-desim[cluster]'") from error
+        except ImportError:
+            raise ConnectionError(f"{address}: {missing('distributed')}") from None
         try:
             self._client = _within(patience, lambda: Client(address, timeout=patience, set_as_default=False))
         except (OSError, ValueError) as error:  # time-outs are OSErrors
@@ -204,6 +205,8 @@ def workers_for(executor: Executor | int | str, calls: int | None = None) -> Wor
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
         ValueError: if a number is negative, or the executor is of another type.
     """
+    if isinstance(executor, str) and executor.isdecimal():
+        raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
     if isinstance(executor, str):
         return Cluster(executor, START_TIMEOUT)
     if isinstance(executor, Executor):

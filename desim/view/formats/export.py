@@ -10,8 +10,10 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
+from desim.config.arguments import run_argument
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
+from desim.config.extras import missing
 from desim.config.model import Flag, Value
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, kind_of
@@ -120,6 +122,7 @@ def export(result: Result | StreamedResult, file: str | Path, exporter: Any = No
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.
     """
+    run_argument(Result, StreamedResult).check(result, "export")
     file = Path(file)
     chosen = exporter_for(file, exporter, allow_import=True)
     needed = ExporterTraits.of(chosen).requires
@@ -130,9 +133,7 @@ def export(result: Result | StreamedResult, file: str | Path, exporter: Any = No
             package, extra = needed or ("", "")
             if (error.name or "").partition(".")[0] != package:
                 raise
-            raise ImportError(
-                f"{package} is missing: pip install 'pursuit-desim[{extra}]', or in a clone '.[{extra}]'"
-            ) from error
+            raise ImportError(missing(package, extra)) from None
         if not part.exists():
             raise ValueError(f"the exporter {kind_of(chosen)} should write the file that it is given, {part}")
     return None if count is None else int(count)

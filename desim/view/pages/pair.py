@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from desim.scenario.key_index import unit_of_key
+from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.pages.headline import run_name

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from desim.analysis.drawing import palette
 from desim.analysis.trace_index import lacks_messages, messages, positions_known, trace_index
+from desim.config.arguments import run_argument
+from desim.config.extras import naming_extras
 from desim.config.trust import escaped, write_whole
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
@@ -50,6 +52,7 @@ class Replay:
         return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts allow-downloads" style="{look}"></iframe>'
 
 
+@naming_extras()
 def replay(result: Result, ghost: Result | None = None) -> Replay:
     """Create the replay of a run, a page to show in a notebook or to save with `write`; needs jinja2 (extra `plot`).
 
@@ -57,7 +60,14 @@ def replay(result: Result, ghost: Result | None = None) -> Replay:
         result: the run.
         ghost: another run, drawn faint in the same plane, for example with the same seed and another latency; None = no
             other run.
+
+    Raises:
+        TypeError: if it is not the result of a run; the message says what to write instead.
+        ModuleNotFoundError: if jinja2 is not installed; the message names the extra.
     """
+    argument = run_argument(Result)
+    for shown in (result,) if ghost is None else (result, ghost):
+        argument.check(shown, "replay")
     return Replay(replay_page(result, ghost), run_name(result))
 
 

@@ -17,9 +17,9 @@ from desim.analysis.metrics import METRICS, words
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
+from desim.config.key_index import unit_of_key
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
-from desim.scenario.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.study.results.explanation import Explanation
 from desim.study.results.result import SweepResult

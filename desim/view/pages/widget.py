@@ -8,6 +8,7 @@ from typing import Any
 import anywidget
 import traitlets
 
+from desim.config.arguments import scenario_argument
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.workers.workers import Processes, Workers
@@ -108,5 +109,9 @@ def play(scenario: Scenario, timeout: float = 30.0) -> PlayWidget:
     Args:
         scenario: the scenario before any change.
         timeout: the wall time after which a run is ended, s.
+
+    Raises:
+        TypeError: if it is not a scenario; the message says what to write instead.
     """
+    scenario_argument(Scenario).check(scenario, "play")
     return PlayWidget(scenario, timeout)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
+from desim.config.arguments import run_argument
+from desim.config.extras import naming_extras
 from desim.pursuit.core.events import Sampled
 from desim.simulation.run import Result
 
@@ -10,6 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@naming_extras()
 def plot(
     result: Result,
     kind: Literal["trajectory", "spacetime"] = "trajectory",
@@ -34,14 +37,14 @@ def plot(
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
 
     Raises:
-        TypeError: if it is not a run.
+        TypeError: if it is not a run; the message says what to write instead.
+        ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
     """
+    run_argument(Result).check(result, "plot")
     from desim.analysis.drawing.plots import trajectory
     from desim.view.pictures.spacetime import spacetime
 
-    if not isinstance(result, Result):
-        raise TypeError(f"plot draws a run, as desim.run returns it; a {type(result).__name__} has a plot of its own")
     if kind == "spacetime":
         return spacetime(result, begin, end, pursuers, size or "17cm")
     if kind != "trajectory":

@@ -1,6 +1,6 @@
 """Where each key of a scenario file lives."""
 
-from desim.scenario.key_index import all_keys, homes_of
+from desim.config.key_index import all_keys, homes_of
 from desim.scenario.scenario import Scenario
 from tests.test_refusals import TABLES
 

@@ -1,0 +1,246 @@
+"""The errors of pydantic in sentences: which key is wrong, what is allowed there, and what may have been meant.
+
+A scenario file and a call such as `Team(count=8)` have the same sentences. They differ only in how they say where a key
+was set, and how a value is written.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import getitem
+from typing import Any
+
+from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from desim.config.choice import OneOf, choices_of
+from desim.config.error_texts import OF_EXCEPTIONS, text_of
+from desim.config.errors import KeyedError, KeyPath, Problem
+from desim.config.key_index import homes_of
+from desim.config.model import Value, fields_of, markers_of, models_in
+from desim.config.suggestion import close_to
+
+MAX_HOMES = 3
+"""The largest number of tables that an error message suggests for a key."""
+MAX_SHOWN = 60
+"""The largest number of characters of a value that an error message shows."""
+
+
+def problems_of_call(error: ValidationError, model: type[BaseModel], values: Mapping[str, Any]) -> tuple[Problem, ...]:
+    """Return the problems of a call of a model, given the error of pydantic and the values by key."""
+    wording = Wording(values, model, written=repr, is_call=True)
+    return tuple(
+        Problem(reason, ".".join(map(str, place)), model.__name__)
+        for each in error.errors()
+        for place, reason in wording.problems(each)
+    )
+
+
+@dataclass(frozen=True)
+class Wording:
+    """How the errors of a table are put into sentences."""
+
+    tables: Any
+    """The table with all tables in it."""
+    whole: type[BaseModel]
+    """The model of the table."""
+    written: Callable[[Any], str] = repr
+    """Returns a value as it is written."""
+    more: Callable[[KeyPath], Sequence[str]] | None = None
+    """Returns the keys that are allowed beside an unknown key at the top, in addition to the fields of the model."""
+    is_call: bool = False
+    """Whether the table is the arguments of a call, in which objects may stand for tables."""
+    model: type[Any] | None = None
+    """The model of the table in which pydantic found the error, possibly a user's class; None: `whole`."""
+    above: KeyPath = ()
+    """The place of that table."""
+
+    def problems(self, error: ErrorDetails) -> Iterator[tuple[KeyPath, str]]:
+        """Yield the place and the reason of each problem that a pydantic error describes."""
+        context = error.get("ctx", {})
+        if error["type"] == "misfits":
+            yield from context["misfits"]
+            return
+        place, owner, info = self._locate(error)
+        if error["type"] == "user_model":
+            inner = replace(self, model=context["model"], above=place)
+            for detail in context["errors"]:
+                yield from inner.problems(detail)
+            return
+        if isinstance(cause := context.get("error"), KeyedError):  # of a model that a validator constructed
+            for problem in cause.problems:
+                yield (*place, *problem.key.split(".")) if problem.key else place, problem.reason
+            return
+        # The first paragraph says what the key is; the next ones advise what to choose, too much for an error message.
+        description = " ".join((info.description or "").partition("\n\n")[0].split()).rstrip(".") if info else ""
+        note = f"; {description}" if description and error["type"] not in SAYS_ENOUGH else ""
+        yield place, f"{self._reason(error, place, owner, info)}{note}{self._input_text(error)}"
+
+    def _locate(self, error: ErrorDetails) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
+        """Return the place of the key with an error, the model of the table that contains it, and its field.
+
+        The path in a pydantic error also contains the kind of each table that has one; the place does not.
+        """
+        model = self.model or self.whole
+        place, node = self.above, value_at(self.tables, self.above)
+        owner: type[BaseModel] | None = None
+        inner: type[BaseModel] | None = model if issubclass(model, BaseModel) else None
+        info: FieldInfo | None = None
+        path = list(error["loc"])
+        while path:
+            part = path.pop(0)
+            place += (part,)
+            node = node[part] if holds(node, part) else None
+            if isinstance(part, str):
+                owner, info = inner, fields_of(inner).get(part) if inner else None
+            inner = model_of(info, node) if info else None
+            if info is not None and path and path[0] in _tags(info):
+                path.pop(0)
+        if error["type"] in {"union_tag_invalid", "import_refused"}:
+            place += ("kind",)
+        return place, owner, info
+
+    def _reason(
+        self, error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None
+    ) -> str:
+        """Return the text of an error, with the allowed values; `owner` is the model of the table with the key."""
+        kind, context = error["type"], error.get("ctx", {})
+        one_of = next(iter(choices_of(info)), None) if info else None
+        kinds = list(one_of.choices()) if one_of else []
+        if kind == "extra_forbidden":
+            if self.is_call and "." in str(place[-1]):
+                outer, _, inner = str(place[-1]).partition(".")
+                return f"a call has nested tables, {outer}={{{inner!r}: ...}}, and Scenario.with_ takes dotted keys"
+            more = self.more(place) if self.more and owner is self.whole else ()
+            allowed = context.get("allowed") or (sorted([*owner.model_fields, *more]) if owner else [])
+            replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
+            return f"unknown key{replaced or _other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
+        if kind == "union_tag_invalid":
+            return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
+        if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
+            return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
+        if kind == "import_refused":
+            return f"{error['msg']}; allowed without --allow-import: {', '.join(kinds)}"
+        if kind == "literal_error":
+            return f"should be {context['expected']}"
+        if kind == "missing":
+            return "is missing"
+        if kind in NOT_A_TABLE and self.is_call:
+            name, given = context["class_name"], error["input"]
+            is_class = isinstance(given, type)
+            return f"should be a {name}{', not a class: ' + name + '()' if is_class else ' or a table of its keys'}"
+        if kind in NOT_A_TABLE:
+            return "should be a table"
+        if kind in {"too_long", "too_short"}:
+            most = kind == "too_long"
+            limit = context["max_length" if most else "min_length"]
+            return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+        return text_of(error)
+
+    def _input_text(self, error: ErrorDetails) -> str:
+        if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
+            return ""
+        text = self.written(error["input"])
+        return f" (got {text if len(text) < MAX_SHOWN else text[: MAX_SHOWN - 3] + '...'})"
+
+
+NOT_A_TABLE = {"model_type", "model_attributes_type"}
+SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
+"""Types of errors whose texts say what the key is for, or list what is allowed."""
+
+
+def holds(node: Any, key: Any) -> bool:
+    """Return whether a table contains a key, or a list has an index."""
+    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
+
+
+def value_at(tables: Any, place: KeyPath) -> Any:
+    """Return the value at a place in tables."""
+    return reduce(getitem, place, tables)
+
+
+def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
+    """Return the model class of the value of a field, or of its items; None if there is none."""
+    for one_of in choices_of(info):
+        return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
+    return next(models_in(info.annotation), None)
+
+
+def _tags(info: FieldInfo) -> set[str]:
+    """Return the kinds and the union tags of a field.
+
+    In the path of an error, pydantic inserts them after the name of the field or the index of an item.
+    """
+    markers = markers_of(info)
+    kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
+    return kinds | {each.tag for each in markers if isinstance(each, Tag)}
+
+
+RENAMED = {
+    "at": "start",
+    "delay": "latency",
+    "deviation": "cv",
+    "floor": "min_timeout",
+    "forget_after": "belief_timeout",
+    "frozen": "static",
+    "heeds": "flees_from",
+    "hold": "holding_time",
+    "lost_after": "track_timeout",
+    "needed": "captures_to_end",
+    "of": "schedule",
+    "otherwise": "normally",
+    "packet_loss": "loss",
+    "packetloss": "loss",
+    "pass_on": "relay",
+    "patience": "winner_timeout",
+    "q": "participation",
+    "reach": "reception",
+    "reaction": "reaction_delay",
+    "sight": "sensing_range",
+    "sigma": "cv",
+    "spread": "dissemination",
+    "std": "cv",
+    "stddev": "cv",
+    "surprises": "reheat_on",
+    "then": "during_handover",
+    "together": "synchronous",
+    "until": "end",
+    "when_lost": "on_lost",
+}
+"""Keys and kinds that are not valid, and the valid ones to suggest."""
+
+
+def _suggestion(word: str, allowed: Sequence[str]) -> str:
+    close = _similar(word, allowed)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _similar(word: str, allowed: Sequence[str]) -> list[str]:
+    """Return a list with the allowed word to suggest for an invalid one; an empty list if none is similar."""
+    return [RENAMED[word]] if RENAMED.get(word) in allowed else close_to(word, allowed)
+
+
+def _siblings_with(key: str, model: type[BaseModel]) -> list[str]:
+    """Return the names of the models that a field may hold in place of a model, and that have a key."""
+    families = [family for family in OneOf.families if "kind" in model.model_fields and family.has(model)]
+    siblings = [sibling for family in families for sibling in family.choices().values()]
+    return list(dict.fromkeys(sibling.__name__ for sibling in siblings if key in sibling.model_fields))
+
+
+def _other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) -> str:
+    """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
+    word = str(place[-1]).split(".")[-1]
+    close = _similar(word, allowed)
+    homes = homes_of(word, whole) or homes_of(RENAMED.get(word, word), whole)
+    if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
+        homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
+    here = [each for each in place if isinstance(each, str)]
+    same = [key for key in homes if [each for each in key.place if each != "0"] == here]
+    if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):
+        return f", it is one of the kind {' or '.join(kinds)}"
+    if not homes and (siblings := _siblings_with(word, whole)):
+        return f", it is a key of {' and '.join(siblings)}"
+    places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in homes)
+    found = [*map(repr, close), *list(places)[:MAX_HOMES]]
+    return f", did you mean {' or '.join(found)}?" if found else ""
