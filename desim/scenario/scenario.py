@@ -194,9 +194,8 @@ class Scenario(Value):
         """
         keys: Any = changes
         if not isinstance(keys, Mapping):
-            raise TypeError(
-                f"with_ takes values by key, {{'network.latency.value': 0.5}} for instance (got {changes!r})"
-            )
+            form = "{'network.latency.value': 0.5}"
+            raise TypeError(f"with_ takes values by key, {form} for instance (got {changes!r})")
         source = Source.of(self)
         for name, value in changes.items():
             source.replace(name, value)

@@ -109,8 +109,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     """
     scenario_argument(Scenario).check(scenario, "run")
     seed = scenario.seed if seed is None else seed_of(seed)
-    if wrong := [watcher for watcher in watchers if not callable(watcher)]:
-        raise TypeError(f"a watcher should be a function of an event (got {wrong[0]!r})")
+    for watcher in watchers:
+        _check_watcher(watcher)
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
@@ -120,6 +120,12 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     finally:
         trace.close()
     return Result(scenario, seed, trace)
+
+
+def _check_watcher(watcher: object) -> None:
+    """Raise TypeError if a watcher cannot be called."""
+    if not callable(watcher):
+        raise TypeError(f"a watcher should be a function of an event (got {watcher!r})")
 
 
 def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Trace) -> None:
