@@ -44,6 +44,7 @@ def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...])
     if draws:
         _draw_links(scenario, file, out)
     echo(dump(scenario), end="")
+    echo(f"{file} is valid", err=True)
 
 
 def _draw_links(scenario: "Scenario", file: Path, out: Path | None) -> None:
@@ -119,6 +120,7 @@ def protocols(only: str | None) -> None:
 
     from desim.cli.description import described, described_traits, summary
     from desim.config.choice import definition_of
+    from desim.config.key_errors import suggestion
     from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()
@@ -128,7 +130,8 @@ def protocols(only: str | None) -> None:
             echo("\n".join(described(model, kind, known=known)) + "\n")
         return
     if only not in choices and ":" not in only:
-        fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}, and module:name")
+        allowed = f"allowed: {', '.join(choices)}, and module:name"
+        fail(f"there is no protocol {only!r}{suggestion(only, [*choices])}; {allowed}")
     protocol = choices[only].model_construct() if only in choices else _imported(only)
     is_model = isinstance(protocol, BaseModel)
     lines = described(type(protocol), only) if is_model else [f"{only}: {summary(definition_of(protocol))}"]

@@ -66,7 +66,8 @@ GRID = click.option(
     metavar="KEY=V1,V2,...",
     callback=_one_word_each,
     shell_complete=completion.keys,
-    help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated.",
+    help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated. A"
+    " range FIRST:LAST:STEP, such as 0:1:0.1, stands for its numbers, the last included.",
 )
 SEED = click.option(
     "-s",
@@ -172,8 +173,25 @@ def source_of(
     except ScenarioError as error:
         fail(str(error))
     except OSError as error:
-        fail(f"{file}: cannot be read: {error.strerror}")
+        fail(f"{file}: cannot be read: {error.strerror}{_instead_of(file)}")
     return source, valid(source)
+
+
+def _instead_of(file: Path) -> str:
+    """Return what to give instead of a scenario file that cannot be read, as the end of a message; "" if unknown."""
+    from desim.config.suggestion import did_you_mean
+    from desim.scenario.examples import examples
+
+    if file.is_dir():
+        scenarios = sorted(file.glob("*.toml"))
+        return f"; a file in it is {scenarios[0]}" if scenarios else "; a scenario is one file, NAME.toml"
+    with_suffix = file.with_suffix(".toml")
+    if with_suffix != file and with_suffix.is_file():
+        return f", did you mean {with_suffix}?"
+    if file.stem in examples() and file.parent == Path():
+        return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
+    beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+    return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:

@@ -170,7 +170,7 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-        if self.number is not None and isinstance(value, str) and (reason := _why_no_number(str(value))):
+        if self.number is not None and isinstance(value, str) and (reason := why_no_number(str(value))):
             raise ValueError(reason)
         value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
@@ -285,11 +285,25 @@ def _or(models: Sequence[type]) -> str:
 
 NUMBER_AS_TEXT = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?)\s*([^\W\d_]*|%)\s*", re.IGNORECASE)
 """Matches a text that is meant as a number, and its unit."""
-UNITS = MappingProxyType({"s": ("s", 1.0), "ms": ("s", 1e3), "us": ("s", 1e6), "ns": ("s", 1e9), "%": ("1", 100.0)})
+UNITS = MappingProxyType(
+    {
+        "s": ("s", 1.0),
+        "sec": ("s", 1.0),
+        "ms": ("s", 1e3),
+        "us": ("s", 1e6),
+        "ns": ("s", 1e9),
+        "min": ("s", 1 / 60),
+        "m": ("m", 1.0),
+        "km": ("m", 1e-3),
+        "cm": ("m", 1e2),
+        "mm": ("m", 1e3),
+        "%": ("1", 100.0),
+    }
+)
 """The unit in which a number is expected instead of another one, and how many of these it is."""
 
 
-def _why_no_number(text: str) -> str | None:
+def why_no_number(text: str) -> str | None:
     """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind."""
     text = str(text)  # numpy's are shown otherwise
     match = NUMBER_AS_TEXT.fullmatch(text)
@@ -301,7 +315,7 @@ def _why_no_number(text: str) -> str | None:
     if unit not in UNITS:
         return f"should be a number without a unit (got {text!r})"
     right, count = UNITS[unit]
-    what = "a number from 0 to 1" if right == "1" else "a number, in s"
+    what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
     return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
 
 

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import getitem
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from desim.config.choice import OneOf, choices_of
+from desim.config.choice import OneOf, choices_of, why_no_number
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.key_index import homes_of
@@ -117,7 +118,7 @@ class Wording:
             replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
             return f"unknown key{replaced or _other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
         if kind == "union_tag_invalid":
-            return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
+            return f"there is no {context['tag']!r}{suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
         if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
             return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
         if kind == "import_refused":
@@ -136,15 +137,20 @@ class Wording:
             most = kind == "too_long"
             limit = context["max_length" if most else "min_length"]
             return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+        if kind in NUMBERS and isinstance(error["input"], str):
+            return why_no_number(error["input"]) or text_of(error)
         return text_of(error)
 
     def _input_text(self, error: ErrorDetails) -> str:
         if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
             return ""
+        if error["type"] in NUMBERS and isinstance(error["input"], str) and why_no_number(error["input"]):
+            return ""
         text = self.written(error["input"])
         return f" (got {text if len(text) < MAX_SHOWN else text[: MAX_SHOWN - 3] + '...'})"
 
 
+NUMBERS = {"float_type", "int_type"}
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
@@ -211,14 +217,36 @@ RENAMED = {
 """Keys and kinds that are not valid, and the valid ones to suggest."""
 
 
-def _suggestion(word: str, allowed: Sequence[str]) -> str:
+MEANT = MappingProxyType(
+    {
+        "auction": ("cbaa", "cbba"),
+        "consensus": ("cbaa", "cbba"),
+        "exponential": ("shifted_exponential",),
+        "fixed": ("constant",),
+        "gauss": ("lognormal",),
+        "gaussian": ("lognormal",),
+        "gilbert": ("gilbert_elliott",),
+        "greedy": ("argmin", "local_min"),
+        "hungarian": ("centralised",),
+        "iid": ("bernoulli",),
+        "normal": ("lognormal",),
+        "random": ("uniform", "bernoulli"),
+    }
+)
+"""Words of the field that are no kinds, and the kinds that they may mean."""
+
+
+def suggestion(word: str, allowed: Sequence[str]) -> str:
+    """Return the end of a message that suggests a kind, for example ", did you mean 'sap'?"; "" if none is similar."""
     close = _similar(word, allowed)
-    return f", did you mean {close[0]!r}?" if close else ""
+    return f", did you mean {' or '.join(map(repr, close))}?" if close else ""
 
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
-    """Return a list with the allowed word to suggest for an invalid one; an empty list if none is similar."""
-    return [RENAMED[word]] if RENAMED.get(word) in allowed else close_to(word, allowed)
+    """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
+    plain = word.lower().replace("-", "_").replace(" ", "_")
+    meant = [RENAMED.get(plain, plain), *MEANT.get(plain, ())]
+    return [name for name in meant if name in allowed] or close_to(plain, allowed)
 
 
 def _siblings_with(key: str, model: type[BaseModel]) -> list[str]:

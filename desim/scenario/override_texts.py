@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from desim.scenario.toml_lines import MAX_PARTS, deep_key, tables_of
+from desim.scenario.value_ranges import range_of
 
 
 def key_and_value(text: str) -> tuple[str, Any]:
@@ -17,12 +18,16 @@ def key_and_value(text: str) -> tuple[str, Any]:
 
 
 def key_and_values(text: str) -> tuple[str, list[Any]]:
-    """Return the dotted key and the values of "key.key=value,value,...".
+    """Return the dotted key and the values of "key.key=value,value,..."; a value may be a range, see `range_of`.
 
     Raises:
         ValueError: if the text does not have this form, or a value is empty or not TOML that can be read.
     """
-    return _split(text, "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1", _parsed_list)
+    return _split(
+        text,
+        "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1 or network.latency.value=0:1:0.1",
+        _parsed_list,
+    )
 
 
 def _split(text: str, form: str, parse: Callable[[str], Any]) -> tuple[str, Any]:
@@ -74,7 +79,8 @@ def _parsed_list(text: str) -> list[Any]:
         if not value:
             raise ValueError(f"{text!r} has an empty value")
         try:
-            values.append(_parsed(value))
+            numbers = range_of(value)
+            values.extend([_parsed(value)] if numbers is None else numbers)
         except ValueError:
             if k == len(parts) - 1:
                 raise

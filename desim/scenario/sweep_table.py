@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 from desim.config.choice import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.model import Value
 from desim.config.trust import is_trusted
+from desim.scenario.value_ranges import range_of
 
 
 def _flat(grid: Any, above: str = "") -> Any:
@@ -32,6 +33,8 @@ def _flat(grid: Any, above: str = "") -> Any:
 def _in_order(values: Any) -> Any:
     if isinstance(values, Set):
         raise ValueError("should be a list: a set has no order")
+    if isinstance(values, str) and ":" in values:
+        return range_of(values) or values
     return values
 
 
@@ -52,8 +55,8 @@ class Sweep(Value):
     """common: run k of every configuration has the seed 1,000,000 `seed` + k (common random numbers), so that
     configurations are compared on equal seeds; independent: every run has its own seed."""
     grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
-    """Dotted keys of the scenario as in --set, each with the list of its values; every combination is a
-    configuration."""
+    """Dotted keys of the scenario as in --set, each with the list of its values, or with a range "FIRST:LAST:STEP" of
+    numbers, such as "0:1:0.1", the last included; every combination is a configuration."""
 
     @field_validator("grid")
     @classmethod

@@ -150,6 +150,15 @@ def _has_installed_kind(table: Any) -> bool:
     return isinstance(kind, str) and ":" not in kind
 
 
+_PRINTED = "import sys, tomli_w, {0}; print(tomli_w.dumps({0}.{1}(open(sys.argv[1]))))"
+CONVERSIONS = {
+    ".json": _PRINTED.format("json", "load"),
+    ".yaml": _PRINTED.format("yaml", "safe_load"),
+    ".yml": _PRINTED.format("yaml", "safe_load"),
+}
+"""By suffix of a file that is not TOML, the program that prints its content as TOML."""
+
+
 def _parsed(file: Path, allow_import: bool) -> Source:
     """Return the source of one file.
 
@@ -164,6 +173,8 @@ def _parsed(file: Path, allow_import: bool) -> Source:
     try:
         tables = tables_of(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
+        if how := CONVERSIONS.get(file.suffix.lower()):
+            raise ScenarioError(f"{file}: scenario files are TOML; convert it: python -c '{how}' {file}") from None
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
     return Source(str(file), tables, Scenario, key_lines(text), allow_import=allow_import)
 
@@ -192,9 +203,23 @@ def _read_text(file: Path) -> str:
 
 def _syntax_error(file: str | Path, message: str, text: str) -> str:
     """Return the error message for a text that is not TOML, with file and line, given the message of `tomllib`."""
-    match = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
+    match = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
     if not match and (unread := unreadable(text)):  # a message without a line
         return f"{file}:{unread}: not TOML that can be read: {message}"
     line = min(int(match[1]), last) if match and match[1] else last
-    return f"{file}:{line}: not TOML: {message[: match.start()] if match else message}"
+    problem = message[: match.start()] if match else message
+    if problem == UNCLOSED:
+        return f"{file}:{line}: not TOML: a text is not closed by a quote{_opened(text, line)}"
+    column = f" (column {match[2]})" if match and match[2] else ""
+    return f"{file}:{line}: not TOML: {problem}{column}"
+
+
+UNCLOSED = r"Illegal character '\n'"
+"""The message of `tomllib` for a text without a closing quote."""
+
+
+def _opened(text: str, line: int) -> str:
+    """Return the column of the last quote on a line, as the end of a message; "" if the line has none."""
+    column = max(map(text.split("\n")[line - 1].rfind, "\"'")) + 1
+    return f" (opened in column {column})" if column else ""
