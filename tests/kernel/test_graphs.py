@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from desim.config.errors import KeyedError
 from desim.kernel.models.graphs import Complete, Edge, Edges, Grid, Link, Ring, Star, as_model
@@ -163,7 +164,7 @@ def test_a_file_is_read_beside_the_scenario(tmp_path):
 )
 def test_keys_that_a_file_gives_are_refused_beside_it(tmp_path, beside, named):
     file = write(net(), tmp_path, "json")
-    with pytest.raises(KeyedError, match=f"should have either a file or {named}: a file gives all of them"):
+    with pytest.raises(ValidationError, match=f"should have either a file or {named}: a file gives all of them"):
         Edges.model_validate({"file": file.name} | beside, context={"folder": file.parent})
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy import stats
 
 from desim.config.errors import KeyedError
@@ -367,13 +368,13 @@ def test_a_file_of_other_things_is_refused_with_its_name_and_the_line(tmp_path, 
 )
 def test_an_unreadable_file_is_reported_by_its_name(tmp_path, name, why):
     (tmp_path / "binary").write_bytes(b"\xff\x00\x01")
-    with pytest.raises(KeyedError, match=why):
+    with pytest.raises(ValidationError, match=why):
         Empirical.model_validate({"file": name}, context={"folder": tmp_path})
 
 
 @pytest.mark.parametrize("given", [{"values": ()}, {"values": (0.1, "0.2")}, {"file": 7}])
 def test_a_list_needs_at_least_one_time(given):
-    with pytest.raises(KeyedError):
+    with pytest.raises(ValidationError):
         Empirical.model_validate(given)
 
 

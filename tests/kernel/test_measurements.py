@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
 from desim.config.errors import KeyedError
@@ -257,7 +258,7 @@ def test_a_loss_is_a_probability_and_a_signal_is_in_decibels(read, model, cell, 
 )
 def test_an_unreadable_file_is_reported_by_its_name(tmp_path, name, why):
     (tmp_path / "binary.csv").write_bytes(b"\xff\x00\x01")
-    with pytest.raises(KeyedError, match=f"{name} cannot be read: .*{why}"):
+    with pytest.raises(ValidationError, match=f"{name} cannot be read: .*{why}"):
         LatencyTrace.model_validate({"file": name}, context={"folder": tmp_path})
 
 

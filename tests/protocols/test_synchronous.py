@@ -1,9 +1,9 @@
 """Simultaneous decisions, at the pace of another schedule."""
 
 import pytest
+from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.config.errors import KeyedError
 from desim.kernel.core.events import Sent
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import ClockSkew
@@ -131,7 +131,7 @@ def test_it_takes_a_schedule_with_slots_also_from_a_file(other):
 @pytest.mark.parametrize("kind", ["poisson", "rounds", "periodic", "local_mutex", "synchronous", "no_such"])
 def test_a_file_cannot_have_one_without_slots(kind):
     """A slot that is an average of independent clocks has no owner, and all at once are so already."""
-    with pytest.raises(KeyedError, match="'shared_seed', 'token_ring', 'token_walk'"):
+    with pytest.raises(ValidationError, match="'shared_seed', 'token_ring', 'token_walk'"):
         Synchronous.model_validate({"kind": "synchronous", "schedule": {"kind": kind}})
 
 
