@@ -10,7 +10,7 @@ busy transmitter, to decide losses on arrival, and to wake processes. A read in 
 instant.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from desim.config.python_numbers import whole
@@ -31,6 +31,7 @@ from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.inbox import Inbox, Inboxes, Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.received_records import Records
+from desim.kernel.state.transmission import Lose
 from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.layer import TransportLayer
 
@@ -86,6 +87,19 @@ class ReceivingNodes:
             self._arrivals.settle_for_reader(node)
         records = self._records.latest_records(node)
         return _with_own_bodies(records) if self._has_mutable else records
+
+    def stamps(self, node: int) -> dict[int, int]:
+        """Return the time stamp, ns, of the newest received record of each other node, by source."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
+        return {src: record.stamp for src, (_, record) in self._records.latest_records(node).items()}
+
+    def settle(self) -> None:
+        """Decide and count the outcomes of all arrivals up to and including this instant."""
+        self._arrivals.settle_for_reader()
+        self._arrivals.count_losses()
 
     def matching(self, node: int) -> Table:
         """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
@@ -152,6 +166,7 @@ class Network(ReceivingNodes):
         fault_state: the active faults; None: the network has no faults.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
         clocks: the clocks of the nodes, which tell the slots of a TDMA; if empty, all show the true time.
+        inboxes: creates the inboxes, given the clock and the number of nodes.
 
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
@@ -174,6 +189,7 @@ class Network(ReceivingNodes):
         fault_state: FaultState | None = None,
         predicate: Predicate | None = None,
         clocks: Sequence[NodeClock] = (),
+        inboxes: Callable[[Clock, int], Inboxes] = Inboxes,
     ):
         links, seed = links or Links(), seed_of(seed)
         self.topology = topology = Topology(
@@ -193,7 +209,7 @@ class Network(ReceivingNodes):
             None if positions is None else as_position_source(positions),
             fault_state,
             Records(env, topology.size, predicate, repeats=sampler.duplicates_messages),
-            Inboxes(env, topology.size),
+            inboxes(env, topology.size),
             clocks or [NodeClock(env)] * topology.size,
         )
         message_trace = trace if trace is not None and trace.wants_messages else None
@@ -282,6 +298,13 @@ class Network(ReceivingNodes):
     def overhear(self, listener: TransmissionListener) -> None:
         """Register a function to call whenever a transmission starts; see `link_layer.TransmissionListener`."""
         self._link_layer.overhear(listener)
+
+    def watch_losses(self, watch: Lose) -> None:
+        """Register a function to call with a transmission and the causes of its losses, by receiver, when they count.
+
+        A loss on arrival counts at its time or, if nobody needs it earlier, when a later read or `settle` decides it.
+        """
+        self._link_layer.watch_losses(watch)
 
     # Faults and counts.
 

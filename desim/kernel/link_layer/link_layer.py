@@ -24,7 +24,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Unlimited, contends
 from desim.kernel.state.inbox import Message
 from desim.kernel.state.network_state import NetworkState
-from desim.kernel.state.transmission import Transmission
+from desim.kernel.state.transmission import Lose, Transmission
 
 TransmissionListener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
@@ -104,6 +104,10 @@ class LinkLayer:
     def overhear(self, listener: TransmissionListener) -> None:
         """Register a listener, which is called whenever a transmission starts."""
         self._listeners.append(listener)
+
+    def watch_losses(self, watch: Lose) -> None:
+        """Register a function to call with each transmission that is lost at some receivers; see `Network`."""
+        self._log.loss_watchers.append(watch)
 
     def crash(self, node: int) -> None:
         """Lose the queued transmissions of a node whose radio goes down now.
@@ -253,12 +257,14 @@ class MessageLog:
 
     Attributes:
         sent: number of messages, one for each receiver of a transmission.
+        loss_watchers: functions to call with the losses of a transmission.
     """
 
     def __init__(self, env: Clock, trace: Trace | None):
         self._env, self._trace = env, trace
         self.sent = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
+        self.loss_watchers: list[Lose] = [] if trace is None else [self._record_losses]
 
     def queue(self, transmission: Transmission) -> None:
         """Record that a transmission waits at its host, for its transmitter, or for the channel."""
@@ -281,13 +287,18 @@ class MessageLog:
         """Count and record losses of a transmission now, given the cause of each loss by receiver."""
         for cause in causes.values():  # faster than `Counter.update` for up to a dozen losses
             self._lost[cause] += 1
-        if self._trace is not None:
-            for node, cause in causes.items():
-                self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
+        for watch in self.loss_watchers:
+            watch(transmission, causes)
 
     def give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
         """Count and record that all messages of a transmission are lost now."""
         self.lose(transmission, dict.fromkeys(transmission.receivers, cause))
+
+    def _record_losses(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Append losses to the trace."""
+        assert self._trace is not None
+        for node, cause in causes.items():
+            self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
 
     def counts(self, in_flight: int, utilisation: float) -> MessageCounts:
         """Return all counts up to now, given the number of messages in flight and the utilisation of the channels."""

@@ -37,12 +37,15 @@ class FaultState:
 
     Args:
         positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
+        surprises: whether there are changes that are not announced, beside the planned ones. Every arrival is then
+            decided when it is due, and plans have no effect on speed.
     """
 
-    def __init__(self, positions: PositionFunction | None = None):
+    def __init__(self, positions: PositionFunction | None = None, *, surprises: bool = False):
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
         self._planned: list[int] | None = None
+        self._surprises = surprises
         self._is_changing = False
         self._cuts: list[Cut] = []
         self._jams: list[tuple[Disc, Cause]] = []
@@ -50,12 +53,17 @@ class FaultState:
 
     def plan(self, time: int) -> None:
         """Announce the time, ns, of a change. From then on, the state can only be changed within `planned_change`."""
+        if self._surprises:
+            return
         self._planned = self._planned or []
         insort(self._planned, time)
 
     @contextmanager
     def planned_change(self) -> Iterator[None]:
         """Make the next announced change in this context, after a call of the functions given to `before_change`."""
+        if self._surprises:
+            yield
+            return
         assert self._planned is not None
         for act in self._before_change:
             act()

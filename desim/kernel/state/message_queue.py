@@ -1,0 +1,47 @@
+"""A queue of the messages of all nodes, for a caller that reads them together."""
+
+from bisect import bisect_left
+from itertools import repeat
+
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.message_body import is_immutable, own_copy
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.records import Arrival, per_receiver
+from desim.kernel.state.inbox import Inboxes, Message
+
+QueuedMessage = tuple[int, int, int, Message, str]
+"""A message in the queue: arrival time (ns), number of its transmission, receiver, message, port."""
+
+
+class MessageQueue(Inboxes):
+    """Inboxes whose messages wait in one queue instead; those of the transport layer stay in inboxes of their own."""
+
+    def __init__(self, env: Clock, size: int):
+        super().__init__(env, size)
+        self._queue: list[QueuedMessage] = []
+
+    def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
+        """Put a message into the queue once for each receiver; see `Inboxes.deliver`."""
+        if type(port) is ReservedPort:
+            super().deliver(message, port, receivers, arrival, number)
+            return
+        times = per_receiver(arrival, len(receivers))
+        if self.has_mutable and not is_immutable(message.body):
+            messages = [message._replace(body=own_copy(message.body)) for _ in receivers]
+            self._queue += zip(times, repeat(number), receivers, messages, repeat(port))
+        else:
+            self._queue += zip(times, repeat(number), receivers, repeat(message), repeat(port))
+
+    def take(self) -> list[QueuedMessage]:
+        """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""
+        queue = self._queue
+        queue.sort()  # fast, because most of the queue is in order already
+        end = bisect_left(queue, (self._env.now + 1,))
+        arrived = queue[:end]
+        del queue[:end]
+        return arrived
+
+    def in_flight(self) -> int:
+        """Return the number of messages in flight, counted once per receiver."""
+        now = self._env.now
+        return super().in_flight() + sum(arrival > now for arrival, *_ in self._queue)

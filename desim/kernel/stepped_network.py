@@ -1,0 +1,502 @@
+"""A network that another program steps: the robots and their motion live elsewhere, their messages here.
+
+```python
+from desim import Links, SteppedNetwork
+
+network = SteppedNetwork(3, Links(latency=0.05, loss=0.1, range=10.0), seed=7, positions=x)
+while simulating:
+    for robot in range(3):
+        network.send(robot, None, {"x": x[robot]})
+    x += 0.02 * v
+    for message in network.step(0.02, x):
+        robots[message.dst].hear(message.src, message.body)
+```
+
+`Network` is for programs that are processes of the clock of desim. A `SteppedNetwork` has a clock of its own, which
+only `step` moves, and runs the same network: the same links, faults and draws.
+"""
+
+from collections.abc import Hashable, Iterable, Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+
+from desim.config.arrays import Floats
+from desim.config.fresh import fresh_copy
+from desim.config.model import MAX_TIME
+from desim.config.python_numbers import real, whole
+from desim.kernel.core.clock import NEVER, Clock, Instant, Phase
+from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
+from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.seeds import seed_of
+from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.fault_injection import inject
+from desim.kernel.graph_files.node_names import numbered
+from desim.kernel.models.faults import ClockSkew, Crash, Fault, FaultEnded, FaultStarted, draw_faults, is_skewed
+from desim.kernel.models.graphs import Complete, Edges, is_networkx
+from desim.kernel.models.links import Links
+from desim.kernel.models.transport import Transport
+from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.message_queue import MessageQueue
+from desim.kernel.state.transmission import Transmission
+from desim.kernel.stepped_positions import SteppedPositions
+from desim.kernel.wandering_clock import node_clocks
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+SHOWN = 10
+"""Number of nodes listed in an error message."""
+STEPPING = "a step is under way, or has failed: a network belongs to one thread; after a failure, call reset(seed)"
+CLOSED = "the network is closed: create another one"
+_new = tuple.__new__  # creates a named tuple in a third of the time
+
+
+class ReceivedMessage(NamedTuple):
+    """A message that has arrived at a node."""
+
+    src: Any
+    """The node that sent it."""
+    dst: Any
+    """The node that it reached."""
+    body: Any
+    sent: float
+    """When it was sent, s."""
+    arrived: float
+    """When it arrived, s; exact, also within a step."""
+    port: str = ""
+
+
+class LostMessage(NamedTuple):
+    """A message that has not reached a node."""
+
+    src: Any
+    dst: Any
+    body: Any
+    sent: float
+    """When it was sent, s."""
+    cause: Cause
+    """Why it was lost; see `desim.kernel.core.events.CAUSES`."""
+    port: str = ""
+
+
+class SteppedNetwork:
+    """A network of robots for a simulator that has its own loop and moves the robots itself.
+
+    `send` is for events, each of which counts: `step` returns those that have arrived. `publish` is for state, of which
+    only the newest value matters: `latest` returns it, at half the cost. Two bounds need no model of their own: with
+    `Links()` everything arrives at once, and with `Links(loss=1.0)` nothing ever arrives.
+
+    Nodes are named by the labels of the graph, or 0 .. n - 1. Positions have a row for each node, in the order of
+    `nodes`. They are read when they are given, and at each step; an array may be changed in place. During a step every
+    node moves in a straight line from where it was to where it is at the end.
+
+    Equal arguments, calls and seeds give equal arrivals, on any machine. An instance belongs to one thread at a time.
+    It can be pickled and copied before its first message and step, as its arguments; run it on from there.
+
+    Args:
+        nodes: number of nodes, or a networkx graph: its nodes have any labels, and its edges the attributes of
+            `desim.kernel.models.graphs.Edge`.
+        links: the models of the links, or a table `[network]` as a dict; an ideal network if None.
+        faults: faults of nodes and links, or plans that draw them (`desim.kernel.models.faults`).
+        seed: the seed of all random draws.
+        positions: (n, 2) positions at the start, m; needed for what depends on them, such as a range.
+        trace: receives the events of messages and faults, and shows them to its watchers.
+        horizon: the time until which plans draw faults, s.
+        can_leave: whether nodes may `leave` and `join`. Every arrival is then decided when it is due, which is slower.
+
+    Raises:
+        ValueError: if an argument is not valid, or arguments do not fit together.
+    """
+
+    def __init__(
+        self,
+        nodes: "int | nx.Graph[Any]",
+        links: Links | Mapping[str, Any] | None = None,
+        *,
+        faults: Iterable[Any] = (),
+        seed: int = 0,
+        positions: Any = None,
+        trace: Trace | None = None,
+        horizon: float | None = None,
+        can_leave: bool = False,
+    ):
+        links = Links() if links is None else links if isinstance(links, Links) else Links(**links)
+        self._links, self._nodes, self._numbers = _described(nodes, links)
+        self._faults, self._can_leave, self._horizon = tuple(faults), can_leave, _horizon(horizon)
+        is_plan = [not isinstance(fault, Fault | ClockSkew) for fault in self._faults]
+        if horizon is None and any(is_plan):
+            raise ValueError(f"{self._faults[is_plan.index(True)]!r} needs horizon=, the time until which it draws, s")
+        self._start(seed, positions, trace)
+
+    def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
+        """Create the network of an episode, at time 0."""
+        self._seed, self._trace, size = seed_of(seed), trace, len(self._nodes)
+        self._clock = clock = Clock()
+        self._positions = SteppedPositions(clock, size)
+        if positions is not None:
+            self._positions.place(positions)
+        with fresh_copy((self._links, self._faults)) as (links, entries):
+            faults = draw_faults(entries, size, self._horizon / SECOND, self._seed)
+            has_faults = bool(faults) or self._can_leave
+            self._network = Network(
+                clock,
+                links.make_graph(size),
+                links,
+                seed=self._seed,
+                positions=self._positions,
+                trace=trace,
+                fault_state=FaultState(self._positions, surprises=self._can_leave) if has_faults else None,
+                clocks=node_clocks(clock, entries, size, self._seed, self._horizon) if is_skewed(entries) else (),
+                inboxes=self._create_queue,
+            )
+        inject(faults, clock, self._network, trace)
+        self._network.watch_losses(self._lose)
+        self._losses: list[tuple[int, int, int, LostMessage]] = []
+        self._lost: list[LostMessage] = []
+        self._away: dict[int, Crash] = {}
+        self._is_unused, self._problem = True, ""
+
+    def _create_queue(self, clock: Clock, size: int) -> MessageQueue:
+        self._queue = MessageQueue(clock, size)
+        return self._queue
+
+    # Sending and stepping.
+
+    def send(
+        self,
+        src: Hashable,
+        dst: Hashable | None,
+        body: Any,
+        *,
+        size: int | None = None,
+        port: str = "",
+        transport: Transport | None = None,
+    ) -> None:
+        """Send a message now to one node, or to all neighbours (None); a later `step` returns it where it arrives.
+
+        Args:
+            src: the sender.
+            dst: the receiver; None: all neighbours.
+            body: any object that can be copied. Each receiver gets a copy, unless it is immutable.
+            size: bytes; computed from the body if None, see `desim.kernel.core.message_size`.
+            port: a name by which the receiver tells kinds of messages apart.
+            transport: how it is carried, see `desim.kernel.models.transport`; None: that of the links.
+
+        Raises:
+            ValueError: as `Network.send`, or if the network needs positions and has none.
+            RuntimeError: if the network is closed, or a step is under way or has failed.
+        """
+        if self._problem:
+            raise RuntimeError(self._problem)
+        self._is_unused = False
+        if self._numbers is not None:
+            src, dst = self._number(src), None if dst is None else self._number(dst)
+        self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
+
+    def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
+        """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
+
+        Arguments and errors are as in `send`.
+        """
+        if self._problem:
+            raise RuntimeError(self._problem)
+        self._is_unused = False
+        self._network.publish(src if self._numbers is None else self._number(src), body, size)  # type: ignore[arg-type]
+
+    def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
+        """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.
+
+        Each is returned once, by the step in which it arrives; the end of a step belongs to it. Messages that arrive at
+        one instant are in the order in which they were sent, then of their receivers.
+
+        Args:
+            dt: the duration, s; it is rounded to nanoseconds.
+            positions: (n, 2) the positions at the end, m; None: those that the last array then has.
+
+        Raises:
+            ValueError: if dt is not a finite number of at least 1 ns, or the positions are not finite numbers, (n, 2);
+                the step is then not made.
+            RuntimeError: if the network is closed, or a step is under way or has failed.
+        """
+        if self._problem:
+            raise RuntimeError(self._problem)
+        clock, end = self._clock, self._end_of_step(dt)
+        self._positions.begin_step(end, positions)
+        self._is_unused, self._problem = False, STEPPING
+        clock.run(until=Instant(clock, end, Phase.DECISION))
+        self._positions.end_step()
+        self._network.settle()
+        arrived = self._received()
+        self._lost = [lost for *_, lost in sorted(self._losses, key=_order)]
+        self._losses.clear()
+        self._problem = ""
+        return arrived
+
+    def _end_of_step(self, dt: Any) -> int:
+        """Return the end of the next step, ns; raise ValueError if there is none."""
+        duration = real(dt, "dt")
+        if not isfinite(duration) or nanoseconds(duration) < 1:
+            raise ValueError(f"dt should be a finite time of at least 1 ns, in s (got {dt!r})")
+        end = self._clock.now + nanoseconds(duration)
+        if end > nanoseconds(MAX_TIME):
+            raise ValueError(f"the time should be at most {MAX_TIME:g} s (got {self.now:g} s and dt = {duration:g} s)")
+        return end
+
+    def _received(self) -> list[ReceivedMessage]:
+        """Remove and return the messages that have arrived."""
+        arrived = self._queue.take()
+        if self._numbers is None:
+            return [
+                _new(ReceivedMessage, (src, dst, body, sent / SECOND, when / SECOND, port))
+                for when, _, dst, (src, sent, body), port in arrived
+            ]
+        labels = self._nodes
+        return [
+            ReceivedMessage(labels[src], labels[dst], body, sent / SECOND, when / SECOND, port)
+            for when, _, dst, (src, sent, body), port in arrived
+        ]
+
+    # What has arrived, and what has not.
+
+    def latest(self, node: Hashable) -> dict[Any, ReceivedMessage]:
+        """Return the newest state that a node has received from each other node, by source."""
+        dst, labels = self._live(node), self._nodes
+        return {
+            labels[src]: _new(
+                ReceivedMessage, (labels[src], node, record.body, record.stamp / SECOND, when / SECOND, "")
+            )
+            for src, (when, record) in self._network.latest_records(dst).items()
+        }
+
+    def ages(self) -> Floats:
+        """Return the (receivers, sources) ages of the newest states that have arrived, s.
+
+        An age is the time since the state was published: inf if none has arrived, and 0 for the node's own.
+        """
+        self._live(self._nodes[0])
+        ages, now = np.full((len(self._nodes),) * 2, np.inf), self._clock.now
+        np.fill_diagonal(ages, 0.0)
+        for node in range(len(self._nodes)):
+            for src, stamp in self._network.stamps(node).items():
+                ages[node, src] = (now - stamp) / SECOND
+        return ages
+
+    def lost(self) -> list[LostMessage]:
+        """Return the messages and states that were lost since the end of the step before the last.
+
+        They are in the order in which they were sent. The frames of a transport are not listed, since it repeats them.
+        """
+        self._live(self._nodes[0])
+        return self._lost.copy()
+
+    def counts(self) -> MessageCounts:
+        """Return the counts of messages up to now: sent = delivered + lost + in flight, per receiver."""
+        self._live(self._nodes[0])
+        return self._network.message_counts()
+
+    def transport_counts(self) -> TransportCounts | None:
+        """Return the counts of transports up to now; None if no message has needed one."""
+        self._live(self._nodes[0])
+        return self._network.transport_counts()
+
+    def neighbours(self, node: Hashable) -> list[Any]:
+        """Return the nodes that receive from a node where they are now."""
+        return [self._nodes[other] for other in self._network.topology.neighbours(self._live(node)).tolist()]
+
+    def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Note the losses of a transmission."""
+        number, src, created, *_ = transmission
+        if type(transmission.port) is ReservedPort:
+            return
+        content, labels = transmission.content, self._nodes
+        for dst, cause in causes.items():
+            lost = labels[src], labels[dst], content.body, content.stamp / SECOND, cause, transmission.port
+            self._losses.append((created, number, dst, LostMessage(*lost)))
+
+    # Nodes.
+
+    @property
+    def nodes(self) -> tuple[Any, ...]:
+        """The labels of the nodes, in the order of the rows of positions and ages."""
+        return self._nodes
+
+    def leave(self, node: Hashable) -> None:
+        """Let a node leave now: it neither sends nor receives, and what is in flight to it is lost ("crash").
+
+        Raises:
+            ValueError: if it is away already, or the network was created without `can_leave`.
+        """
+        number = self._member(node)
+        if number in self._away:
+            raise ValueError(f"node {node!r} is away already")
+        crash = self._away[number] = Crash(start=self.now, node=number, scope="radio", memory=False)
+        if self._trace is not None:
+            self._trace.append(FaultStarted(self._clock.now, crash))
+        self._network.crash(number)
+
+    def join(self, node: Hashable) -> None:
+        """Let a node that has left join again now; it has received nothing yet.
+
+        Raises:
+            ValueError: if it is not away, or the network was created without `can_leave`.
+        """
+        number = self._member(node)
+        if number not in self._away:
+            raise ValueError(f"node {node!r} is not away")
+        if self._trace is not None:
+            self._trace.append(FaultEnded(self._clock.now, self._away[number]))
+        del self._away[number]
+        self._network.recover(number, memory=False)
+
+    def _member(self, node: Hashable) -> int:
+        """Return the number of a node that may leave."""
+        number = self._live(node)
+        if not self._can_leave:
+            raise ValueError("nodes leave and join only if the network is created with can_leave=True")
+        self._is_unused = False
+        return number
+
+    def _live(self, node: Any) -> int:
+        """Return the number of a node; raise RuntimeError if the network cannot be asked now."""
+        if self._problem:
+            raise RuntimeError(self._problem)
+        return self._number(node)
+
+    def _number(self, node: Any) -> int:
+        """Return the number of a node."""
+        if self._numbers is None:
+            number = node if type(node) is int else whole(node, "a node")
+            if 0 <= number < len(self._nodes):
+                return number
+        else:
+            try:
+                return self._numbers[node]
+            except (KeyError, TypeError):  # TypeError: it has no hash
+                pass
+        names = ", ".join(map(repr, self._nodes[:SHOWN])) + (", ..." if len(self._nodes) > SHOWN else "")
+        raise ValueError(f"there is no node {node!r}: the nodes are {names}")
+
+    # Time and life.
+
+    @property
+    def now(self) -> float:
+        """The time, s."""
+        return self._clock.now / SECOND
+
+    @property
+    def trace(self) -> Trace | None:
+        """The trace of this episode; None if there is none."""
+        return self._trace
+
+    def reset(self, seed: int, *, positions: Any = None, trace: Trace | None = None) -> None:
+        """Begin anew at time 0, exactly as a new network with this seed would.
+
+        Args:
+            seed: the seed of all random draws.
+            positions: (n, 2) positions at the start, m; None: those that the last array has now.
+            trace: receives the events of the new episode; None: nothing is recorded.
+
+        Raises:
+            RuntimeError: if the network is closed.
+        """
+        if self._problem == CLOSED:
+            raise RuntimeError(CLOSED)
+        array = self._positions.array if positions is None else positions
+        seed = seed_of(seed)
+        if not self._problem:
+            self._finish()
+        self._start(seed, array, trace)
+
+    def close(self) -> None:
+        """Append the final counts to the trace, and let go of the network; a second call has no effect."""
+        if self._problem == CLOSED:
+            return
+        if not self._problem:
+            self._finish()
+        self._problem = CLOSED
+        del self._network, self._queue
+
+    def _finish(self) -> None:
+        """Append the final counts to the trace."""
+        if self._trace is not None:
+            if (transports := self._network.transport_counts()) is not None:
+                self._trace.append(transports)
+            self._trace.append(self._network.message_counts())
+            self._trace.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "closed" if self._problem == CLOSED else f"{self.now:g} s"
+        return f"<SteppedNetwork of {len(self._nodes)} nodes, seed {self._seed}, {state}>"
+
+    def __reduce__(self) -> Any:
+        if not self._is_unused or self._problem:
+            raise TypeError(
+                "a SteppedNetwork can be pickled and copied before its first message and step only: its messages in"
+                " flight are part of a running simulation. Copy it after reset(seed), or repeat its calls"
+            )
+        return _again, (
+            (self._nodes, self._numbers, self._links, self._faults, self._horizon, self._can_leave),
+            (self._seed, self._positions.array, self._trace),
+        )
+
+
+def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNetwork:
+    """Return a network at time 0, given what `SteppedNetwork.__reduce__` returns."""
+    network = SteppedNetwork.__new__(SteppedNetwork)
+    (
+        network._nodes,
+        network._numbers,
+        network._links,
+        network._faults,
+        network._horizon,
+        network._can_leave,
+    ) = configuration
+    network._start(*start)
+    return network
+
+
+def _described(
+    nodes: "int | nx.Graph[Any]", links: Links
+) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:
+    """Return the links with their graph, the labels of the nodes by number, and the number by label.
+
+    The numbers are None if they are the labels.
+    """
+    if not is_networkx(nodes):
+        size = whole(nodes, "the number of nodes, if it is not a networkx graph,")
+        if size < 1:
+            raise ValueError(f"a network should have at least 1 node (got {size})")
+        return links, tuple(range(size)), None
+    graph: Any = nodes
+    if type(links.graph) is not Complete:
+        raise ValueError("a network has one graph: give it as the nodes or as links.graph, and a number of nodes")
+    if not len(graph):
+        raise ValueError("a network should have at least 1 node (got an empty graph)")
+    edges, numbers = Edges.of(graph), numbered(graph).numbers
+    labels = tuple(sorted(numbers, key=numbers.__getitem__))
+    links = links.model_copy(update={"graph": edges}).numbered(edges.names)
+    return links, labels, None if labels == tuple(range(len(labels))) else numbers
+
+
+def _horizon(horizon: float | None) -> int:
+    """Return the horizon of plans of faults, ns."""
+    if horizon is None:
+        return NEVER
+    duration = real(horizon, "horizon")
+    if not 0 < duration <= MAX_TIME:
+        raise ValueError(f"horizon should be a time above 0 and at most {MAX_TIME:g} s (got {horizon!r})")
+    return nanoseconds(duration)
+
+
+def _order(loss: tuple[int, int, int, LostMessage]) -> tuple[int, int, int]:
+    """Return the time, the transmission and the receiver of a loss."""
+    return loss[:3]

@@ -1,0 +1,135 @@
+"""The positions of nodes that another program moves, one step at a time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from desim.config.arrays import Floats, Integers
+from desim.config.model import MAX_COORDINATE
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.positions import Nodes, PositionSource
+
+
+class SteppedPositions(PositionSource):
+    """Positions that are known at the ends of steps; between two of them, every node moves in a straight line.
+
+    Args:
+        clock: the clock of the simulation.
+        size: number of nodes.
+    """
+
+    looks_back = True
+
+    def __init__(self, clock: Clock, size: int):
+        self._clock, self._size = clock, size
+        self._array: Any = None
+        """The array of the caller, which is not copied; it is read at the beginning of each step."""
+        self._first: Floats | None = None
+        """(n, 2) positions at the beginning of the step or, between two steps, now."""
+        self._change: Floats | None = None
+        """(n, 2) by which the positions change in this step; None between two steps."""
+        self._last: Any = None
+        """(n, 2) positions at the end of the step."""
+        self._begin = self._end = 0
+        self._before_change: list[Callable[[], object]] = []
+
+    @property
+    def array(self) -> Any:
+        """The array that was given last; None before the first."""
+        return self._array
+
+    def place(self, positions: Any) -> None:
+        """Set the positions at the start.
+
+        Raises:
+            ValueError: as in `begin_step`.
+        """
+        self._first, self._array = self._read(positions), positions
+
+    def begin_step(self, end: int, positions: Any) -> None:
+        """Begin a step.
+
+        Args:
+            end: the end of the step, ns.
+            positions: (n, 2) the positions at its end, m; None: those that the last array then has.
+
+        Raises:
+            ValueError: if the positions are not finite numbers, (n, 2).
+        """
+        array = self._array if positions is None else positions
+        if array is None:
+            return
+        last = self._read(array)
+        self._array = array
+        if self._first is None:
+            self._first = last
+        elif not np.array_equal(self._first, last):
+            self._change, self._last = last - self._first, last
+            self._begin, self._end = self._clock.now, end
+
+    def end_step(self) -> None:
+        """End a step: from now on, the positions are those at its end."""
+        if self._change is not None:
+            for act in self._before_change:
+                act()
+            self._first, self._change = self._last, None
+
+    def __call__(self) -> Floats:
+        """Return the positions of all nodes, (n, 2) m; read-only.
+
+        Raises:
+            ValueError: if no positions have been given.
+        """
+        if self._first is None:
+            raise ValueError(
+                "this network depends on the positions of its nodes: give them as positions=, an array of one (x, y)"
+                " per node, m, when it is created"
+            )
+        if self._change is None:
+            return self._first
+        return self._at(slice(None), self._clock.now)
+
+    def of(self, nodes: Nodes) -> Floats:
+        """Return the positions of some nodes, (k, 2) m."""
+        return self.at(nodes, self._clock.now)
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        """Return the positions of some nodes, each at a time, (k, 2) m."""
+        if self._change is None:
+            return self().take(nodes, axis=0)
+        return self._at(nodes, times)
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a node changes, at the end of each step in which one moves.
+
+        A caller that decides what happens before this instant does so once a step.
+        """
+        self._before_change.append(act)
+
+    def _at(self, nodes: Any, times: int | Integers) -> Floats:
+        assert self._first is not None and self._change is not None
+        share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
+        between = self._first[nodes] + self._change[nodes] * share
+        return np.where(share < 1.0, between, self._last[nodes])  # at the end without rounding
+
+    def _read(self, positions: Any) -> Floats:
+        """Return a read-only copy of the positions at one instant."""
+        try:
+            view = np.asarray(positions)
+        except ValueError:  # rows of different lengths
+            view = np.array(None)
+        if view.shape != (self._size, 2) or view.dtype.kind not in "iuf":
+            raise ValueError(
+                f"positions should be an array of numbers of the shape ({self._size}, 2), one row (x, y) per node, m"
+                f" (got shape {view.shape}, dtype {view.dtype})"
+            )
+        copy = view.astype(np.float64)
+        if not (np.abs(copy) <= MAX_COORDINATE).all():
+            row = int(np.argmin((np.abs(copy) <= MAX_COORDINATE).all(axis=1)))
+            raise ValueError(
+                f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {copy[row].tolist()} in row"
+                f" {row}); a node that has left may keep its last position"
+            )
+        copy.setflags(write=False)
+        return copy
