@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from desim.kernel.models.transport import Coded as Coded
     from desim.kernel.models.transport import Reliable as Reliable
     from desim.kernel.stepped_network import SteppedNetwork as SteppedNetwork
+    from desim.kernel.stepped_networks import SteppedNetworks as SteppedNetworks
     from desim.pursuit.byzantine.lies import Equivocate as Equivocate
     from desim.pursuit.byzantine.lies import Liar as Liar
     from desim.pursuit.byzantine.lies import RandomLies as RandomLies

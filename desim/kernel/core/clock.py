@@ -49,7 +49,8 @@ class _RareCollection:
                 gc.set_threshold(*self._usual)
 
 
-_RARE_COLLECTION = _RareCollection()
+RARE_COLLECTION = _RareCollection()
+"""The context of a run: garbage collection is less frequent in the whole process."""
 
 
 class Phase(IntEnum):
@@ -94,7 +95,7 @@ class Clock(simpy.Environment):
         Raises:
             BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
         """
-        with _RARE_COLLECTION:
+        with RARE_COLLECTION:
             return self._run(until)
 
     def _run(self, until: "SimTime | simpy.Event | None") -> Any:

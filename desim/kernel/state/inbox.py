@@ -143,6 +143,10 @@ class Inboxes:
             self._ports[port] = [Inbox(self._env, node) for node in range(self._size)]
         return self._ports[port]
 
+    def can_wait(self, port: str) -> bool:
+        """Return whether messages at a port may be delivered after their arrival, since they wake no process."""
+        return False
+
     def drain(self, node: int) -> None:
         """Delete the waiting messages of a node at all ports."""
         for boxes in self._ports.values():

@@ -32,6 +32,10 @@ class MessageQueue(Inboxes):
         else:
             self._queue += zip(times, repeat(number), receivers, repeat(message), repeat(port))
 
+    def can_wait(self, port: str) -> bool:
+        """Return whether a port is not one of the simulator itself."""
+        return type(port) is not ReservedPort
+
     def take(self) -> list[QueuedMessage]:
         """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""
         queue = self._queue

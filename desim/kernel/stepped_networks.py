@@ -1,0 +1,142 @@
+"""Many independent networks of one configuration, stepped together, with arrays in and out."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from desim.config.arrays import Floats
+from desim.config.python_numbers import whole
+from desim.kernel.core.seeds import run_seed, seed_of
+from desim.kernel.stepped_network import ReceivedMessage, SteppedNetwork
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+
+class SteppedNetworks:
+    """Independent networks of one configuration, for environments that are simulated side by side.
+
+    Each is a `SteppedNetwork` with a seed of its own, and equal to it byte for byte: network e has the seed
+    `run_seed(seed, e)` of `desim.kernel.core.seeds`, as the runs of a sweep have. A sequence gives access to them, for
+    example `networks[3].lost()`.
+
+    Args:
+        count: the number of networks, E.
+        nodes: as in `SteppedNetwork`.
+        links: as in `SteppedNetwork`.
+        seed: the root of the seeds of all networks.
+        positions: (E, n, 2) positions at the start, m.
+        **arguments: further arguments of `SteppedNetwork`, except a trace.
+
+    Raises:
+        ValueError: if an argument is not valid.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        nodes: "int | nx.Graph[Any]",
+        links: Any = None,
+        *,
+        seed: int = 0,
+        positions: Any = None,
+        **arguments: Any,
+    ):
+        count = whole(count, "the number of networks")
+        if count < 1:
+            raise ValueError(f"there should be at least 1 network (got {count})")
+        root, placed = seed_of(seed), self._rows(positions, count)
+        self._networks = [
+            SteppedNetwork(nodes, links, seed=run_seed(root, e), positions=placed[e], **arguments) for e in range(count)
+        ]
+
+    def send(self, bodies: Any) -> None:
+        """Let every node broadcast a row of an array (E, n) or (E, n, k) as a message; see `SteppedNetwork.send`."""
+        for network, rows in zip(self._networks, self._bodies(bodies), strict=True):
+            for node, body in zip(network.nodes, rows, strict=True):
+                network.send(node, None, body)
+
+    def publish(self, bodies: Any) -> None:
+        """Let every node publish a row of an array (E, n) or (E, n, k) as its state; see `SteppedNetwork.publish`."""
+        for network, rows in zip(self._networks, self._bodies(bodies), strict=True):
+            for node, body in zip(network.nodes, rows, strict=True):
+                network.publish(node, body)
+
+    def step(self, dt: float, positions: Any = None) -> list[list[ReceivedMessage]]:
+        """Let time pass in all networks; return the messages that have arrived in each, see `SteppedNetwork.step`.
+
+        Args:
+            dt: the duration, s.
+            positions: (E, n, 2) the positions at the end, m; None: those that the last array then has.
+        """
+        placed = self._rows(positions, len(self))
+        return [network.step(dt, place) for network, place in zip(self._networks, placed, strict=True)]
+
+    def latest(self) -> Floats:
+        """Return the newest numbers that have arrived, (E, receivers, sources) or (E, receivers, sources, k).
+
+        They are nan where none has arrived, and at the node's own place.
+        """
+        tables = [[network.latest(node) for node in network.nodes] for network in self._networks]
+        received = (np.shape(message.body) for rows in tables for table in rows for message in table.values())
+        size = len(self._networks[0].nodes)
+        latest = np.full((len(self), size, size, *next(received, ())), np.nan)
+        number = {node: k for k, node in enumerate(self._networks[0].nodes)}
+        for e, rows in enumerate(tables):
+            for dst, table in enumerate(rows):
+                for src, message in table.items():
+                    latest[e, dst, number[src]] = message.body
+        return latest
+
+    def ages(self) -> Floats:
+        """Return the (E, receivers, sources) ages of the newest states that have arrived, s."""
+        return np.array([network.ages() for network in self._networks])
+
+    @property
+    def now(self) -> float:
+        """The time, s."""
+        return self._networks[0].now
+
+    def reset(self, seed: int, *, positions: Any = None) -> None:
+        """Begin all networks anew, exactly as new ones with this seed would; see `SteppedNetwork.reset`."""
+        placed = self._rows(positions, len(self))
+        for e, network in enumerate(self._networks):
+            network.reset(run_seed(seed_of(seed), e), positions=placed[e])
+
+    def close(self) -> None:
+        """Close all networks."""
+        for network in self._networks:
+            network.close()
+
+    def __len__(self) -> int:
+        return len(self._networks)
+
+    def __getitem__(self, index: int) -> SteppedNetwork:
+        return self._networks[index]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _rows(self, positions: Any, count: int) -> Sequence[Any]:
+        """Return the positions for each network; None for each if there are none."""
+        if positions is None:
+            return [None] * count
+        array = np.asarray(positions)
+        if array.ndim != 3 or len(array) != count:
+            raise ValueError(f"positions should have the shape ({count}, n, 2), m (got {array.shape})")
+        return array  # type: ignore[return-value]  # indexing gives views, not copies
+
+    def _bodies(self, bodies: Any) -> list[list[Any]]:
+        """Return the bodies of each network and node: a number, or a tuple of numbers."""
+        array, size = np.asarray(bodies), len(self._networks[0].nodes)
+        if array.ndim not in {2, 3} or array.shape[:2] != (len(self), size) or array.dtype.kind not in "biuf":
+            raise ValueError(
+                f"bodies should be numbers of the shape ({len(self)}, {size}) or ({len(self)}, {size}, k)"
+                f" (got shape {array.shape}, dtype {array.dtype})"
+            )
+        rows: list[list[Any]] = array.tolist()
+        return [[tuple(body) for body in row] for row in rows] if array.ndim == 3 else rows
