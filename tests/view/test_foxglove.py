@@ -155,6 +155,14 @@ def test_the_log_tells_of_changes_captures_faults_and_losses(exported):
 
 
 @pytest.mark.slow
+def test_the_levels_of_the_log_are_those_of_foxglove(exported):
+    """In the schema foxglove.Log, 1 is DEBUG, 2 INFO and 3 WARNING."""
+    levels = {"faults": set(), "pursuer": set(), "run": set()}
+    for _, entry in exported(history())["/log"]:
+        levels[entry["name"].split()[0]].add(entry["level"])
+    assert levels == {"faults": {3}, "pursuer": {1, 2}, "run": {2}}
+
+
 def test_beliefs_are_those_of_the_analysis(exported, run_of):
     result = run_of("recorded.toml", "horizon=0.2")
     pieces = knowledge(result)
