@@ -91,6 +91,14 @@ def test_a_span_ends_where_the_clock_shows_that_it_has_passed():
     assert env.now != 2.5 * SECOND
 
 
+@pytest.mark.timeout(10)
+def test_the_error_of_a_clock_stays_as_it_is_from_the_end_on():
+    (clock,) = clocks(ClockSkew(offset_walk=1e-3), until=SECOND)
+    before, *after = (clock.at(t) - t / SECOND for t in (SECOND - TICK, SECOND, SECOND + TICK // 2, 9 * SECOND))
+    assert after == pytest.approx([after[0]] * 3, abs=1e-12)
+    assert abs(before - after[0]) > 1e-6
+
+
 def test_only_the_clocks_of_nodes_with_a_walk_wander():
     made = clocks(ClockSkew(node=1, drift_walk=1e-6), ClockSkew(node=2, drift=0.1), size=3)
     assert [type(clock) for clock in made] == [NodeClock, WanderingClock, NodeClock]
