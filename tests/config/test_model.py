@@ -32,6 +32,7 @@ from desim.config.model import (
     Value,
     fields_of,
 )
+from tests.models import MODELS, made
 
 
 def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
@@ -118,6 +119,16 @@ def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, 
     for each in bad:
         with pytest.raises(KeyedError):
             adapter.validate_python(each)
+
+
+RANGES = [model for model in MODELS if {"low", "high"} <= model.model_fields.keys()]
+
+
+@pytest.mark.parametrize("model", RANGES, ids=lambda model: model.__name__)
+def test_a_lower_bound_may_be_the_upper_one_and_no_more(model):
+    assert made(model, {"low": 2.0, "high": 2.0}) == model(low=2.0, high=2.0)
+    with pytest.raises(ValidationError, match="low should be at most high"):
+        made(model, {"low": 2.5, "high": 2.0})
 
 
 def test_a_value_is_frozen():
