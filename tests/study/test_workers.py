@@ -294,6 +294,14 @@ def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tm
     assert 5 <= done < 40
 
 
+def test_a_request_has_a_result_an_error_or_no_answer_in_time():
+    assert places._within(1.0, lambda: "answer") == "answer"
+    with pytest.raises(KeyError, match="refused"):
+        places._within(1.0, partial({}.__getitem__, "refused"))
+    with pytest.raises(TimeoutError):
+        places._within(0.01, partial(threading.Event().wait, 0.2))
+
+
 @pytest.fixture
 def interruptible():
     """Let Ctrl-C be what it is at a prompt, whatever ran in this process before."""
