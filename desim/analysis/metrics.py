@@ -225,8 +225,8 @@ class Summary(Mapping[str, Any]):
 
     @property
     def _texts(self) -> dict[str, str]:
-        """Each metric that is not None, by its name in words, as text with its unit."""
-        there = {name: value for name, value in self.items() if value is not None}
+        """Each metric that has a value, by its name in words, as text with its unit; losses by no cause are none."""
+        there = {name: value for name, value in self.items() if value is not None and value != {}}
         return {
             words(name): f"{_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in there.items()
         }

@@ -1,6 +1,7 @@
 """Many runs: `desim sweep` and `merge`."""
 
 import json
+import shlex
 import sys
 import time
 from collections import Counter
@@ -187,7 +188,11 @@ def sweep(
         with storing(folder):
             _write_summary(found, shown[0], folder, table)
     if found.failed:
-        echo(f"{len(found.failed)} runs failed; the same command retries them", err=True)
+        echo(
+            f"{len(found.failed)} runs failed; the same command retries them; `desim report {shlex.quote(str(folder))}`"
+            " shows their tracebacks",
+            err=True,
+        )
         sys.exit(FAILED)
 
 

@@ -1,6 +1,7 @@
 """`desim run`: runs of a scenario with one or several seeds, from a file or as recorded in a run.json."""
 
 import json
+import shlex
 import sys
 import time
 from contextlib import ExitStack
@@ -31,6 +32,8 @@ from desim.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from desim.analysis.metrics import MetricError, Summary
     from desim.results.provenance import Document
     from desim.scenario.scenario import Scenario
@@ -95,7 +98,7 @@ def run(
             numbers, wall_time = _run_once(scenario, into)
             results, table = [numbers], run_table(scenario, numbers, wall_time, shown)
         else:
-            results = _run_several(scenario, count, jobs, into, timeout)
+            results = _run_several(scenario, count, jobs, into, timeout, file)
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
         from desim.results.run_folder import WriteError  # slow to import
@@ -146,18 +149,33 @@ def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tu
 
 
 def _run_several(
-    scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None", timeout: float | None
+    scenario: "Scenario",
+    count: int,
+    jobs: int,
+    into: "tuple[Path, Document] | None",
+    timeout: float | None,
+    file: Path | None,
 ) -> "list[Summary]":
-    """Run a scenario with several seeds, and return the metrics; write the runs if there is an output folder."""
+    """Run a scenario with several seeds, and return the metrics; write the runs if there is an output folder.
+
+    If it is interrupted, print the table of the runs that have ended.
+    """
     from functools import partial
 
+    from desim.analysis.metrics import Summary
     from desim.results import provenance, run_folder
     from desim.study.workers.batch import run_many, seeds_from
     from desim.study.workers.dispatch import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     if into is None:
-        return run_many(tasks, jobs, scenario.name, simulate=simulation(timeout))
+        start, finished = time.perf_counter(), dict[int, Summary]()
+        try:
+            return run_many(tasks, jobs, scenario.name, simulate=simulation(timeout), on_done=finished.__setitem__)
+        except KeyboardInterrupt as error:
+            _show_finished(scenario, finished, time.perf_counter() - start)
+            error.add_note(f"{len(finished)} of {count} runs have ended{_how_to_keep(file, scenario, count)}")
+            raise
     out, made = into
     measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
     simulate = simulation(timeout, partial(run_folder.simulate_below, out))
@@ -166,6 +184,22 @@ def _run_several(
     with run_folder.writing():
         provenance.write(out, made)
     return results
+
+
+def _show_finished(scenario: "Scenario", finished: "Mapping[int, Summary]", wall_time: float) -> None:
+    """Print the table of the runs that have ended, given their metrics by the number of the run."""
+    from desim.analysis.tables import batch_table
+
+    if finished:
+        echo(batch_table(scenario, [finished[k] for k in sorted(finished)], wall_time))
+
+
+def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
+    """Return how to run so that an interrupted command can be resumed, as the end of a message."""
+    if file is None:
+        return ""
+    command = f"desim sweep {shlex.quote(str(file))} -g horizon={scenario.horizon} -n {count}"
+    return f"; to keep each run and resume, make a sweep: {command}"
 
 
 def _scenario_to_run(

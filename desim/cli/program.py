@@ -32,7 +32,8 @@ class Program(click.Command):
         except KeyboardInterrupt as error:
             text = f"interrupted {error}".rstrip()
             try:
-                echo(": ".join([text, *getattr(error, "__notes__", ())]), err=True)
+                notes = "; ".join(getattr(error, "__notes__", ()))
+                echo(f"{text}: {notes}" if notes else text, err=True)
             finally:  # even if the terminal is closed
                 ctx.exit(exit_code(error))
         except TimedOut as error:

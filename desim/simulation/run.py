@@ -36,7 +36,7 @@ from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
 from desim.simulation.restartable import RestartableProcess
 from desim.simulation.run_end import RunEnd
-from desim.simulation.watchdog import TimedOut, stuck
+from desim.simulation.watchdog import TimedOut, interrupted_at, stuck
 from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
-        TypeError: if it is not a scenario, or a watcher is not a function; the message says what to write instead.
+        TypeError: if it is not a scenario; the message says what to write instead.
         ValueError: if the seed is negative or not an integer.
         TimedOut: if the caller set a time limit (`desim.simulation.watchdog.within`) and it is exceeded; the text lists
             what each process is waiting for.
@@ -109,8 +109,6 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     """
     scenario_argument(Scenario).check(scenario, "run")
     seed = scenario.seed if seed is None else seed_of(seed)
-    for watcher in watchers:
-        _check_watcher(watcher)
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
@@ -120,12 +118,6 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     finally:
         trace.close()
     return Result(scenario, seed, trace)
-
-
-def _check_watcher(watcher: object) -> None:
-    """Raise TypeError if a watcher cannot be called."""
-    if not callable(watcher):
-        raise TypeError(f"a watcher should be a function of an event (got {watcher!r})")
 
 
 def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Trace) -> None:
@@ -176,6 +168,9 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
         env.run(until=end.over)
     except TimedOut as error:
         raise stuck(env, error, team.processes) from error
+    except KeyboardInterrupt as error:
+        error.add_note(interrupted_at(env, error))
+        raise
     except SystemExit as error:
         notes = getattr(error, "__notes__", [])
         who = "the protocol" if notes else "code of the scenario"

@@ -11,9 +11,10 @@ from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Lock, Thread, current_thread, get_ident, main_thread
 from time import monotonic
 from traceback import walk_tb
-from types import FrameType, GeneratorType
+from types import CodeType, FrameType, GeneratorType
 from typing import TYPE_CHECKING, Any
 
+from desim.config.own_modules import plain_name
 from desim.config.python_numbers import real
 
 if TYPE_CHECKING:
@@ -26,6 +27,10 @@ OUT_OF_MEMORY = (
     ' record.messages = "file")'
 )
 """What a user can do about a `MemoryError`, which has no text of its own."""
+_OURS = {"desim", "protocols"}
+"""The packages of the simulator and its protocols."""
+_LIBRARIES = {*sys.stdlib_module_names, "networkx", "numpy", "pydantic", "scipy", "simpy"} - {"__main__"}
+"""The packages whose lines say nothing about the cause of a hang."""
 AGAIN = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
 
@@ -176,12 +181,29 @@ def _is_in(error: BaseException | None, kind: type[BaseException]) -> bool:
 
 
 def code_place_of(error: BaseException) -> str:
-    """Return the file, line and function in which an error was raised."""
+    """Return the file, line and function in which an error was raised, the deepest of a user's code if there is any."""
     places = list(walk_tb(error.__traceback__))
+    users = next(((frame, line) for frame, line in places[::-1] if _is_of_user(frame)), None)
+    if users is not None:
+        frame, line = users
+        return _source_line(frame.f_code, line)
     frame, line = next((place for place in places[::-1] if place[0].f_code.co_filename != __file__), places[-1])
     code = frame.f_code
     where = line or code.co_firstlineno  # an instruction may belong to no line
     return f"{short(code.co_filename)}:{where} ({code.co_name})"
+
+
+def _is_of_user(frame: FrameType) -> bool:
+    """Return whether a frame runs code that belongs neither to desim, nor to Python, nor to an installed package."""
+    top = plain_name(str(frame.f_globals.get("__name__", ""))).partition(".")[0]
+    file = Path(frame.f_code.co_filename)
+    is_library = top in _OURS or top in _LIBRARIES or {"site-packages", "dist-packages"} & set(file.parts)
+    return not is_library and file.is_file()
+
+
+def _source_line(code: CodeType, line: int) -> str:
+    """Return the file, the number and the function of a line of code, and the line itself."""
+    return f"{short(code.co_filename)}:{line} ({code.co_qualname}): {getline(code.co_filename, line).strip()}"
 
 
 def short(file: str) -> str:
@@ -190,27 +212,45 @@ def short(file: str) -> str:
 
 
 MAX_LISTED = 100
-"""Maximum number of processes that are listed."""
+"""Maximum number of lines that are listed."""
+MAX_NAMED = 8
+"""Maximum number of pursuers that are named at a line."""
+
+
+def interrupted_at(env: "Clock", error: BaseException) -> str:
+    """Return the simulated time and the line of code at which a simulation was interrupted."""
+    from desim.kernel.core.units import seconds  # slow to import, and needed only here
+
+    return f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}"
+
+
+def _folded(line: str, pursuers: Sequence[int]) -> str:
+    """Return the text about the processes that wait at one line, given the pursuer of each."""
+    if len(pursuers) == 1:
+        return f"pursuer {pursuers[0]}: {line}"
+    names = list(map(str, pursuers[:MAX_NAMED])) + (["..."] if len(pursuers) > MAX_NAMED else [])
+    return f"{len(pursuers):,} processes wait at {line} (pursuers {', '.join(names)})"
 
 
 def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["RestartableProcess"]]) -> TimedOut:
     """Return the error for a simulation that timed out.
 
     Its text has the simulated time, the line of code that was interrupted, and what each process is waiting for, up to
-    `MAX_LISTED` processes.
+    `MAX_LISTED` lines; processes that wait at one line are one line of the text.
 
     Args:
         env: the clock of the simulation.
         error: the exception as it was raised.
         processes: the processes of each pursuer.
     """
-    from desim.kernel.core.units import seconds  # slow to import, and needed only here
-
     due = env.scheduled()
     alive = [(pursuer, process) for pursuer, several in processes.items() for process in several if process.is_alive]
-    head = f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}; {len(alive):,} processes wait"
-    lines = [f"pursuer {pursuer}: {_line(process)}{_until(process, due)}" for pursuer, process in alive[:MAX_LISTED]]
-    more = [f"... and {len(alive) - MAX_LISTED:,} more"] if len(alive) > MAX_LISTED else []
+    head = f"{interrupted_at(env, error)}; {len(alive):,} processes wait"
+    waiting: dict[str, list[int]] = {}
+    for pursuer, process in alive:
+        waiting.setdefault(f"{_line(process)}{_until(process, due)}", []).append(pursuer)
+    lines = [_folded(line, pursuers) for line, pursuers in list(waiting.items())[:MAX_LISTED]]
+    more = [f"... and at {len(waiting) - MAX_LISTED:,} more lines"] if len(waiting) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))
 
 
@@ -222,8 +262,7 @@ def _line(process: "RestartableProcess") -> str:
     inner = process.behaviour or at.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
         at, inner = inner, inner.gi_yieldfrom
-    file, line = at.gi_code.co_filename, at.gi_frame.f_lineno
-    return f"{short(file)}:{line} ({at.gi_code.co_qualname}): {getline(file, line).strip()}"
+    return _source_line(at.gi_code, at.gi_frame.f_lineno)
 
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:

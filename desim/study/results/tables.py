@@ -45,7 +45,9 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
         yield result.start_rule
     for group in result.groups:
         if group.failed:
-            first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].error}"
+            row = group.failed[0]
+            place = f" ({row.place})" if row.place else ""
+            first = f"{group.in_words()}, seed {row.seed}: {row.error}{place}"
             yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
             break
     yield from (f"warning: {warning}" for warning in result.warnings(metrics))

@@ -9,12 +9,14 @@ Kept equal to a list of rows by
 """
 
 import json
+import re
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, takewhile
 from math import nan
+from os import sep
 from types import MappingProxyType
 from typing import Any, Literal, overload
 
@@ -22,7 +24,13 @@ import numpy as np
 
 from desim.analysis.metrics import Summary, columns_of
 from desim.config.arrays import Floats
+from desim.config.packages import package_folder
 
+CALL = re.compile(r'^[ |]*File "(.+)", line (\d+)', re.MULTILINE)
+"""Matches a call in a traceback: the file and the line."""
+LIBRARY = re.compile(r"^<|[/\\](site-packages|dist-packages|lib[/\\]python[\d.]+)[/\\]")
+"""Matches the files of Python and of installed packages."""
+_OURS = tuple(f"{package_folder(package)}{sep}" for package in ("desim", "protocols"))
 Status = Literal["ok", "error", "crashed"]
 ABSENT, NONE, BOOL, INT, FLOAT, OBJECT = range(6)
 """The codes of the types of values; a run that was stored before a metric existed has no value, which is ABSENT."""
@@ -55,6 +63,13 @@ class Row:
     def ok(self) -> bool:
         """Whether the run ended and was measured."""
         return self.status == "ok"
+
+    @property
+    def place(self) -> str:
+        """The file and the line of the last call of a user's code, or of any code, in the traceback; "" without one."""
+        calls = CALL.findall(self.traceback)
+        users = [call for call in calls if not (LIBRARY.search(call[0]) or call[0].startswith(_OURS))]
+        return "{}:{}".format(*(users or calls)[-1]) if calls else ""
 
     @property
     def error(self) -> str:

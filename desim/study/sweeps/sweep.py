@@ -31,7 +31,7 @@ from desim.study.store.properties import flat
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.workers.dispatch import drive_batches, simulation
-from desim.study.workers.progress import progress
+from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]
@@ -336,7 +336,7 @@ def _run(
                 for at, outcome in batch
             ]
             store.add_all(plan.root, [(jobs[at][0].key, row) for at, row in rows])
-            bar.update(len(rows))
+            advance(bar, len(rows))
             for at, row in rows:
                 if not row.ok:
                     failed[jobs[at][0].key, row.replication] = row

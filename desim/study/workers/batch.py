@@ -8,7 +8,7 @@ from desim.analysis.metrics import summary
 from desim.kernel.core.seeds import run_seed
 from desim.simulation.run import Result, run
 from desim.study.workers.dispatch import Simulate, Task, drive
-from desim.study.workers.progress import progress
+from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import workers_for
 
 Measured = TypeVar("Measured")
@@ -31,6 +31,7 @@ def run_many(
     label: str = "runs",
     measure: Callable[[Result], Measured] = summary,  # type: ignore[assignment]
     simulate: Simulate = run,
+    on_done: Callable[[int, Measured], object] = lambda *_: None,
 ) -> list[Measured]:
     """Run each task and return the measurements in the order of the tasks, whatever the number of workers.
 
@@ -43,6 +44,7 @@ def run_many(
         label: the text before the progress bar, which is drawn only on a terminal and in a notebook.
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
+        on_done: called with the number and the measurement of each run that has ended, in this process.
 
     Raises:
         BaseException: the exception of a failed run; if several fail, the exception that is reported first. If it
@@ -60,5 +62,6 @@ def run_many(
             if outcome.status != "ok":
                 raise outcome.error or RuntimeError(outcome.traceback)
             measured[k] = outcome.value
-            bar.update()
+            advance(bar, 1)
+            on_done(k, outcome.value)
     return measured

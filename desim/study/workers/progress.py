@@ -1,6 +1,7 @@
 """The progress bar of many runs, shown on a terminal and in a notebook, but not in a pipe."""
 
 import sys
+from time import time
 from typing import TYPE_CHECKING, Any
 
 from tqdm.auto import tqdm as bar_of_this_place
@@ -24,3 +25,14 @@ def progress(total: int, label: str, unit: str) -> "tqdm[Any]":
         total=total, desc=escaped(label), unit=unit, disable=False if in_notebook else None
     )
     return bar
+
+
+def advance(bar: "tqdm[Any]", steps: int) -> None:
+    """Advance a bar by some steps; the time until the first of them, in which workers start, does not count.
+
+    The estimate of the time that is left would otherwise be that of a sweep whose every run starts all workers.
+    """
+    if not bar.n and not bar.disable:
+        bar.initial, bar.start_t = steps, time()
+        bar.last_print_t = bar.start_t
+    bar.update(steps)
