@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.options import (
+    AGAINST,
     ALLOW_IMPORT,
     CLUSTER,
     COUNT,
@@ -94,6 +95,7 @@ class Precision(click.ParamType[tuple[str, float]]):
     "--shard", type=Shard(), default=None, help="Do only every N-th run, starting with the K-th; see `desim merge`."
 )
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
+@AGAINST
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
 @METRIC
 @MIX_VERSIONS
@@ -112,6 +114,7 @@ def sweep(
     until: tuple[str, float] | None,
     shard: tuple[int, int] | None,
     dry_run: bool,
+    against: tuple[tuple[str, str], ...],
     fail_fast: bool,
     metrics: tuple[str, ...],
     mix_versions: bool,
@@ -147,6 +150,11 @@ def sweep(
             check_target(*until, plan.metrics)
         except ValueError as error:
             raise click.BadParameter(f"{PRECISION}: {error}", param_hint="'--until'") from error
+    reference = dict(against) or None
+    try:
+        plan.check_reference(reference)
+    except ValueError as error:
+        fail(f"--against: {error}")
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     start = time.perf_counter()
@@ -178,7 +186,7 @@ def sweep(
                 on_start=note,
             )
         done = store.added
-    table = found.table(shown)
+    table = found.table(shown, against=reference)
     echo(json.dumps(found.document(shown), indent=2) if as_json else table)
     for each in found.warnings(shown) if as_json else ():
         echo(f"warning: {each}", err=True)

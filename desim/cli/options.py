@@ -113,6 +113,28 @@ METRIC = click.option(
 )
 
 
+class Pair(click.ParamType[tuple[str, str]]):
+    """A parameter type: two texts, NAME=TEXT."""
+
+    name = "NAME=TEXT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Return the texts before and after the first equals sign."""
+        first, equals, second = str(value).partition("=")
+        if not (first and equals):
+            self.fail(f"{value!r} should be two texts with = between them", param, ctx)
+        return first, second
+
+
+AGAINST = click.option(
+    "--against",
+    multiple=True,
+    type=Pair(),
+    metavar="KEY=VALUE",
+    help="Show paired differences from the configurations with this value, all else equal; can be repeated.",
+)
+
+
 def is_import_allowed() -> bool:
     """Return whether the current command was given --allow-import."""
     return bool(click.get_current_context().meta.get(ALLOWED))

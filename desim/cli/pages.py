@@ -1,12 +1,13 @@
 """`desim replay` and `desim report`: a page that plays a run, and a page about a sweep."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, making, page_at, storing, write
+from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, echo, fail, limited, making, page_at, storing, write
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
@@ -74,18 +75,22 @@ def _size(result: "Result") -> str:
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page; default: report.html in DIR.")
+@AGAINST
 @limited
-def report(folder: Path, out: Path | None) -> None:
+def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...]) -> None:
     """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
     from desim.view.pages.report import Study
     from desim.view.pages.report import report as page_of
 
+    if folder.is_file() and folder.suffix == ".toml":
+        file = shlex.quote(str(folder))
+        fail(f"{folder}: is a scenario file; make a sweep first: desim sweep {file} -o DIR, then desim report DIR")
     path = page_at(out, folder / "report.html")
     _check_merged(folder)
     check_no_run(folder)
     with making("report"):
         with storing(folder):
-            study = Study.read(folder)
+            study = replace(Study.read(folder), against=dict(against) or None)
         page = page_of(study).encode()
     write(page, path)
     groups = study.result.groups

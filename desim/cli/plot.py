@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, limited, making
+from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, Pair, echo, fail, limited, making
 from desim.cli.recorded import SOURCE, is_recorded, results_of
 from desim.config.file_names import PICTURE_SUFFIXES, files
 
@@ -46,19 +46,6 @@ class Ids(click.ParamType[tuple[int, ...]]):
             self.fail(f"{value!r} should be pursuer ids separated by commas, e.g. 0,3,17", param, ctx)
 
 
-class Pair(click.ParamType[tuple[str, str]]):
-    """A parameter type: two texts, NAME=TEXT."""
-
-    name = "NAME=TEXT"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
-        """Return the texts before and after the first equals sign."""
-        first, equals, second = str(value).partition("=")
-        if not (first and equals):
-            self.fail(f"{value!r} should be two texts with = between them", param, ctx)
-        return first, second
-
-
 @click.command()
 @SOURCE
 @click.option(
@@ -89,13 +76,7 @@ class Pair(click.ParamType[tuple[str, str]]):
     help="Draw a line for each value of this key; can be repeated. The other keys make panels. Default: all keys but"
     " that of -x.",
 )
-@click.option(
-    "--against",
-    multiple=True,
-    type=Pair(),
-    metavar="KEY=VALUE",
-    help="Draw paired differences from the configurations with this value, all else equal; can be repeated.",
-)
+@AGAINST
 @click.option(
     "--label",
     "labels",

@@ -99,18 +99,21 @@ class SweepResult(SweepRuns):
             )
         return draw[kind](self, y, **options)
 
-    def table(self, metrics: Sequence[str] = SHOWN) -> str:
+    def table(self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None) -> str:
         """Return the table of means, the table of paired differences and the notes (failed runs, warnings) as text.
 
         The reference of a difference is the configuration that has the first value of the first key with several values
-        and is otherwise equal. If seeds are independent, there is no table of differences.
+        and is otherwise equal, or that has the values `against`, such as {"protocol": "sap"}. If seeds are independent,
+        there is no table of differences.
         """
-        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
+        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics, against=against)]
         return "\n\n".join([*parts, *sweep_tables.notes(self, each_name(metrics))])
 
-    def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
+    def tables(
+        self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
+    ) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return each table as its title and rows of text; the first row is the header."""
-        return list(sweep_tables.tables(self, each_name(metrics)))
+        return list(sweep_tables.tables(self, each_name(metrics), against))
 
     def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
         """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""

@@ -1,6 +1,6 @@
 """The result of a sweep as tables of text, and as JSON: means by configuration, and paired differences."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,20 +10,28 @@ from desim.analysis.statistics import wilson
 from desim.analysis.tables import as_json, with_half_width
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
+from desim.study.plan.configurations import in_words
 from desim.study.results.runs import SweepRuns, counted, text
 
 Table = tuple[str, list[tuple[str, ...]]]
 """The title of a table, and its rows of text; the first row is the header."""
 
 
-def tables(result: SweepRuns, metrics: Sequence[str]) -> Iterator[Table]:
+def tables(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None) -> Iterator[Table]:
     """Yield the table of means and, if seeds are common and a key has several values, the table of differences.
 
-    Seeds are common if run k of every configuration has the same seed.
+    Seeds are common if run k of every configuration has the same seed. The differences are from the configurations with
+    the values `against`, all else equal; None: with the first value of the first key that has several.
+
+    Raises:
+        ValueError: if `against` is given, and a configuration has no reference, or seeds are not common.
     """
     yield heading(result, metrics), _mean_rows(result, metrics)
     key = result.compared_by
-    if result.common and key is not None:
+    if against:
+        rows = _difference_rows(result, metrics, against)
+        yield f"difference from {in_words(against)}, all else equal, run by run with the same seed", rows
+    elif result.common and key is not None:
         first = f"{key} = {text(result.groups[0].settings[key])}" + ", all else equal" * (len(result.keys) > 1)
         yield f"difference from {first}, run by run with the same seed", _difference_rows(result, metrics)
 
@@ -98,11 +106,13 @@ def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...
     return rows
 
 
-def _difference_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
+def _difference_rows(
+    result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None
+) -> list[tuple[str, ...]]:
     """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
-    differences = [result.differences(metric) for metric in metrics]
+    differences = [result.differences(metric, against) for metric in metrics]
     rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *map(words, metrics))]
-    for k, (group, other) in enumerate(zip(result.groups, result.references(), strict=True)):
+    for k, (group, other) in enumerate(zip(result.groups, result.references(against), strict=True)):
         if k == other:
             continue
         pairs = len(group.pairs(result.groups[other])[0])

@@ -26,7 +26,7 @@ from desim.study.plan.config_hash import tables
 from desim.study.plan.configurations import Configuration, SweepGrid, configurations, without_metrics
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import SHOWN
+from desim.study.results.runs import SHOWN, Group, SweepRuns
 from desim.study.store.properties import flat
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -130,6 +130,15 @@ class SweepPlan:
         """
         scenarios = [configuration.scenario for configuration in self.configurations]
         yield from sweep_warnings(self.base, tuple(self.configurations[0].settings), scenarios)
+
+    def check_reference(self, against: Mapping[str, Any] | None) -> None:
+        """Raise ValueError if a configuration has no reference with some values; see `SweepResult.differences`."""
+        if against is None:
+            return
+        if not self.common:
+            raise ValueError("runs with independent seeds cannot be paired")
+        groups = tuple(Group(configuration.columns, ()) for configuration in self.configurations)
+        SweepRuns(self.base.name, tuple(self.configurations[0].settings), groups, self.common, {}).references(against)
 
     @property
     def runs(self) -> int:

@@ -60,6 +60,8 @@ class Study:
     """The working folder and the words of each command that added runs."""
     versions: Sequence[Mapping[str, str]] = ()
     """The versions of Python and of the packages that computed the runs; several if they were mixed."""
+    against: Mapping[str, str] | None = None
+    """The values of the configurations from which the tables show differences; None = the first value of a key."""
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -121,9 +123,11 @@ def report(study: Study) -> str:
     return environment.from_string(template).render(
         study=study,
         result=result,
-        tables=result.tables(shown),
+        tables=result.tables(shown, against=study.against),
         warnings=result.warnings(shown),
-        wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
+        wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured, against=study.against)]
+        if measured
+        else [],
         failures=failures[:MAX_FAILURES],
         more_failures=len(failures) - MAX_FAILURES,
         findings=list(findings(study)),
