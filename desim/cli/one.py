@@ -4,7 +4,7 @@ import json
 import shlex
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from traceback import extract_tb, format_list
 from typing import TYPE_CHECKING, NoReturn
@@ -128,6 +128,14 @@ def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "
     from desim.results import provenance
 
     make_folder(out)
+    with suppress(OSError, provenance.ProvenanceError):  # the folder may be new
+        before = provenance.read(out / provenance.FILE)["scenario"]
+        if before != (now := scenario.plain()):
+            keys = [key for key in now if before is None or before.get(key) != now[key]]
+            echo(
+                f"warning: --out {out}: replaces the results of another scenario; it differs in {', '.join(keys)}",
+                err=True,
+            )
     return out, provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=count, folder=folder)
 
 

@@ -254,10 +254,12 @@ def write_picture(make: Callable[[], object], paths: Sequence[Path], *, err: boo
         paths: the paths of the files; they have the same folder, which is created if missing.
         err: whether to print to stderr.
     """
+    replaced = [path for path in paths if path.exists()]
     try:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except OSError as error:
         fail(f"{paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
-        echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB", err=err)
+        how = " (replaced)" if path in replaced else ""
+        echo(f"wrote {path}: {path.stat().st_size / 1000:,.0f} kB{how}", err=err)

@@ -122,7 +122,7 @@ class Wording:
         if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
             return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
         if kind == "import_refused":
-            return f"{error['msg']}; allowed without --allow-import: {', '.join(kinds)}"
+            return str(error["msg"])
         if kind == "literal_error":
             return f"should be {context['expected']}"
         if kind == "missing":
