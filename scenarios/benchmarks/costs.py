@@ -1,4 +1,4 @@
-"""Costs of large teams, losses on arrival, whole runs, recording and start-up, in time and memory; some have a limit.
+"""Costs of large teams, losses on arrival, runs, recording and start-up, in time and memory; some have a limit.
 
 Peak memory is measured in a separate process.
 """
@@ -20,7 +20,7 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim import Result, Scenario, run
+from desim import Result, Scenario, load, run
 from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
@@ -313,6 +313,39 @@ def loop(options: Options) -> list[Cost]:
     ]
 
 
+# Shipped scenarios.
+
+
+DEAREST = 5.0
+"""Most CPU time of a run of a shipped scenario, relative to `relay.toml`."""
+DEARER = MappingProxyType(
+    {
+        "flooding": (7.0, "each announcement is received and judged one by one at each hop"),
+        "noisy": (9.0, "each pursuer fuses seven tracks for each decision, motion step and recorded sample"),
+        "radio": (7.0, "each message is judged at each receiver when it arrives"),
+        "reliable": (13.0, "three messages for one that arrives: acknowledgements, repetitions and time signals"),
+    }
+)
+"""The scenarios that may cost more than `DEAREST`, how much, and why."""
+
+
+def examples(options: Options) -> list[Cost]:
+    """Measure the CPU time of a run of each shipped scenario, relative to `relay.toml`; each has its own seed."""
+    files = sorted(SCENARIOS.glob("*.toml"))
+    variants = {file.stem: partial(_one_run, load(file)) for file in files}
+    times = per_unit(variants, range(options.runs))
+    return [
+        Cost(f"{name} / relay", spent / times["relay"], "", DEARER[name][0] if name in DEARER else DEAREST)
+        for name, spent in times.items()
+        if name != "relay"
+    ]
+
+
+def _one_run(scenario: Scenario, _: int) -> int:
+    run(scenario)
+    return 1
+
+
 # Recording.
 
 
@@ -390,6 +423,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "contention": contention,
         "table1": table_1,
         "loop": loop,
+        "examples": examples,
         "recording": recording,
         "start": start,
         "sweeps": two_workers,
