@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from desim.config.arrays import Floats
 
 
+NO_LINKS: "NDArray[np.intp]" = np.array([], dtype=np.intp)
+
+
 class LinkMemory:
     """The numbers of the links of one sender.
 
@@ -44,13 +47,32 @@ class LinkMemory:
         if dst is self.dst:
             return
         # The present links are put aside before the look-up, because `_add` replaces the arrays.
-        self._value[self._selected], self._since[self._selected] = self.value, self.since
+        self._put_aside()
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
             self._add(dst)
             links = self._nodes.searchsorted(dst)
         self._selected, self.dst = links, None if dst.flags.writeable else dst
         self.value, self.since = self._value[links], self._since[links]
+
+    def one(self, node: int) -> tuple[float, float]:
+        """Put the links at hand aside; return the number of one link, and the time (s) of its last message."""
+        if self.dst is not NO_LINKS:
+            self._put_aside()
+            self._selected, self.dst = NO_LINKS, NO_LINKS
+            self.value, self.since = self._value[:0], self._since[:0]
+        link = self._nodes.searchsorted(node)
+        if link == len(self._nodes) or self._nodes.item(link) != node:
+            self._add(np.array([node]))
+        return self._value.item(link), self._since.item(link)
+
+    def set_one(self, node: int, value: float, since: float) -> None:
+        """Set the number of a link that `one` has returned, and the time (s) of its last message."""
+        link = self._nodes.searchsorted(node)
+        self._value[link], self._since[link] = value, since
+
+    def _put_aside(self) -> None:
+        self._value[self._selected], self._since[self._selected] = self.value, self.since
 
     def _add(self, dst: "NDArray[np.intp]") -> None:
         old, value, since = self._nodes, self._value, self._since
