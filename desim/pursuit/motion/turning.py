@@ -8,7 +8,7 @@ the pursuer is at the origin and heads along the x axis.
 """
 
 from cmath import phase, rect
-from math import acos, asin, atan2, inf, pi, sqrt
+from math import acos, asin, inf, pi, sqrt
 
 import numpy as np
 
@@ -25,28 +25,38 @@ ANGLE_ROUNDING = 1e-9
 
 
 def shortest_paths(targets: Points, radii: Floats) -> tuple[Floats, Points]:
-    """Return the (k,) lengths, m, and the (k,) final headings of the shortest paths to targets.
-
-    For |y| beyond the turning circle, with D the distance of the target from the centre of this circle, the length is
-    rho ((theta - acos(rho / D)) mod 2 pi) + sqrt(D^2 - rho^2), where theta = atan2(x, rho - |y|).
+    """Return the (k,) lengths, m, and the (k,) final headings of the shortest paths to targets; see `shortest_path`.
 
     Args:
         targets: (k,) positions relative to the pursuer, which heads along the x axis, m.
         radii: (k,) least radii rho, greater than 0, m.
     """
-    x, y = targets.real, np.abs(targets.imag)
-    squared = x * x + y * (y - 2.0 * radii)  # D^2 - rho^2
-    line = np.sqrt(np.maximum(squared, 0.0))
-    # The argument of this product is theta - acos(rho / D): one angle in place of two, without an arc cosine near 1.
-    turned = (radii - y + 1j * x) * (radii - 1j * line)
-    # By `math`, because the last bits of NumPy's functions of angles depend on the processor.
-    angles = np.array([atan2(z.imag, z.real) % (2.0 * pi) for z in turned.tolist()])
-    angles[angles > 2.0 * pi - ANGLE_ROUNDING] = 0.0
-    path_lengths: Floats = radii * angles + line
-    headings = np.array([rect(1.0, angle) for angle in angles.tolist()], dtype=complex)
-    for k in np.flatnonzero(squared < 0.0).tolist():
-        path_lengths[k], headings[k] = _path_within(complex(x[k], y[k]), float(radii[k]))
-    return path_lengths, np.where(targets.imag < 0.0, headings.conj(), headings)
+    paths = list(map(shortest_path, targets.tolist(), radii.tolist()))
+    return np.array([length for length, _ in paths]), np.array([heading for _, heading in paths], dtype=complex)
+
+
+def shortest_path(target: complex, rho: float) -> tuple[float, complex]:
+    """Return the length, m, and the final heading of the shortest path to a target.
+
+    For |y| beyond the turning circle, with D the distance of the target from the centre of this circle, the length is
+    rho ((theta - acos(rho / D)) mod 2 pi) + sqrt(D^2 - rho^2), where theta = atan2(x, rho - |y|).
+
+    Args:
+        target: position relative to the pursuer, which heads along the x axis, m.
+        rho: the least radius, greater than 0, m.
+    """
+    x, y = target.real, abs(target.imag)
+    squared = x * x + y * (y - 2.0 * rho)  # D^2 - rho^2
+    if squared < 0.0:
+        length, heading = _path_within(complex(x, y), rho)
+    else:
+        line = sqrt(squared)
+        # The argument of this product is theta - acos(rho / D): one angle in place of two, and no arc cosine near 1.
+        angle = phase(complex(rho - y, x) * complex(rho, -line)) % (2.0 * pi)
+        if angle > 2.0 * pi - ANGLE_ROUNDING:
+            angle = 0.0
+        length, heading = rho * angle + line, rect(1.0, angle)
+    return length, heading.conjugate() if target.imag < 0.0 else heading
 
 
 def _path_within(target: complex, rho: float) -> tuple[float, complex]:
@@ -83,30 +93,33 @@ def turning_capture_times(
     able = (times > 0.0) & (speeds - evader_speed > NO_SPEED)
     if able.any():
         targets, v = offsets[able] * headings[able].conj(), speeds[able]
-        times[able] = _roots(targets, v, v / limit, evader_speed, radius)
+        rows = zip(targets.tolist(), v.tolist(), (v / limit).tolist(), strict=True)
+        times[able] = [_root(target, speed, rho, evader_speed, radius) for target, speed, rho in rows]
     return times
 
 
-def _roots(targets: Points, speeds: Floats, radii: Floats, evader_speed: float, radius: float) -> Floats:
-    """Return the (k,) times t, s, at which L - eps - v t changes its sign, by Newton's method within a bracket."""
-    distances = lengths(targets)
-    bearings = targets / distances
-    low, high = np.zeros(len(targets)), (distances + 4.0 * pi * radii) / (speeds - evader_speed)
-    times, before = low, np.full(len(targets), inf)
+def _root(target: complex, speed: float, rho: float, evader_speed: float, radius: float) -> float:
+    """Return the time t, s, at which L - eps - v t changes its sign, by Newton's method within a bracket."""
+    distance = abs(target)
+    bearing = target * (1.0 / distance)
+    low, high = 0.0, (distance + 4.0 * pi * rho) / (speed - evader_speed)
+    time, before = low, inf
     for _ in range(MAX_ITERATIONS):
-        paths, headings = shortest_paths(targets + bearings * (evader_speed * times), radii)
-        missing = paths - radius - speeds * times
-        converged = (np.abs(missing) <= ROUNDING * (radii + speeds * times)) | (high - low <= ROUNDING * high)
-        if converged.all():
+        length, heading = shortest_path(target + bearing * (evader_speed * time), rho)
+        missing = length - radius - speed * time
+        off = abs(missing)
+        if off <= ROUNDING * (rho + speed * time) or high - low <= ROUNDING * high:
             break
-        low, high = np.where(missing > 0.0, times, low), np.where(missing > 0.0, high, times)
-        away = bearings.real * headings.real + bearings.imag * headings.imag
-        step = times + missing / (speeds - evader_speed * away)
-        improves = np.abs(missing) < before / 2.0  # else Newton's method may alternate across the discontinuity
-        before = np.abs(missing)
-        step = np.where(improves & (step >= low) & (step <= high), step, (low + high) / 2.0)
-        times = np.where(converged, times, step)
-    return times
+        if missing > 0.0:
+            low = time
+        else:
+            high = time
+        away = bearing.real * heading.real + bearing.imag * heading.imag
+        step = time + missing / (speed - evader_speed * away)
+        # If the step does not improve, Newton's method may alternate across the discontinuity.
+        time = step if off < before / 2.0 and low <= step <= high else (low + high) / 2.0
+        before = off
+    return time
 
 
 def least_capture_radius(turning_radius: float, speed_ratio: float) -> float:
