@@ -31,14 +31,12 @@ Robust to loss: yes. Reports and orders are repeated every period, and an order 
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from math import inf
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
 from desim.config.model import Period, Value
-from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.pursuit.team.agent import Agent, Process
@@ -183,8 +181,13 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
         now: the present time, ns.
         effect: the time at which an order sent now takes effect, ns.
     """
-    segments = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
-    return portable_sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(segments) if action != evader)
+    total, begun, action = 0, now, reported
+    for start, next_action in (*ordered, (effect, 0)):
+        end = max(start, now)
+        if action != evader and end > begun:
+            total += end - begun
+        begun, action = end, next_action
+    return total
 
 
 def apply_order(me: Agent, order: TeamOrder) -> None:

@@ -155,10 +155,17 @@ class Beliefs(Knowledge):
                 position is extrapolated with the announced action until the first order to the teammate takes effect,
                 and then with the ordered actions.
         """
-        now = self._clock.stamp
+        now, records = self._clock.stamp, self.trusted(period)
+        motions = {j: self._motion(record, orders) for j, record in records.items() if isinstance(record.body, Located)}
+        times = self._view.capture_times_from(list(motions), list(motions.values()), evader)
+        time_of = dict(zip(motions, times, strict=True))
         beliefs = {
-            j: Belief(record.body.active, self._capture_time(record, evader, orders), (now - record.stamp) / SECOND)
-            for j, record in self.trusted(period).items()
+            j: Belief(
+                record.body.active,
+                time_of[j] if j in time_of else self._capture_time(record, evader),
+                (now - record.stamp) / SECOND,
+            )
+            for j, record in records.items()
         }
         if self._judge is None:
             return beliefs
@@ -238,7 +245,7 @@ class Beliefs(Knowledge):
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
-    def _capture_time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
+    def _capture_time(self, record: Record, evader: int) -> float:
         """Return the capture time, s, of a teammate for an evader, from its record or its sensed position.
 
         The capture time is nan if it is unknown.
@@ -248,7 +255,7 @@ class Beliefs(Knowledge):
             return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan
         if not isinstance(body, Located):
             return self._view.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._view.capture_time_from(record.src, self._motion(record, orders), evader)
+        return self._view.capture_time_from(record.src, self._motion(record), evader)
 
     def _motion(self, record: Record, orders: Orders = UNORDERED) -> MotionState:
         """Return the motion of a teammate: extrapolated from its record, or sensed; nan if neither is possible.
