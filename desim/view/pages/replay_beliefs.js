@@ -1,9 +1,12 @@
 // The belief matrix: what each pursuer (row) believes of each other (column).
 
 const GUTTER = 18, side = () => Math.min(board.width, board.height);
+let matrixState = "";
 function drawMatrix() {
   if (!belief || !board.width) return;
-  const { context: c, ratio } = board, w = side();
+  const { context: c, ratio } = board, w = side(), state = `${version} ${focus()} ${w} ${board.height} ${ratio} ${look}`;
+  if (state === matrixState) return;
+  matrixState = state;
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.clearRect(0, 0, board.width, board.height);
   const cell = (w - GUTTER) / N, gap = cell > 7 ? 1 : 0, from = focus(), gutter = GUTTER;
@@ -19,6 +22,7 @@ function drawMatrix() {
       c.fillRect(gutter + i * cell, gutter - 3, cell - gap, 2); c.fillRect(gutter - 3, gutter + i * cell, 2, cell - gap);
     }
   }
+  if (cell * ratio < SMALL) return drawPixels(c, w, from);
   if (from >= 0) { c.fillStyle = colour.faint; c.fillRect(gutter, gutter + from * cell, N * cell, cell); }
   const kinds = [[], [], [], [], []];  // correct: chases, inactive; wrong: phantom, missed; nothing received
   for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (i !== j) {
@@ -52,6 +56,31 @@ function drawMatrix() {
   c.fillStyle = colour.line; c.beginPath();
   for (let i = 0; i < N; i++) square(i, i, 0);
   c.fill();
+}
+
+const SMALL = 3.5;  // cells of fewer pixels are pixels of a picture
+const cells = document.createElement("canvas");
+let cellImage = null, cellPixels = null;
+/** The matrix of a large team as a picture of one pixel a cell, scaled: a hundred thousand cells are too many shapes. */
+function drawPixels(c, w, from) {
+  if (!cellImage) {
+    cells.width = cells.height = N;
+    cellImage = new ImageData(N, N);
+    cellPixels = new Uint32Array(cellImage.data.buffer);
+  }
+  const right = pixelOf(colour.active), inactive = pixelOf(colour.inactive, 60), phantom = pixelOf(colour.wrongBelief), missed = pixelOf(colour.wrongBelief, 170);
+  const nothing = pixelOf(colour.inactive, 25), diagonal = pixelOf(colour.line), suspect = pixelOf(colour.ink, 110);
+  for (let i = 0, k = 0; i < N; i++) for (let j = 0; j < N; j++, k++) {
+    const last = heard[k], thinks = last === UNHEARD ? 0 : last, action = truth[j];
+    cellPixels[k] = i === j ? diagonal : suspicion && distrusts[k] ? suspect : thinks === action ? thinks ? right : last === UNHEARD ? nothing : inactive : thinks ? phantom : missed;
+  }
+  cells.getContext("2d").putImageData(cellImage, 0, 0);
+  const size = w - GUTTER;
+  c.imageSmoothingEnabled = board.ratio * size < N;  // fewer pixels than cells: the mean of several, else sharp edges
+  c.drawImage(cells, GUTTER, GUTTER, size, size);
+  if (from < 0) return;
+  c.strokeStyle = colour.ink; c.lineWidth = 1;
+  c.strokeRect(GUTTER - .5, GUTTER + from * size / N - 1, size, size / N + 2);
 }
 
 /** The believed evader in the middle of a cell or, if the belief is wrong, above the actual one, if any. */

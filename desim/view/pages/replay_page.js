@@ -232,7 +232,7 @@ window.replay = {
   play: () => setPlaying(true), pause: () => setPlaying(false), seek: s => { seek(Math.round(s / TICK)); stale = false; draw(); },
   get time() { return time * TICK; }, get playing() { return playing; }, get frames() { return frames; },
   get drawn() { return { ...drawn }; }, get sent() { return sentBy(time); }, get lost() { return lostBy(time); },
-  get truth() { return [...truth]; }, get captured() { return [...caught]; }, get players() { return [...X].map((x, i) => [x, Y[i]]); }, get heard() { return [...heard]; }, get hears() { return all.map(heardBy); }, get places() { return { flying: metres(marks.flying, 5), lost: metres(marks.lost, 6) }; }, get scale() { return scale; }, pixel: (x, y) => [px(x), py(y)],
+  get truth() { return [...truth]; }, get captured() { return [...caught]; }, get players() { return [...X].map((x, i) => [x, Y[i]]); }, get heard() { return [...heard]; }, get hears() { return all.map(heardBy); }, get places() { return { flying: metres(flying.used, 5), lost: metres(gone.used, 6) }; }, get scale() { return scale; }, pixel: (x, y) => [px(x), py(y)],
   get headings() { return [...heading]; }, get estimates() { return estimates ? shownEstimates().map(k => [estimates.pursuer[k], estimates.evader[k], ...estimates.centres.slice(2 * k, 2 * k + 2)]) : []; }, flowAt,
   choose: i => { chosen = i; draw(); }, draw, get chosen() { return chosen; },
   get end() { return END * TICK; }, get ghost() { return ghost && ghostAt(time); },

@@ -6,7 +6,11 @@ function readColours() {
   for (const name of ["page", "card", "ink", "soft", "line", "faint", "active", "active-with-others", "inactive", "evader", "in-flight", "delivered", "lost", "wrong-belief"])
     colour[name.replace(/-./g, part => part[1].toUpperCase())] = style.getPropertyValue("--" + name).trim();
   stale = axisStale = true;
+  look++;
+  sprites.clear();
 }
+let look = 0;  // counts the changes of the theme
+const sprites = new Map();
 const DARK = "#1c2024";  // on light blue, in either theme
 const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
 function surface(canvas) {
@@ -39,6 +43,25 @@ const nice = rough => {
   return power * (lead <= 1 ? 1 : lead <= 2 ? 2 : lead <= 5 ? 5 : 10);
 };
 
+const MANY = 60;  // from more pursuers on, they are drawn as sprites, and few are labelled
+
+/** A canvas off the page with the size of the plane, for what need not be drawn anew for each frame. */
+function layer() {
+  const canvas = document.createElement("canvas"), context = canvas.getContext("2d");
+  return {
+    context, state: "",
+    clear() {
+      const { width: w, height: h, ratio } = arena;
+      if (canvas.width !== arena.canvas.width || canvas.height !== arena.canvas.height) { canvas.width = arena.canvas.width; canvas.height = arena.canvas.height; }
+      context.setTransform(ratio, 0, 0, ratio, 0, 0);
+      context.clearRect(0, 0, w, h);
+    },
+    show(c) { c.drawImage(canvas, 0, 0, arena.width, arena.height); },
+  };
+}
+const ground = layer(), past = layer(), recent = layer(), ghostPast = layer();
+let view = "";  // what all layers depend on: the part of the plane that is shown, the size of the canvas, the theme
+
 function drawArena() {
   const { context: c, width: w, height: h, ratio } = arena;
   if (!w) return;
@@ -46,20 +69,42 @@ function drawArena() {
   c.clearRect(0, 0, w, h);
   const edge = 30, base = Math.max(Math.min((w - 2 * edge) / whole.width, (h - 2 * edge - 34) / whole.height), 1e-6);
   scale = base * zoom;
-  const [x, y] = zoom > 1 ? [X[player(watched())], Y[player(watched())]] : [whole.x, whole.y];
+  const evader = player(watched()), x = zoom > 1 ? X[evader] : whole.x, y = zoom > 1 ? Y[evader] : whole.y;
   originX = w / 2 - x * scale;
   originY = (h + 24) / 2 + y * scale;
-  drawGrid(c, w, h);
+  view = `${scale} ${originX} ${originY} ${w} ${h} ${ratio} ${look}`;
+  drawGround(w, h);
+  ground.show(c);
   if ($("flow")?.checked) drawFlow(c, w, h);
-  if ($("sight")?.checked) drawSight(c);
-  for (const each of open) if (isJam(each)) drawJam(c, each);
-  if ($("links").checked && run.reception.known) { drawLinks(c); drawRanges(c); }
   if ($("other")?.checked) drawGhost(c);
   if ($("trails").checked) drawTrails(c);
   if (M > 1) drawTargets(c);
   if ($("ellipses")?.checked) drawEstimates(c);
   drawMessages(c);
   drawPlayers(c, w);
+}
+const groundX = new Float64Array(N), groundY = new Float64Array(N);  // where the pursuers were as the ground was drawn
+/** Whether a pursuer has moved by more than a pixel since the ground was drawn. */
+function hasMoved() {
+  const least = 1 / scale;
+  for (let i = 0; i < N; i++) if (Math.abs(X[i] - groundX[i]) > least || Math.abs(Y[i] - groundY[i]) > least) return true;
+  return false;
+}
+/** What changes slowly: the grid, sensing ranges, jammed areas, links. */
+function drawGround(w, h) {
+  const hasLinks = $("links").checked && run.reception.known, hasSight = $("sight")?.checked;
+  const ranges = hasLinks && isRangeShown() && focus() < 0 ? rangesShown().join() : "";
+  const state = `${view} ${epoch} ${focus()} ${hasLinks} ${hasSight} ${ranges}`;
+  const depends = jams.length || hasSight || (hasLinks && (sparse || focus() >= 0)) || ranges;
+  if (state === ground.state && !(depends && (N <= MANY || hasMoved()))) return;
+  ground.state = state;
+  groundX.set(X.subarray(0, N)); groundY.set(Y.subarray(0, N));
+  const c = ground.context;
+  ground.clear();
+  drawGrid(c, w, h);
+  if (hasSight) drawSight(c);
+  for (const jam of jams) drawJam(c, jam);
+  if (hasLinks) { drawLinks(c); drawRanges(c); }
 }
 /** The evader in the centre of a zoomed view: that of the selected pursuer, else one at large, else the last captured. */
 function watched() {
@@ -184,9 +229,11 @@ function drawLinks(c) {
   c.setLineDash([5, 4]); c.globalAlpha = .75;
   drawWays(c, heardOnly.map(j => [from, j, false]), 10);
 }
+const isRangeShown = () => run.reception.radius !== null && run.reception.radius * scale <= 20000;
+const rangesShown = () => (focus() >= 0 ? [focus()] : all.filter(i => truth[i]).slice(0, 3)).filter(i => !down[i]);
 function drawRanges(c) {
-  if (run.reception.radius === null || run.reception.radius * scale > 20000) return;
-  const from = focus(), shown = (from >= 0 ? [from] : all.filter(i => truth[i]).slice(0, 3)).filter(i => !down[i]);
+  if (!isRangeShown()) return;
+  const from = focus(), shown = rangesShown();
   c.setLineDash([2, 5]); c.lineWidth = 1.2; c.strokeStyle = from >= 0 ? colour.soft : colour.active;
   c.globalAlpha = from >= 0 ? .9 : .45;
   for (const i of shown) { c.beginPath(); c.arc(px(X[i]), py(Y[i]), run.reception.radius * scale, 0, 7); c.stroke(); }
@@ -216,28 +263,58 @@ function drawTargets(c) {
   }
   c.setLineDash([]); c.globalAlpha = 1;
 }
-/** Add the trail of a player, from a sample to the time shown, where it is at x, y. */
-function addTrail(c, { t, width, places }, kept, i, from, [x, y]) {
-  const until = upto(t, time);
-  let begun = false;
-  for (let k = Math.max(upto(kept, from) - 1, 0); k < kept.length && kept[k] < until; k++) {
-    const x = px(places[kept[k] * width + 2 * i]), y = py(places[kept[k] * width + 2 * i + 1]);
-    if (begun) c.lineTo(x, y); else c.moveTo(x, y);
-    begun = true;
+const TOLERANCE = .3;  // of a trail, px
+const cornersByScale = new WeakMap();  // by path: the scale for which its corners were found, and these
+function cornersAt(track) {
+  const known = cornersByScale.get(track);
+  if (known && known.scale >= scale && known.scale <= 4 * scale) return known.corners;
+  const corners = cornersOf(track, TOLERANCE / scale);
+  cornersByScale.set(track, { scale, corners });
+  return corners;
+}
+/** Add the trail of a player from one sample to another to the line that is drawn. */
+function addTrail(c, { width, places }, kept, i, from, until) {
+  const x = k => px(places[k * width + 2 * i]), y = k => py(places[k * width + 2 * i + 1]);
+  c.moveTo(x(from), y(from));
+  for (let k = upto(kept, from); k < kept.length && kept[k] < until; k++) c.lineTo(x(kept[k]), y(kept[k]));
+  c.lineTo(x(until), y(until));
+}
+/** Bring a layer with the trails of groups of players, each with a hue, up to a sample: only what is new is drawn, if it can be. */
+function extendTrails(onto, track, groups, until, wide) {
+  if (onto.state !== view || onto.until > until) { onto.clear(); onto.state = view; onto.until = 0; }
+  if (onto.until === until) return;
+  const c = onto.context, corners = cornersAt(track);
+  c.lineJoin = c.lineCap = "round"; c.lineWidth = wide;
+  for (const [hue, players] of groups) {
+    c.strokeStyle = hue;
+    c.beginPath();
+    for (const i of players) addTrail(c, track, corners[i], i, onto.until, until);
+    c.stroke();
   }
-  if (begun) c.lineTo(px(x), py(y));
+  onto.until = until;
+}
+/** Draw the last bit of the trails: from a sample to the places at the time shown. */
+function drawTips(c, { width, places }, groups, from, there, wide) {
+  c.lineWidth = wide; c.lineCap = "round";
+  for (const [hue, players] of groups) {
+    c.strokeStyle = hue;
+    c.beginPath();
+    for (const i of players) { c.moveTo(px(places[from * width + 2 * i]), py(places[from * width + 2 * i + 1])); c.lineTo(...there(i)); }
+    c.stroke();
+  }
+  c.lineCap = "butt";
 }
 /** The other run: faint trails, and hollow marks without numbers. */
 function drawGhost(c) {
   const places = ghostAt(time);
-  c.strokeStyle = colour.soft; c.lineJoin = "round";
   if ($("trails").checked) {
-    c.globalAlpha = .55; c.lineWidth = 1;
-    c.beginPath();
-    places.forEach((at, i) => addTrail(c, ghost.path, ghost.corners[i], i, 0, at));
-    c.stroke();
+    const groups = [[colour.soft, places.map((_, i) => i)]], last = Math.max(upto(ghost.path.t, time) - 1, 0);
+    extendTrails(ghostPast, ghost.path, groups, last, 1);
+    c.globalAlpha = .55;
+    ghostPast.show(c);
+    drawTips(c, ghost.path, groups, last, i => [px(places[i][0]), py(places[i][1])], 1);
   }
-  c.globalAlpha = .8; c.lineWidth = 1.2;
+  c.globalAlpha = .8; c.lineWidth = 1.2; c.strokeStyle = colour.soft;
   c.beginPath();
   places.forEach(([x, y], i) => {
     const [u, v, r] = [px(x), py(y), i < ghost.pursuers ? 4.5 : 7];
@@ -247,74 +324,101 @@ function drawGhost(c) {
   c.stroke();
   c.globalAlpha = 1;
 }
+const RECENT = 2;  // time, s, of which the trails are drawn strongly
 function drawTrails(c) {
-  const recent = upto(path.t, time - 2 / TICK) - 1;
-  c.lineJoin = "round";
-  for (const [hue, players] of [[colour.active, all], [colour.evader, evaders.map(player)]]) {
-    c.strokeStyle = hue;
-    for (const [from, alpha, wide] of [[0, .35, 1.4], [recent, .85, 2.2]]) {
-      c.globalAlpha = alpha; c.lineWidth = wide;
-      c.beginPath();
-      for (const i of players) addTrail(c, path, corners[i], i, from, [X[i], Y[i]]);
-      c.stroke();
+  const groups = [[colour.active, all], [colour.evader, evaders.map(player)]], last = Math.max(upto(path.t, time) - 1, 0);
+  const there = i => [px(X[i]), py(Y[i])];
+  extendTrails(past, path, groups, last, 1.4);
+  c.globalAlpha = .35;
+  past.show(c);
+  const state = `${view} ${last}`;
+  if (recent.state !== state) {
+    recent.clear();
+    recent.state = state;
+    const from = Math.max(upto(path.t, time - RECENT / TICK) - 1, 0), corners = cornersAt(path), r = recent.context;
+    r.lineJoin = r.lineCap = "round"; r.lineWidth = 2.2;
+    for (const [hue, players] of groups) {
+      r.strokeStyle = hue;
+      r.beginPath();
+      for (const i of players) addTrail(r, path, corners[i], i, from, last);
+      r.stroke();
     }
   }
+  c.globalAlpha = .85;
+  recent.show(c);
+  drawTips(c, path, groups, last, there, 2.2);
   c.globalAlpha = 1;
 }
-/** Messages: in flight, just lost (a collision as an asterisk) and just delivered; the latter two are drawn just short of their receiver, and fade. */
-function drawMessages(c) {
-  drawn = { flying: 0, lost: 0, delivered: 0 };
-  marks = { flying: [], lost: [] };
-  if (!said) return;
+/** A list of numbers that keeps its memory from frame to frame. */
+class Numbers {
+  constructor() { this.content = new Float64Array(1024); this.length = 0; }
+  push(...numbers) {
+    if (this.length + numbers.length > this.content.length) { const more = new Float64Array(2 * this.content.length); more.set(this.content); this.content = more; }
+    for (let k = 0; k < numbers.length; k++) this.content[this.length++] = numbers[k];
+  }
+  get used() { return this.content.subarray(0, this.length); }
+}
+const flying = new Numbers(), gone = new Numbers(), arrived = new Numbers();
+const SWARM = 1500;  // from more messages on, they are set as single pixels
+const RIM = 9;  // distance, px, at which a message leaves a player and reaches one
+const departure = {}, arrival = {};
+
+/** Find where the messages are that are in flight (x, y, direction, length so far), just lost (with the share of the time since then) or just delivered. */
+function findMessages() {
+  flying.length = gone.length = arrived.length = 0;
   const collision = said.causes.indexOf("collision") + 1 || -1;
-  const fade = Math.min(.5 * speed, 1) / TICK, flash = .4 * fade, flying = [], gone = [], arrived = [], rim = 9;
-  const rows = upto(said.begin, time);
-  for (let row = 0; row < rows; row++) {
+  const fade = Math.min(.5 * speed, 1) / TICK, flash = .4 * fade, rows = upto(said.begin, time);
+  let shown = -1;  // the time of `arrival`
+  for (let row = upto(said.begin, time - fade - said.longest - 1); row < rows; row++) {
     if (said.latest[row] + fade <= time) continue;
     const left = said.left[row], src = said.src[row], waits = time < left;
-    const x = px(waits ? X[src] : said.from[2 * row]), y = py(waits ? Y[src] : said.from[2 * row + 1]);
-    for (let m = said.first[row]; m < said.first[row + 1]; m++) {
+    // A message moves at constant speed from its sender at transmission to its receiver at arrival.
+    if (!waits) moment(left, path, departure);
+    const x = px(waits ? X[src] : between(departure, 2 * src)), y = py(waits ? Y[src] : between(departure, 2 * src + 1));
+    for (let m = said.first[row], last = said.first[row + 1]; m < last; m++) {
       const end = said.end[m], isLost = said.fate[m] > 0;
       if (time >= end + (isLost ? fade : flash)) continue;
-      const dx = px(said.to[2 * m]) - x, dy = py(said.to[2 * m + 1]) - y, length = Math.hypot(dx, dy) || 1;
-      const [a, b] = length > 3 * rim ? [rim / length, 1 - rim / length] : [0, 1];
+      if (end !== shown) { moment(end, path, arrival); shown = end; }
+      const dst = said.dst[m], dx = px(between(arrival, 2 * dst)) - x, dy = py(between(arrival, 2 * dst + 1)) - y, length = Math.hypot(dx, dy) || 1;
+      const begin = length > 3 * RIM ? RIM / length : 0, way = 1 - 2 * begin;
       if (time < end) {
-        const share = waits ? 0 : (time - left) / (end - left);
-        flying.push(x + dx * (a + share * (b - a)), y + dy * (a + share * (b - a)), dx / length, dy / length, share * length);
-        drawn.flying++;
-      } else if (isLost) {
-        gone.push(x + dx * b, y + dy * b, dx / length, dy / length, (time - end) / fade, said.fate[m] === collision);
-        drawn.lost++;
-      } else {
-        arrived.push(x + dx * b, y + dy * b);
-        drawn.delivered++;
-      }
+        const share = waits ? 0 : (time - left) / (end - left), part = begin + share * way;
+        flying.push(x + dx * part, y + dy * part, dx / length, dy / length, share * length);
+      } else if (isLost) gone.push(x + dx * (1 - begin), y + dy * (1 - begin), dx / length, dy / length, (time - end) / fade, said.fate[m] === collision ? 1 : 0);
+      else arrived.push(x + dx * (1 - begin), y + dy * (1 - begin));
     }
   }
-  marks = { flying, lost: gone };
-  if (drawn.delivered <= 1500) dots(c, colour.delivered, arrived, 2, 2.4);
-  if (drawn.flying <= 1500) {
-    c.strokeStyle = colour.inFlight; c.globalAlpha = .45; c.lineWidth = 1.6;
-    c.beginPath();
-    for (let k = 0; k < flying.length; k += 5) {
-      const tail = Math.min(flying[k + 4], 16);
-      c.moveTo(flying[k] - flying[k + 2] * tail, flying[k + 1] - flying[k + 3] * tail); c.lineTo(flying[k], flying[k + 1]);
-    }
-    c.stroke();
-    c.globalAlpha = 1;
-    dots(c, colour.inFlight, flying, 5, 2.8);
-  } else {
-    c.fillStyle = colour.inFlight;
-    for (let k = 0; k < flying.length; k += 5) c.fillRect(flying[k] - 1.5, flying[k + 1] - 1.5, 3, 3);
+  drawn.flying = flying.length / 5; drawn.lost = gone.length / 6; drawn.delivered = arrived.length / 2;
+}
+/** Messages in flight, just lost (a collision as an asterisk) and just delivered; the latter two are drawn just short of their receiver, and fade. */
+function drawMessages(c) {
+  if (!said) return;
+  findMessages();
+  if (drawn.flying + drawn.lost > SWARM) drawSwarm(c);
+  else { if (drawn.delivered <= SWARM) dots(c, colour.delivered, arrived, 2, 2.4); drawFlights(c); drawLosses(c); }
+}
+function drawFlights(c) {
+  const { content, length } = flying;
+  c.strokeStyle = colour.inFlight; c.globalAlpha = .45; c.lineWidth = 1.6;
+  c.beginPath();
+  for (let k = 0; k < length; k += 5) {
+    const tail = Math.min(content[k + 4], 16);
+    c.moveTo(content[k] - content[k + 2] * tail, content[k + 1] - content[k + 3] * tail); c.lineTo(content[k], content[k + 1]);
   }
+  c.stroke();
+  c.globalAlpha = 1;
+  dots(c, colour.inFlight, flying, 5, 2.8);
+}
+function drawLosses(c) {
+  const { content, length } = gone;
   c.strokeStyle = colour.lost;
   for (let shade = 0; shade < 4; shade++) {
     const crosses = new Path2D(), tails = new Path2D();
-    for (let k = 0; k < gone.length; k += 6) if (Math.min(Math.floor(gone[k + 4] * 4), 3) === shade) {
-      const [x, y, ux, uy] = gone.slice(k, k + 4);
+    for (let k = 0; k < length; k += 6) if (Math.min(Math.floor(content[k + 4] * 4), 3) === shade) {
+      const x = content[k], y = content[k + 1];
       crosses.moveTo(x - 3.2, y - 3.2); crosses.lineTo(x + 3.2, y + 3.2); crosses.moveTo(x + 3.2, y - 3.2); crosses.lineTo(x - 3.2, y + 3.2);
-      if (gone[k + 5]) { crosses.moveTo(x - 4.6, y); crosses.lineTo(x + 4.6, y); crosses.moveTo(x, y - 4.6); crosses.lineTo(x, y + 4.6); }
-      tails.moveTo(x - 14 * ux, y - 14 * uy); tails.lineTo(x, y);
+      if (content[k + 5]) { crosses.moveTo(x - 4.6, y); crosses.lineTo(x + 4.6, y); crosses.moveTo(x, y - 4.6); crosses.lineTo(x, y + 4.6); }
+      tails.moveTo(x - 14 * content[k + 2], y - 14 * content[k + 3]); tails.lineTo(x, y);
     }
     c.globalAlpha = 1 - shade / 4;
     c.lineWidth = 1.8; c.stroke(crosses);
@@ -323,11 +427,41 @@ function drawMessages(c) {
   c.globalAlpha = 1;
 }
 /** Dots at x, y of each `width` numbers. */
-function dots(c, hue, places, width, radius) {
+function dots(c, hue, { content, length }, width, radius) {
   c.fillStyle = hue;
   c.beginPath();
-  for (let k = 0; k < places.length; k += width) { c.moveTo(places[k] + radius, places[k + 1]); c.arc(places[k], places[k + 1], radius, 0, 7); }
+  for (let k = 0; k < length; k += width) { c.moveTo(content[k] + radius, content[k + 1]); c.arc(content[k], content[k + 1], radius, 0, 7); }
   c.fill();
+}
+const swarm = document.createElement("canvas");
+let swarmImage = null, swarmPixels = null;
+/** The red, green, blue and opacity of a colour as one number, as it stands in the memory of a picture. */
+function pixelOf(hue, alpha = 255) {
+  const [r, g, b] = [1, 3, 5].map(k => parseInt(hue.slice(k, k + 2), 16));
+  return new Uint32Array(new Uint8Array([r, g, b, alpha]).buffer)[0];
+}
+/** Tens of thousands of messages: squares, and crosses for losses. Writing pixels takes a tenth of the time of drawing shapes. */
+function drawSwarm(c) {
+  const { width, height } = arena.canvas, ratio = arena.ratio;
+  if (!swarmImage || swarmImage.width !== width || swarmImage.height !== height) {
+    swarm.width = width; swarm.height = height;
+    swarmImage = new ImageData(width, height);
+    swarmPixels = new Uint32Array(swarmImage.data.buffer);
+  } else swarmPixels.fill(0);
+  const set = (x, y, pixel) => { if (x >= 0 && y >= 0 && x < width && y < height) swarmPixels[y * width + x] = pixel; };
+  const half = drawn.flying > 10 * SWARM ? 0 : Math.max(Math.round(ratio), 1), arm = Math.round(3 * ratio);
+  const shades = [255, 191, 127, 64].map(alpha => pixelOf(colour.lost, alpha));
+  for (let k = 0; k < gone.length; k += 6) {
+    const x = Math.round(gone.content[k] * ratio), y = Math.round(gone.content[k + 1] * ratio), pixel = shades[Math.min(Math.floor(gone.content[k + 4] * 4), 3)];
+    for (let d = -arm; d <= arm; d++) { set(x + d, y + d, pixel); set(x + d, y - d, pixel); set(x + d + 1, y + d, pixel); set(x + d + 1, y - d, pixel); }
+  }
+  const pixel = pixelOf(colour.inFlight);
+  for (let k = 0; k < flying.length; k += 5) {
+    const x = Math.round(flying.content[k] * ratio), y = Math.round(flying.content[k + 1] * ratio);
+    for (let v = -half; v <= half; v++) for (let u = -half; u <= half; u++) set(x + u, y + v, pixel);
+  }
+  swarm.getContext("2d").putImageData(swarmImage, 0, 0);
+  c.drawImage(swarm, 0, 0, arena.width, arena.height);
 }
 function drawPlayers(c, w) {
   const size = w < 460 || N > 60 ? 5.5 : 7, from = focus();
@@ -338,14 +472,11 @@ function drawPlayers(c, w) {
     const x = px(X[i]), y = py(Y[i]);
     const isAlone = crowd[truth[i]] === 1;
     drawNose(c, i, x, y, size, !truth[i] ? colour.inactive : isAlone ? colour.active : colour.activeWithOthers);
-    c.beginPath(); c.arc(x, y, size, 0, 7);
-    c.fillStyle = !truth[i] ? colour.card : isAlone ? colour.active : colour.activeWithOthers; c.fill();
-    c.lineWidth = 1.6; c.strokeStyle = truth[i] ? colour.card : colour.inactive; c.stroke();
-    if (M > 1 && truth[i]) inside(c, truth[i], x, y, size + 2, isAlone ? colour.card : DARK);
-    const errors = mistaken[i];
-    if (errors) {  // share of teammates with a wrong belief about it
-      c.strokeStyle = colour.wrongBelief; c.lineWidth = 3;
-      c.beginPath(); c.arc(x, y, size + 4, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * errors / (N - 1)); c.stroke();
+    if (N <= MANY) { drawDisc(c, x, y, size, truth[i], isAlone); if (mistaken[i]) drawErrors(c, x, y, size, mistaken[i] / (N - 1)); }
+    else {
+      const part = Math.ceil(ARCS * mistaken[i] / (N - 1));
+      stamp(c, x, y, `disc ${truth[i]} ${isAlone}`, size + 2, (onto, u, v) => drawDisc(onto, u, v, size, truth[i], isAlone));
+      if (part) stamp(c, x, y, `errors ${part}`, size + 7, (onto, u, v) => drawErrors(onto, u, v, size, part / ARCS));
     }
     if (from >= 0 && from !== i && belief) {  // the belief of the selected pursuer about it
       const thinks = believed(from, i);
@@ -354,9 +485,9 @@ function drawPlayers(c, w) {
     }
     if (i === from) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(x, y, size + 8, 0, 7); c.stroke(); }
     if (lies[i]) drawLiar(c, i, x, y, size);
-    const side = lettered.map(({ cut, first }) => { const group = cut.side[i]; return group < 0 ? "" : String.fromCharCode(65 + (first + group) % 26); }).join("");
+    const side = lettered.length && lettered.map(({ cut, first }) => { const group = cut.side[i]; return group < 0 ? "" : String.fromCharCode(65 + (first + group) % 26); }).join("");
     if (side) mark(c, x, y - size - 9, side);
-    for (const each of open) if (isCrash(each) && each.node === i) {
+    if (down[i]) for (const each of open) if (isCrash(each) && each.node === i) {
       c.strokeStyle = colour.ink; c.lineWidth = 1.6; c.setLineDash([3, 3]);
       c.beginPath(); c.arc(x, y, size + 5, 0, 7); c.stroke(); c.setLineDash([]);
       if (each.scope === "robot") { c.beginPath(); c.moveTo(x - 4, y - 4); c.lineTo(x + 4, y + 4); c.moveTo(x + 4, y - 4); c.lineTo(x - 4, y + 4); c.stroke(); }
@@ -365,6 +496,33 @@ function drawPlayers(c, w) {
   drawNames(c, size, lettered.length > 0);
   for (const evader of evaders) if (M > 1 && caught.has(evader)) drawCaught(c, evader);
   for (const evader of evaders) if (M === 1 || !caught.has(evader)) drawEvader(c, evader);
+}
+const ARCS = 48;  // into so many parts the share of the teammates that are wrong is rounded up, in a sprite
+function drawDisc(c, x, y, size, action, isAlone) {
+  c.beginPath(); c.arc(x, y, size, 0, 7);
+  c.fillStyle = !action ? colour.card : isAlone ? colour.active : colour.activeWithOthers; c.fill();
+  c.lineWidth = 1.6; c.strokeStyle = action ? colour.card : colour.inactive; c.stroke();
+  if (M > 1 && action) inside(c, action, x, y, size + 2, isAlone ? colour.card : DARK);
+}
+/** The share of the teammates that have a wrong belief about a pursuer. */
+function drawErrors(c, x, y, size, share) {
+  c.strokeStyle = colour.wrongBelief; c.lineWidth = 3;
+  c.beginPath(); c.arc(x, y, size + 4, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * share); c.stroke();
+}
+/** Draw a picture that is kept by its name, up to `half` px around a place: copying it takes a tenth of the time of drawing it. */
+function stamp(c, x, y, name, half, paint) {
+  let sprite = sprites.get(name);
+  if (!sprite || sprite.ratio !== arena.ratio) {
+    const canvas = document.createElement("canvas"), size = Math.ceil(2 * half * arena.ratio), context = canvas.getContext("2d");
+    canvas.width = canvas.height = size;
+    context.scale(arena.ratio, arena.ratio);
+    context.font = c.font; context.textBaseline = c.textBaseline;
+    sprite = { canvas, ratio: arena.ratio, width: size / arena.ratio };
+    paint(context, sprite.width / 2, sprite.width / 2);
+    sprites.set(name, sprite);
+  }
+  const { canvas, width, ratio } = sprite, snap = u => Math.round((u - width / 2) * ratio) / ratio;
+  c.drawImage(canvas, snap(x), snap(y), width, width);
 }
 /** The heading of a player with inertia. */
 function drawNose(c, i, x, y, size, hue) {
@@ -425,25 +583,27 @@ function inside(c, number, x, y, size, hue = colour.card) {
   c.restore();
 }
 const SLOTS = [[1, -1], [1, 1], [-1, -1], [-1, 1], [1, 0], [-1, 0]], slot = new Uint8Array(N);  // a label keeps its position
-/** Labels beside the players without overlaps; if there is no room, only those of active and selected pursuers. */
+const FEW = 12;  // with more pursuers than `MANY`, the active ones are labelled while they are at most so many
+/** Labels beside the players, without overlaps; if there is no room, only that of the selected pursuer. */
 function drawNames(c, size, isLettered) {
   const from = focus(), pad = from >= 0 ? 10 : 4, high = isLettered ? size + 17 : size;
   const half = i => i < N || M === 1 ? size : 11, above = i => i < N ? high : half(i);
+  if (N > MANY && from < 0 && N - crowd[0] > FEW) return;
   const taken = [...X].map((x, i) => [px(x) - half(i), py(Y[i]) - above(i), px(x) + half(i), py(Y[i]) + half(i)]);
   if (M > 1) for (const evader of caught.keys()) {
     const x = px(X[player(evader)]), y = py(Y[player(evader)]);
     taken.push([x, y - 6, x + 20 + c.measureText(`by ${caught.get(evader)}`).width, y + 6]);
   }
   const isFree = ([left, top, right, bottom]) => taken.every(each => right <= each[0] || left >= each[2] || bottom <= each[1] || top >= each[3]);
-  const matters = i => 2 * (i === from) + truth[i];
-  for (const i of [...all].sort((i, j) => matters(j) - matters(i))) {
-    if (N > 150 && !matters(i)) continue;
+  const matters = i => 2 * (i === from) + !!truth[i];
+  const named = N <= MANY ? [...all] : all.filter(i => i === from || (truth[i] && N - crowd[0] <= FEW));
+  for (const i of named.sort((i, j) => matters(j) - matters(i))) {
     const wide = 7 * `${i}`.length, box = k => {
       const [h, v] = SLOTS[k], x = px(X[i]) + h * (size + pad) - (h < 0 ? wide : 0), y = py(Y[i]) + v * size;
       return [x, y - 5, x + wide, y + 5];
     };
     const free = [slot[i], ...SLOTS.keys()].find(k => isFree(box(k)));
-    if (free === undefined && !matters(i)) continue;
+    if (free === undefined && i !== from) continue;
     slot[i] = free ?? slot[i];
     const place = box(slot[i]);
     taken.push(place);

@@ -97,10 +97,12 @@ function upto(times, t) {
 }
 
 /** Offsets of the samples of a path before and after a time, and the fraction of the interval between them. */
-function moment(t, { t: times, width, places } = path) {
+function moment(t, { t: times, width, places } = path, found = {}) {  // `found` spares an object for each message drawn
   const after = Math.min(upto(times, t), times.length - 1), before = Math.max(after - 1, 0);
   const span = times[after] - times[before];
-  return { places, after, a: before * width, b: after * width, share: span > 0 ? Math.min((t - times[before]) / span, 1) : 0 };
+  found.places = places; found.after = after; found.a = before * width; found.b = after * width;
+  found.share = span > 0 ? Math.min((t - times[before]) / span, 1) : 0;
+  return found;
 }
 const between = ({ places, a, b, share }, k) => places[a + k] + share * (places[b + k] - places[a + k]);
 
@@ -114,6 +116,7 @@ if (said) {
       if (said.end[m] > said.latest[row]) said.latest[row] = said.end[m];
       if (said.fate[m]) losses.push(said.end[m]);
     }
+    said.longest = Math.max(said.longest ?? 0, Math.min(said.latest[row], END) - said.begin[row]);
   }
   said.ends = said.end.slice().sort();
   said.losses = Uint32Array.from(losses).sort();
@@ -163,16 +166,27 @@ const EVENTS = {
 const stops = {};
 /** The times of the events of a kind, ascending; made as they are first needed, as there may be millions of messages. */
 const stopsOf = kind => stops[kind] ??= unique(EVENTS[kind]());
-/** Samples needed to draw the path of each player: samples within a standstill are left out. */
-const cornersOf = ({ t, width, places }) => Array.from({ length: width / 2 }, (_, i) => {
-  const kept = [0], last = t.length - 1;
-  const stays = k => places[k * width + 2 * i] === places[(k - 1) * width + 2 * i]
-    && places[k * width + 2 * i + 1] === places[(k - 1) * width + 2 * i + 1];
-  for (let k = 1; k <= last; k++) if (!stays(k) || (k < last && !stays(k + 1))) kept.push(k);
+const LOOKBACK = 60;
+/**
+ * By player, the samples needed to draw its path to within a distance, m: others are near the line between two of them.
+ * A line of many players with few corners is drawn many times as fast.
+ */
+const cornersOf = ({ t, width, places }, tolerance) => Array.from({ length: width / 2 }, (_, i) => {
+  const kept = [0], x = k => places[k * width + 2 * i], y = k => places[k * width + 2 * i + 1];
+  const fits = (from, to) => {  // whether the samples between two are near the line between these
+    const dx = x(to) - x(from), dy = y(to) - y(from), length = Math.hypot(dx, dy);
+    for (let k = from + 1; k < to; k++) {
+      const u = x(k) - x(from), v = y(k) - y(from), along = length ? (u * dx + v * dy) / length : 0;
+      if (along < -tolerance || along > length + tolerance) return false;
+      if ((length ? Math.abs(u * dy - v * dx) / length : Math.hypot(u, v)) > tolerance) return false;
+    }
+    return true;
+  };
+  for (let k = 2; k < t.length; k++) if (k - kept.at(-1) > LOOKBACK || !fits(kept.at(-1), k)) kept.push(k - 1);
+  if (t.length > 1) kept.push(t.length - 1);
   return kept;
 });
-const corners = cornersOf(path);
 const ghost = run.ghost && (() => {  // another run, in the same ticks
   const own = unpack(run.ghost.path), { t, count } = run.ghost.active;
-  return { path: own, corners: cornersOf(own), pursuers: run.ghost.pursuers, end: run.ghost.end, t: u4(t), count: u4(count) };
+  return { path: own, pursuers: run.ghost.pursuers, end: run.ghost.end, t: u4(t), count: u4(count) };
 })();
