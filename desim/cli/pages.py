@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, echo, fail, limited, making, page_at, storing, write
+from desim.cli.options import (
+    AGAINST,
+    ALLOW_IMPORT,
+    SEED,
+    SET,
+    echo,
+    fail,
+    limited,
+    making,
+    page_at,
+    source_of,
+    storing,
+    write,
+)
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
@@ -33,22 +46,30 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
 
     Of two, make a page that plays both side by side on one clock, and names what differs between their scenarios.
     """
+    from desim.study.workers.progress import progress
     from desim.view.pages import pair
     from desim.view.pages import replay as single
     from desim.view.pages.headline import run_name
+    from desim.view.pages.replay_data import PARTS
 
     path = page_at(out, _usual_page(sources))
     if path.resolve() in [each.resolve() for each in sources]:
         fail(f"{path}: is a source, and the page would replace it; give another --out")
+    for source in sources:
+        if not is_recorded(source) and (warning := single.size_warning(source_of(source, overrides)[1])):
+            echo(f"warning: {source}: {warning}", err=True)
     # Recorded sources come first: if one is invalid, the program ends before a scenario is run.
     recorded_first = sorted(dict.fromkeys(sources), key=is_recorded, reverse=True)
-    found = {each: result_of(each, seed, overrides) for each in recorded_first}
-    results = [found[each] for each in sources]
-    with making("replay"):
+    with making("replay"), progress(len(recorded_first) + PARTS * len(sources), path.name, "part") as bar:
+        found = {}
+        for each in recorded_first:
+            found[each] = result_of(each, seed, overrides)
+            bar.update()
+        results = [found[each] for each in sources]
         for source, result in zip(sources, results, strict=True):
             for each in single.missing_recordings(result):
                 echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{each}", err=True)
-        page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results).encode()
+        page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results, on_part=bar.update).encode()
     write(page, path)
     runs = "; ".join(f"{run_name(each)}: {_size(each)}" for each in results)
     echo(f"{path}: {_size(*results) if len(results) == 1 else runs}, {len(page) / 1000:,.0f} kB")

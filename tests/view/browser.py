@@ -87,12 +87,15 @@ class Page:
         self.send("Page.navigate", url=address)
         self.until("document.readyState === 'complete'")
 
-    def resize(self, width, height, theme="light"):
-        """Give the window a size (px) and the system a theme."""
+    def resize(self, width, height, theme="light", motion="reduce"):
+        """Give the window a size (px), and the system a theme and a wish for motion: with "reduce", replays wait."""
         self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
-        self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        wishes = {"prefers-color-scheme": theme, "prefers-reduced-motion": motion}
+        self.send(
+            "Emulation.setEmulatedMedia", features=[{"name": name, "value": value} for name, value in wishes.items()]
+        )
 
     def value(self, expression):
         """Return what an expression of JavaScript comes to, awaited if it is a promise."""

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from math import inf, isinf
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -74,6 +75,10 @@ class Control:
     unit: str = ""
     options: tuple[str, ...] = ()
     """The possible values of a kind or a choice; for a text, suggestions."""
+    needs_file: tuple[str, ...] = ()
+    """The kinds that need a file, or as many numbers as a file has: they cannot be chosen without writing one."""
+    example: str = ""
+    """An example of a value that is no number, text or kind; "" if there is none."""
     low: float | None = None
     """The lower bound of a number, which may itself be excluded; None if there is none."""
     high: float | None = None
@@ -125,7 +130,9 @@ def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[
         if value is None:
             return
         kind, inner = _kind(choice, value)
-        yield _control(place, "kind", kind, field, options=tuple(choice.choices()))
+        kinds = tuple(choice.choices())
+        needs_file = tuple(name for name in kinds if name != kind and _needs_file(choice.choice(name)))
+        yield _control(place, "kind", kind, field, options=kinds, needs_file=needs_file)
         if not isinstance(value, BaseModel | dict) and choice.number is not None and not isinstance(value, str):
             value = {choice.number[1]: value}
     elif not isinstance(value, BaseModel | dict):
@@ -149,6 +156,37 @@ def _kind(choice: OneOf, value: Any) -> tuple[str, type[BaseModel] | None]:
     if choice.number is not None and isinstance(value, int | float):
         return choice.number[0], choice.choice(choice.number[0])
     return import_name(definition_of(value)), None
+
+
+@cache
+def _needs_file(model: type[BaseModel] | None) -> bool:
+    """Return whether a model reads a file, or takes its content as a parameter, and has no default for it."""
+    if model is None or "file" not in model.model_fields:
+        return False
+    try:
+        model()
+    except ValueError:
+        return True
+    return False
+
+
+def _example(field: FieldInfo) -> str:
+    """Return an example of a pair of numbers, or of a list of pairs or texts; "" for other values."""
+    for kind in _types(field.annotation):
+        items = get_args(kind) if get_origin(kind) is tuple else ()
+        if list(map(_is_number, items)) == [True, True]:
+            return "[0, 20]"
+        if len(items) == 2 and items[1] is Ellipsis:
+            inner = get_args(items[0]) if get_origin(items[0]) is tuple else ()
+            if list(map(_is_number, inner)) == [True, True]:
+                return "[[0, 0], [10, 5]]"
+            if _is_number(items[0]):
+                return "[1, 2.5]"
+    return ""
+
+
+def _is_number(annotation: Any) -> bool:
+    return annotation is not Ellipsis and any(kind in (int, float) for kind in _types(annotation))
 
 
 def _scalar(place: tuple[str, ...], field: FieldInfo, value: Any) -> Control:
@@ -197,12 +235,15 @@ def _slider(key: str, unit: str | None, low: float, high: float, value: Any, *, 
         slider = Slider(*BY_UNIT[unit], is_log=True, at_low=at_low, at_high=at_high)
     else:
         return None
-    on = value is not None and (slider.low <= value <= slider.high or value in {slider.at_low, slider.at_high})
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)  # what is typed may be any TOML value
+    on = is_number and (slider.low <= value <= slider.high or value in {slider.at_low, slider.at_high})
     return slider if on else None
 
 
 def _control(place: tuple[str, ...], form: Form, value: str, field: FieldInfo, **more: Any) -> Control:
     text = " ".join((field.description or "").split())
+    if form == "text":
+        more = {"example": _example(field)} | more
     return Control(".".join(place), form, value, text, unit_in(field) or "", first=_first(place), **more)
 
 

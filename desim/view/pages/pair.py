@@ -1,6 +1,6 @@
 """A self-contained HTML page that plays two runs side by side on one clock; equal runs give equal bytes."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -36,12 +36,14 @@ class Difference(NamedTuple):
     """The unit of both values; None if they are not numbers, or have no unit."""
 
 
-def side_by_side(first: Result, second: Result) -> str:
+def side_by_side(first: Result, second: Result, *, on_part: Callable[[], object] = lambda: None) -> str:
     """Return a self-contained HTML page that plays two runs on one clock; needs jinja2 (the extra `plot`).
 
     Each run has its replay, the first one on the left or, in a narrow window, above. Both show the same time and play
     at the same speed up to the end of the longer run; the shorter one stays where it ended. The header names the runs
     and the keys in which their scenarios differ.
+
+    `on_part` is called after each part of the two replays, see `replay_page`.
     """
     from jinja2 import Environment
 
@@ -53,7 +55,7 @@ def side_by_side(first: Result, second: Result) -> str:
         summary=_summary(all_differences),
         differences=all_differences[:MAX_DIFFERENCES],
         more=max(len(all_differences) - MAX_DIFFERENCES, 0),
-        pages=[replay_page(first), replay_page(second)],
+        pages=[replay_page(result, on_part=on_part) for result in (first, second)],
     )
 
 

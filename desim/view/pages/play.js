@@ -24,9 +24,10 @@ export function start(root, transport, options) {
   let now = new Map(), pinned = null;  // changed keys with their values; the changes of the pinned run
   let controls = [], rows = new Map(), layout = "";  // the controls of the last answer, their elements, and which there are
   let running = null, comparing = null, frame = null, waiting = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
+  let lastTime = null;  // that the last run took, s
   let instant = null;  // at which the next replay begins, if not at that of the present one, s
   const page = `${Math.random()}`;  // the name of this page, as several may share a session
-  const shown = { time: 0, playing: false };
+  const shown = { time: 0, playing: !matchMedia("(prefers-reduced-motion: reduce)").matches };
 
   const split = text => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)];
   const joined = map => [...map].map(([key, value]) => `${key}=${value}`);
@@ -38,7 +39,8 @@ export function start(root, transport, options) {
     const isNew = !given.has("set") && !given.has("pin") && !given.has("alone");
     now = new Map((isNew ? options.changes : given.getAll("set")).filter(Boolean).map(split));
     pinned = isNew ? [...options.changes] : given.has("pin") ? given.getAll("pin").filter(Boolean) : null;
-    instant = parseFloat(given.get("t")) || 0;
+    instant = given.has("t") ? parseFloat(given.get("t")) || 0 : null;
+    if (instant !== null) shown.playing = false;
   }
   function writeAddress(isNew) {
     if (!options.hasAddress) return;
@@ -61,22 +63,34 @@ export function start(root, transport, options) {
   pin.className = "primary";
   const alone = button("Unpin", "Compare with no run", () => { pinned = null; writeAddress(true); run(); });
   const reset = button("Reset", "Undo all changes", () => { now = new Map(options.changes.map(split)); writeAddress(true); run(); });
-  const many = button("30 seeds", "Run both scenarios with 30 seeds, and compare the runs in pairs", () => compare());
+  const many = button("30 seeds", "Run both scenarios with 30 seeds, and compare the runs in pairs", () => { if (many.reason) tellWhy(many.reason); else compare(); });
+  /** Disable a button for a reason, which it then tells; null enables it. It stays reachable, so that the reason is, too. */
+  function setDisabled(element, reason) {
+    element.reason = reason;
+    element.setAttribute("aria-disabled", reason !== null);
+    element.title = reason ?? element.about;
+  }
+  many.about = many.title;
   const copy = button("Copy as …", "This scenario as a file, a command or a program", () => showTexts());
   const save = button("Save", "Write this run to a folder, which desim run --from repeats", () => saveRun());
+  const toggle = button("Keys", "Show or hide the keys of the scenario", () => {
+    toggle.setAttribute("aria-expanded", element.classList.toggle("open"));
+  });
+  toggle.className = "toggle";
+  toggle.setAttribute("aria-expanded", "false");
   const theme = button("◐", "Light or dark theme", () => setTheme(isDark() ? "light" : "dark"));
   theme.setAttribute("aria-label", "Light or dark theme");
   const numbers = make("section", { className: "numbers" }), note = make("p", { className: "note" });
   numbers.setAttribute("aria-label", "Metrics of this run, and their differences from the pinned run");
-  const wrong = make("p", { className: "wrong", role: "alert" });
+  const wrong = make("p", { className: "wrong", role: "alert" }), old = make("p", { className: "old" });
   const seeds = make("section", { className: "seeds", hidden: true });
   seeds.setAttribute("aria-label", "Comparison over seeds");
   const stage = make("div", { className: "stage" }), keys = make("form", { className: "keys", onsubmit: event => event.preventDefault() });
   keys.setAttribute("aria-label", "Keys of the scenario");
   const dialog = make("dialog");
   const element = make("div", { className: options.hasAddress ? "play" : "play inline" },
-    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, spoken, pin, alone, many, copy, save, reset, theme),
-    keys, make("div", { className: "view" }, numbers, note, wrong, seeds, stage), dialog);
+    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, spoken, toggle, pin, alone, many, copy, save, reset, theme),
+    keys, make("div", { className: "view" }, old, numbers, note, wrong, make("div", { className: "beside" }, stage, seeds)), dialog);
   root.append(element);
 
   // Light and dark.
@@ -124,11 +138,19 @@ export function start(root, transport, options) {
     const commit = () => change(each.key, each.form === "flag" ? `${input.checked}` : input.value.trim());
     const field = { id, title: each.help, onchange: commit };
     let input, slider = null, list = null;
-    if (each.form === "kind" || each.form === "choice") input = make("select", field, ...each.options.map(one => new Option(words(one), one)));
+    if (each.form === "kind" || each.form === "choice") {
+      const option = one => {
+        const needsFile = each.needs_file.includes(one), made = new Option(needsFile ? `${words(one)} (needs a file)` : words(one), one);
+        made.disabled = needsFile;
+        return made;
+      };
+      input = make("select", field, ...each.options.map(option));
+    }
     else if (each.form === "flag") input = make("input", { ...field, type: "checkbox" });
     else {
       input = make("input", { ...field, type: "text", spellcheck: false, autocomplete: "off" });
       if (each.form !== "text") { input.className = "number"; input.inputMode = "decimal"; }
+      else if (each.example) input.placeholder = `e.g. ${each.example}`;
       if (each.options.length) {
         list = make("datalist", { id: `${id}-list` }, ...each.options.map(one => new Option(one)));
         input.setAttribute("list", list.id);
@@ -188,8 +210,8 @@ export function start(root, transport, options) {
     return words(each.first === null ? each.key : above ? parts.at(-1) : parts.slice(-2).join(" "));
   }
   const search = make("input", { type: "search", className: "search", oninput: () => { query = search.value; drawControls(); } });
-  const first = make("div"), found = make("div");
-  keys.append(first, make("h2", {}, "Other keys"), search, found);
+  const first = make("div"), found = make("div", { className: "found" });
+  keys.append(search, found, first);
   /** Show a control for each key that comes first, is changed, is wrong or is searched; those that stay are updated. */
   function drawControls() {
     const wanted = query.toLowerCase().split(/\s+/).filter(Boolean), rest = controls.filter(each => each.first === null);
@@ -197,8 +219,9 @@ export function start(root, transport, options) {
     const isOpen = each => changed(each.key) || wrongKeys.has(each.key) || [...now.keys()].some(key => key.endsWith(".kind") && each.key.startsWith(key.slice(0, -4)));
     const drawn = controls.filter(each => each.first !== null || isOpen(each) || matches(each));
     search.placeholder = `Search ${rest.length} more keys`;
+    found.hidden = !drawn.some(each => each.first === null);
     search.setAttribute("aria-label", search.placeholder);
-    const form = ({ key, form, options: kinds, slider }) => JSON.stringify([key, form, kinds, slider]);
+    const form = ({ key, form, options: kinds, needs_file: needsFile, slider }) => JSON.stringify([key, form, kinds, needsFile, slider]);
     const own = drawn.map(form).join();
     if (own !== layout) {
       const before = rows, kept = each => before.get(each.key)?.form === form(each) ? before.get(each.key) : null;
@@ -238,6 +261,7 @@ export function start(root, transport, options) {
     const own = running = new AbortController(), begun = performance.now();
     const late = setTimeout(() => { status.textContent = "running …"; }, 250);
     alone.disabled = pinned === null;
+    setDisabled(many, "Wait for the run.");
     let answer;
     try {
       answer = await transport.run({ now: joined(now), pinned, page }, own.signal);
@@ -252,7 +276,15 @@ export function start(root, transport, options) {
     copy.disabled = save.disabled = texts === null;
     drawControls();
     showErrors(answer.errors ?? {});
-    if (answer.errors) { status.textContent = "not run"; return; }
+    const isInvalid = Boolean(answer.errors);
+    element.classList.toggle("outdated", isInvalid);
+    if (isInvalid) {
+      status.textContent = "not run";
+      old.textContent = runs ? "Not run: the metrics and the replay are those of the last valid run." : "Not run.";
+      setDisabled(many, "Correct the values that are marked first.");
+      return;
+    }
+    lastTime = (performance.now() - begun) / 1000;
     drawNumbers(answer);
     await showReplay(answer.page, own);
     if (own !== running) return;
@@ -269,7 +301,7 @@ export function start(root, transport, options) {
     };
     numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure));
     const [own, other] = answer.seeds;
-    many.disabled = other === null || isPinned();
+    setDisabled(many, other === null ? "Pin a run first: 30 seeds compare this run with the pinned one." : isPinned() ? "This run is the pinned one: change a key first." : null);
     note.replaceChildren(button("All metrics", "All metrics of this run", () => showMetrics(answer.metrics)), " ", [
       other === null ? "No run is pinned." : isPinned() ? "This run is the pinned one: change a key, and the next run is compared with it."
         : own === other ? `Differences are from the pinned run, drawn faint. Both have seed ${own} and so the same random numbers: they are effects of the changed keys.`
@@ -298,24 +330,40 @@ export function start(root, transport, options) {
         if (own !== running) { next.remove(); return done(); }
         const made = next.contentWindow.replay;
         remember();
+        next.contentDocument.documentElement.classList.add("embedded");
         next.contentDocument.querySelectorAll("h1, #theme").forEach(each => { each.style.display = "none"; });  // the page has its own
         made.setTheme(isDark() ? "dark" : "light");
         if (shown.speed) made.speed = shown.speed;
         if (shown.chosen >= 0 && shown.chosen < made.truth.length) made.choose(shown.chosen);
         for (const id of shown.boxes ?? []) next.contentDocument.getElementById(id)?.click();
-        made.seek(instant ?? shown.time);
-        if (shown.playing && instant === null) made.play();
+        made.seek(instant ?? Math.min(shown.time, made.end));
+        if (shown.playing) made.play(); else made.pause();
         instant = null;
         frame?.remove();
         frame = next;
         waiting = null;
         frame.classList.remove("waiting");
+        new ResizeObserver(fit).observe(next.contentDocument.body);
+        fit();
         requestAnimationFrame(() => done());
       };
     });
   }
 
+  const isNarrow = matchMedia("(max-width: 860px)");
+  /** On a narrow screen the replay is as high as its content, so that only the page scrolls. */
+  function fit() {
+    const body = frame?.contentDocument?.body;
+    stage.style.height = isNarrow.matches && options.hasAddress && body ? `${body.scrollHeight}px` : "";
+  }
+  isNarrow.addEventListener("change", fit);
+
   // Over seeds.
+
+  function tellWhy(reason) {
+    status.textContent = reason;
+    spoken.textContent = reason;
+  }
 
   function stopComparing() {
     if (comparing) transport.cancel({ now: [], page }).catch(() => {});
@@ -335,7 +383,9 @@ export function start(root, transport, options) {
     bar.setAttribute("aria-label", "Pairs of runs that are done");
     const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent += ", cancelled"; cancel.hidden = true; });
     cancel.className = "cancel";
-    seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("div", { className: "scroll" }, table));
+    begunAt = performance.now();
+    title.textContent = lastTime === null ? "30 seeds" : `30 seeds: less than ${duration(60 * lastTime)}`;  // with one worker
+    seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("p", {}, "Differences from the pinned run in pairs of equal seeds, with 95 % intervals."), make("div", { className: "scroll" }, table));
     seeds.hidden = false;
     try {
       await transport.seeds(body, found => { if (own === comparing) showPairs(found, title, bar, table); }, own.signal);
@@ -344,16 +394,19 @@ export function start(root, transport, options) {
       if (own === comparing) { title.textContent = `No answer: ${error.message}`; cancel.hidden = true; }
     }
   }
+  let begunAt = 0;  // when the comparison began, ms
+  const duration = seconds => seconds < 90 ? `${Math.max(Math.ceil(seconds), 1)} s` : `${Math.ceil(seconds / 60)} min`;
   function showPairs(found, title, bar, table) {
     if (found.error) { title.textContent = found.error; return; }
     bar.value = found.done;
-    title.textContent = `${found.done} of ${found.of} seeds: difference from the pinned run in pairs of equal seeds, with 95 % intervals`
+    const left = (performance.now() - begunAt) / 1000 * (found.of - found.done) / Math.max(found.done, 1);
+    title.textContent = `${found.done} of ${found.of} seeds${found.done < found.of ? `, about ${duration(left)} left` : ""}`
       + (found.failed ? `; ${found.failed} failed: ${found.failure[0]}` : "");
     const row = (each, cell = "td") => make("tr", {}, ...each.map(one => one instanceof Node ? one : make(cell, {}, one)));
     const rows = found.metrics.filter(each => each.first).map(each => row([
       `${each.name}${each.unit ? `, ${each.unit}` : ""}`, each.now, each.pinned,
-      make("td", { className: each.differs ? judged(each) : "" }, each.difference), `${each.count}`]));
-    table.replaceChildren(make("thead", {}, row(["metric", "mean", "pinned", "difference", "pairs"], "th")), make("tbody", {}, ...rows));
+      make("td", { className: each.differs ? judged(each) : "", title: `${each.count} pairs` }, each.difference)]));
+    table.replaceChildren(make("thead", {}, row(["metric", "mean", "pinned", "difference"], "th")), make("tbody", {}, ...rows));
   }
 
   // Texts to copy, all metrics, and a folder.
@@ -373,7 +426,7 @@ export function start(root, transport, options) {
   function showMetrics(rows) {
     const table = make("table", {}, make("tbody", {}, ...rows.map(row => make("tr", {}, make("td", {}, row.name),
       make("td", {}, `${row.value}${row.unit ? ` ${row.unit}` : ""}`), make("td", { className: judged(row) }, row.difference ?? "")))));
-    open(make("strong", {}, "All metrics of this run, and their differences from the pinned run"), make("div", { className: "scroll" }, table));
+    open(make("strong", {}, `All ${rows.length} metrics of this run, and their differences from the pinned run`), make("div", { className: "scroll", tabIndex: 0 }, table));
   }
   async function saveRun() {
     save.disabled = true;

@@ -5,8 +5,10 @@ The page of `desim play` (`desim.view.pages.play_server`) and the widget of note
 what the functions here return. Each answer to a request of a page is a JSON object.
 """
 
+import re
 import shlex
 import traceback
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +30,8 @@ from desim.view.pages.controls import controls
 from desim.view.pages.metric_rows import compared_metrics, named_metrics_of
 from desim.view.pages.replay import replay_page, with_recordings
 
+WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
+"""A number with a decimal comma, which TOML does not have."""
 INNERMOST = 3
 """The number of innermost calls that are shown of the traceback of a run that failed."""
 KEPT = 3
@@ -92,7 +96,9 @@ class Playground:
         try:
             scenario = self.scenario(now)
         except ScenarioError as error:
-            return json_answer({"errors": _by_key(error, now), "controls": self.controls(now)})
+            shown = self.controls(now)
+            help_of = {control["key"]: control["help"] for control in shown}
+            return json_answer({"errors": _by_key(error, now, help_of), "controls": shown})
         shown = {"controls": [asdict(control) for control in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
@@ -202,13 +208,24 @@ def _result(request: _Request) -> Result:
         return run(request.playground.scenario(request.changes))
 
 
-def _by_key(error: ScenarioError, changes: Changes) -> dict[str, str]:
-    """Return the reasons of each key in the problems of an error; under "" those that belong to no key."""
+def _by_key(error: ScenarioError, changes: Changes, help_of: Mapping[str, str]) -> dict[str, str]:
+    """Return the reasons of each key in the problems of an error; under "" those that belong to no key.
+
+    A reason does not repeat the help of its key, `help_of`, which a page shows beneath the control. A decimal comma is
+    not read as a point, as 1,000 may be a thousand.
+    """
+    values = {key: value for key, _, value in (change.partition("=") for change in changes)}
     keys = {f"--set {change}": change.partition("=")[0] for change in changes}
     reasons: dict[str, list[str]] = {}
     for problem in error.problems:
         key = problem.key or keys.get(problem.where, "")
-        reasons.setdefault(key, []).append(problem.reason if key else str(problem))
+        reason = problem.reason.replace(f"; {help_of.get(key, '').rstrip('.')}", "", 1)
+        value = values.get(key, "").strip()
+        if WITH_COMMA.fullmatch(value):
+            reason = f"should be a number with a decimal point: {value.replace(',', '.')} (got {value})"
+        elif key in values and not value:
+            reason = "is empty: type a value, or undo the change"
+        reasons.setdefault(key, []).append(reason if key else str(problem))
     return {key: "\n".join(texts) for key, texts in reasons.items()}
 
 

@@ -1,6 +1,6 @@
 """The replay of a run: one self-contained HTML page; equal runs give equal bytes."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -17,6 +17,8 @@ from desim.view.pages.headline import about, conditions, run_name
 from desim.view.pages.replay_data import replay_data
 from desim.view.pages.replay_plane import is_falling
 
+LARGE_TEAM = 1000
+"""The number of pursuers from which on a replay is announced as large."""
 SAMPLES = 0.05
 """Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
 SCRIPTS = ("run", "state", "plane", "beliefs", "axis", "page")
@@ -71,7 +73,7 @@ def replay(result: Result, ghost: Result | None = None) -> Replay:
     return Replay(replay_page(result, ghost), run_name(result))
 
 
-def replay_page(result: Result, ghost: Result | None = None) -> str:
+def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callable[[], object] = lambda: None) -> str:
     """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `replay`.
 
     Args:
@@ -79,21 +81,25 @@ def replay_page(result: Result, ghost: Result | None = None) -> str:
         ghost: another run to compare it with, perhaps with other players or another duration; None = no other run. The
             players of the ghost and their trails are drawn faint in the same plane, and its number of active pursuers
             is a dashed line on the time axis.
+        on_part: called after each part of the work, for a progress bar; see `desim.view.pages.replay_data.PARTS`.
     """
     from jinja2 import Environment
 
     result, ghost = trace_index(result), ghost and trace_index(ghost)
     page = Environment(autoescape=True, keep_trailing_newline=True).from_string(_file("replay.html"))
-    return page.render(
+    data = replay_data(result, ghost, on_part)
+    text = page.render(
         name=result.scenario.name,
         about=about(result),
         conditions=conditions(result.scenario),
         palette=palette,
         warnings=list(missing_recordings(result, ghost)),
-        run=replay_data(result, ghost),
+        run=data,
         style=_file("replay.css"),
         script="\n".join(_file(f"replay_{part}.js") for part in SCRIPTS),
     )
+    on_part()
+    return text
 
 
 def _file(name: str) -> str:
@@ -109,6 +115,16 @@ def with_recordings(scenario: Scenario) -> Scenario:
     record, has_covariances = scenario.record, scenario.sensing.has_covariances
     update = {"messages": True, "trajectory": record.trajectory or SAMPLES, "estimates": has_covariances}
     return scenario.model_copy(update={"record": record.model_copy(update=update)})
+
+
+def size_warning(scenario: Scenario) -> str | None:
+    """Return a warning if the run of a scenario, and its replay, are likely to be very large; None if not."""
+    if (count := scenario.team.count) < LARGE_TEAM:
+        return None
+    return (
+        f"{count:,} pursuers: each announcement to all is {count - 1:,} messages. The run and its page may take "
+        "minutes and tens of megabytes; a smaller team.count, a shorter horizon or a finite network.range reduce them"
+    )
 
 
 def missing_recordings(result: Result, ghost: Result | None = None) -> Iterator[str]:

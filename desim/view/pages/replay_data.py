@@ -1,7 +1,7 @@
 """The data of a replay: a JSON object with what a run recorded, in columns."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -17,15 +17,23 @@ from desim.view.pages.headline import outcome, run_name
 from desim.view.pages.replay_columns import ReplayData, Ticks, packed
 from desim.view.pages.replay_plane import arcs_data, estimates_data, flow_data, headings_data, path_data, reception_data
 
+PARTS = 3
+"""How often `on_part` is called for a page: after the messages, the beliefs, and the rest."""
 DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 
 
-def replay_data(result: Result, ghost: Result | None = None) -> ReplayData:
-    """Return the data of the page."""
+def replay_data(
+    result: Result, ghost: Result | None = None, on_part: Callable[[], object] = lambda: None
+) -> ReplayData:
+    """Return the data of the page; `on_part` is called after the messages and after the beliefs, the longest parts."""
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = Ticks.fit(end.t, ended(ghost).t if ghost else 0)
     has_messages = not lacks_messages(result)
+    sent = _messages(result, ticks) if has_messages else None
+    on_part()
+    beliefs = _beliefs(knowledge(result), result, ticks) if has_messages else None
+    on_part()
     return {
         "tick": ticks.length / SECOND,
         "end": ticks.last,
@@ -47,8 +55,8 @@ def replay_data(result: Result, ghost: Result | None = None) -> ReplayData:
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),
-        "messages": _messages(result, ticks) if has_messages else None,
-        "beliefs": _beliefs(knowledge(result), result, ticks) if has_messages else None,
+        "messages": sent,
+        "beliefs": beliefs,
         "distrust": _distrust(result, ticks),
         "ghost": _ghost(ghost, Ticks(ticks.length, ended(ghost).t)) if ghost else None,
     }

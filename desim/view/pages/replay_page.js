@@ -163,9 +163,23 @@ const darkness = matchMedia("(prefers-color-scheme: dark)");
 darkness.addEventListener("change", () => setTheme(darkness.matches ? "dark" : "light"));
 $("theme").onclick = () => setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
 $("save").onclick = savePng;
-const isBeside = matchMedia("(min-width: 1200px)");  // else the key would cover the plane
+const KEY_WIDTH = 248;
+const root = document.documentElement;
+let wasBeside = null;
+/** Whether the key fits beside the plane: the height limits the plane anyway, or the window is wide; else it would cover the plane. */
+function isBeside() {
+  const stage = $("stage"), free = document.querySelector("main").clientWidth - document.querySelector("aside").clientWidth - KEY_WIDTH - 52;
+  return innerWidth >= 1200 || (innerWidth > 860 && free >= Math.max(.8 * stage.clientHeight, 260));
+}
 function showKey(on) { $("key").hidden = !on; $("legend").setAttribute("aria-expanded", on); }
-isBeside.addEventListener("change", () => showKey(isBeside.matches));
+function placeKey() {
+  const beside = isBeside();
+  if (beside === wasBeside) return;
+  wasBeside = beside;
+  root.classList.toggle("key-over", !beside);
+  showKey(beside);
+}
+new ResizeObserver(placeKey).observe(document.querySelector("main"));
 $("legend").onclick = () => showKey($("key").hidden);
 $("help").onclick = () => $("keys").showModal();
 const nearest = event => {
@@ -197,7 +211,7 @@ const KEYS = {
   l: () => $("links").click(), r: () => $("trails").click(), s: () => $("sight")?.click(), u: () => $("ellipses")?.click(), f: () => $("flow")?.click(), o: () => $("other")?.click(), t: () => $("theme").click(), "?": () => $("help").click(),
   e: () => { $("kind").selectedIndex = ($("kind").selectedIndex + 1) % $("kind").length; stale = true; },
   k: () => $("legend").click(), p: () => $("save").click(),
-  Escape: () => { choose(chosen); if (!isBeside.matches) showKey(false); },
+  Escape: () => { choose(chosen); if (!isBeside()) showKey(false); },
 };
 document.addEventListener("keydown", event => {
   const act = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
@@ -219,7 +233,8 @@ $("clock").append("", Object.assign(document.createElement("small"), { textConte
 $("clock").prepend(document.createTextNode(""));
 setTheme(darkness.matches ? "dark" : "light");
 setPlaying(false);
-showKey(isBeside.matches);
+placeKey();
+if (!matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);
 readAddress();
 window.addEventListener("hashchange", readAddress);
 moved = null;
