@@ -47,6 +47,8 @@ from desim.kernel.wandering_clock import node_clocks
 if TYPE_CHECKING:
     import networkx as nx
 
+MIN_DT = 1e-9
+"""Minimum duration of a step, s."""
 SHOWN = 10
 """Number of nodes listed in an error message."""
 STEPPING = "a step is under way, or has failed: a network belongs to one thread; after a failure, call reset(seed)"
@@ -242,12 +244,11 @@ class SteppedNetwork:
     def _end_of_step(self, dt: Any) -> int:
         """Return the end of the next step, ns; raise ValueError if there is none."""
         duration = real(dt, "dt")
-        if not isfinite(duration) or nanoseconds(duration) < 1:
+        if not isfinite(duration) or duration < MIN_DT:
             raise ValueError(f"dt should be a finite time of at least 1 ns, in s (got {dt!r})")
-        end = self._clock.now + nanoseconds(duration)
-        if end > nanoseconds(MAX_TIME):
+        if self.now + duration > MAX_TIME:
             raise ValueError(f"the time should be at most {MAX_TIME:g} s (got {self.now:g} s and dt = {duration:g} s)")
-        return end
+        return self._clock.now + nanoseconds(duration)
 
     def _received(self) -> list[ReceivedMessage]:
         """Remove and return the messages that have arrived."""

@@ -108,10 +108,12 @@ class SteppedPositions(PositionSource):
         self._before_change.append(act)
 
     def _at(self, nodes: Any, times: int | Integers) -> Floats:
-        assert self._first is not None and self._change is not None
+        assert self._first is not None
+        assert self._change is not None
         share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
         between = self._first[nodes] + self._change[nodes] * share
-        return np.where(share < 1.0, between, self._last[nodes])  # at the end without rounding
+        positions: Floats = np.where(share < 1.0, between, self._last[nodes])  # at the end without rounding
+        return positions
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""

@@ -3,12 +3,13 @@
 All arrivals of a transmission that are due at the same instant share one SimPy event, which decides their outcomes.
 
 A record that reaches its receivers at different times needs no event, because, unlike a message to an inbox, it wakes
-no process. Its arrivals are kept. Those at a node are decided together before the node next reads, and those at all
-nodes before the next change of the faults or of the motion of a node. Until then, an outcome does not depend on when it
-is decided. The same holds for messages to a queue that somebody reads at the end of a step. With 40 nodes and lognormal latencies, a simulation with a range check at delivery runs 8 times as fast as
-with an event per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each
-loss at its time, if there may be faults that are not planned, or if the source of the positions does not know past
-positions (`PositionSource.looks_back`).
+no process. Its arrivals are kept, and so are those of messages to a queue that is read after each step
+(`Inboxes.can_wait`). Those at a node are decided together before the node next reads, and those at all nodes before the
+next change of the faults or of the motion of a node. Until then, an outcome does not depend on when it is decided. With
+40 nodes and lognormal latencies, a simulation with a range check at delivery runs 8 times as fast as with an event per
+arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each loss at its time, if
+there may be faults that are not planned, or if the source of the positions does not know past positions
+(`PositionSource.looks_back`).
 
 Kept equal to one event per arrival by
 `tests/kernel/test_contract.py::test_arrivals_decided_together_are_observationally_equal_to_one_event_each`.

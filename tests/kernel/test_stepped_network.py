@@ -1,0 +1,589 @@
+"""The network in the loop of another simulator: it is the network of desim, whatever the steps."""
+
+import copy
+import pickle
+import subprocess
+import sys
+from math import inf, nan, pi, sqrt
+from threading import Thread
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim import (
+    Bitrate,
+    Crash,
+    CsmaCa,
+    GilbertElliott,
+    Jamming,
+    Links,
+    Lognormal,
+    Partition,
+    Propagation,
+    RandomCrashes,
+    Reliable,
+    SteppedNetwork,
+    SteppedNetworks,
+    Tdma,
+    Uniform,
+    load,
+    run,
+)
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Broadcast, Delivered, Lost, MessageCounts, Sent, Trace
+from desim.kernel.core.seeds import run_seed
+from desim.kernel.core.units import SECOND
+from desim.kernel.fault_injection import inject
+from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
+from desim.testing.messages import Conservation, DeliveredOnce
+from scenarios.studies.study import SCENARIOS
+
+LINKS = {
+    "ideal": Links(),
+    "lognormal": Links(latency=Lognormal(mean=0.05, cv=0.5), loss=0.1),
+    "range": Links(latency=Uniform(low=0.0, high=0.3), range=6.0, range_check="both"),
+    "checked late": Links(latency=0.07, range=6.0, range_check="delivery"),
+    "by distance": Links(latency=Propagation(fixed=0.01, speed=30.0), range=8.0),
+    "bursts": Links(latency=0.05, loss=GilbertElliott(), order="fifo"),
+    "twice": Links(latency=Lognormal(mean=0.05, cv=0.5), duplicate=0.3),
+    "half duplex": Links(medium=Bitrate(bitrate=20_000.0, half_duplex=True), latency=Uniform(low=0.0, high=0.05)),
+    "contention": Links(medium=Bitrate(bitrate=1e5, access=CsmaCa()), range=9.0),
+    "slots": Links(medium=Bitrate(bitrate=1e5, access=Tdma())),
+    "reliable": Links(latency=Lognormal(mean=0.02, cv=0.5), loss=0.3, transport=Reliable()),
+}
+FAULTS = {
+    "none": (),
+    "all": (
+        Crash(start=0.25, end=0.62, node=1, memory=False),
+        Partition(start=0.4, end=0.9, groups=((0, 1), (2, 3))),
+        Jamming(start=0.5, end=1.3, centre=(0.0, 0.0), radius=3.0),
+    ),
+}
+SIZE, PERIOD, ROUNDS = 4, 0.2, 8
+START = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0], [4.0, 4.0]])
+VELOCITY = np.array([[0.5, 0.0], [4.0, 0.0], [0.0, -1.0], [-2.0, -3.0]])
+
+
+def played(links, faults=(), seed=5, parts=1, trace=None, **options):
+    """Return all that arrives and all that is lost; each period is stepped in parts."""
+    network = SteppedNetwork(SIZE, links, faults=faults, seed=seed, positions=START, trace=trace, **options)
+    arrived, lost = [], []
+    for k in range(ROUNDS * parts):
+        if k % parts == 0:
+            for node in range(SIZE):
+                network.send(node, None, (node, k // parts))
+            network.send(0, 3, "to one", port="other")
+        messages = network.step(PERIOD / parts, START + VELOCITY * (k + 1) * PERIOD / parts)
+        assert all(network.now - PERIOD / parts - 1e-12 <= message.arrived <= network.now for message in messages)
+        arrived += messages
+        lost += network.lost()
+    counts = network.counts()
+    network.close()
+    assert len(lost) + (counts.lost - sum(counts.lost_by.values())) <= counts.lost
+    return arrived, sorted(lost, key=lambda message: (message.sent, message.src, message.dst, message.port)), counts
+
+
+def in_its_own_process(links, faults, seed=5):
+    """Return what arrives in a plain `Network` whose senders are processes, one event per arrival."""
+    clock, trace = Clock(), Trace()
+    now = lambda: START + VELOCITY * clock.now / SECOND  # noqa: E731
+    state = FaultState(now) if faults else None
+    graph = nx.complete_graph(SIZE)
+    network = Network(clock, graph, links, seed=seed, positions=now, trace=trace, fault_state=state)
+    inject(faults, clock, network)
+
+    def talk():
+        for k in range(ROUNDS):
+            yield Instant(clock, round(k * PERIOD * SECOND), Phase.DECISION + 1)
+            for node in range(SIZE):
+                network.send(node, None, (node, k))
+            network.send(0, 3, "to one", port="other")
+
+    clock.process(talk())
+    clock.run(until=round(ROUNDS * PERIOD * SECOND) + 1)
+    return fates(trace, clock.now), network.message_counts()
+
+
+def fates(trace, until):
+    """Return sender, receiver, body, time of sending and of arrival of all messages of a trace that arrive in time."""
+    lost = {(event.transmission, event.dst) for event in trace.of(Lost)}
+    arrived = [
+        (event.src, event.dst, event.body, event.created / SECOND, event.arrival / SECOND)
+        for event in trace.of(Sent)
+        if (event.transmission, event.dst) not in lost and event.arrival < until
+    ]
+    if delivered := trace.of(Delivered):
+        arrived = [(event.src, event.dst, event.body, event.created / SECOND, event.t / SECOND) for event in delivered]
+    return sorted(arrived, key=repr)
+
+
+CASES = pytest.mark.parametrize(
+    ("links", "faults"),
+    [(links, faults) for links in LINKS.values() for faults in FAULTS.values()],
+    ids=[f"{links}, {faults}" for links in LINKS for faults in FAULTS],
+)
+
+
+def plain(messages):
+    return sorted((message[:5] for message in messages), key=repr)
+
+
+@pytest.mark.slow
+@CASES
+def test_a_stepped_network_is_the_network_of_a_process(links, faults):
+    expected, counts = in_its_own_process(links, faults)
+    arrived, _, same = played(links, faults)
+    assert plain(arrived) == expected
+    assert len(expected) > 5
+    assert counts._replace(t=0, utilisation=0, in_flight=0) == same._replace(t=0, utilisation=0, in_flight=0)
+
+
+def test_the_comparison_detects_another_seed():
+    links = LINKS["lognormal"]
+    assert plain(played(links)[0]) != in_its_own_process(links, (), seed=6)[0]
+
+
+@pytest.mark.slow
+@CASES
+def test_arrivals_do_not_depend_on_the_step_nor_on_a_trace(links, faults):
+    arrived, lost, counts = played(links, faults)
+    for parts in (2, 5):
+        assert played(links, faults, parts=parts) == (arrived, lost, counts)
+    watchers = [Conservation(), DeliveredOnce()]
+    trace = Trace(watchers)
+    assert played(links, faults, parts=4, trace=trace)[0] == arrived
+    assert trace.of(MessageCounts)[-1].delivered == counts.delivered
+    again = played(links, faults, can_leave=True)
+    assert (again[0], again[2]) == (arrived, counts)
+
+
+@given(st.lists(st.floats(1e-6, 0.2), min_size=1, max_size=30), st.sampled_from(sorted(LINKS)))
+def test_each_message_is_reported_once_by_the_step_in_which_it_arrives(durations, name):
+    network = SteppedNetwork(SIZE, LINKS[name], faults=FAULTS["all"], positions=START)
+    bodies = 0
+    seen = set()
+    for dt in durations:
+        before = network.now
+        for node in range(SIZE):
+            network.send(node, None, bodies)
+            bodies += 1
+        messages = network.step(dt)
+        assert [message.arrived for message in messages] == sorted(message.arrived for message in messages)
+        for message in messages:
+            assert message.sent <= message.arrived
+            assert before <= message.arrived <= network.now
+            identity = message.body, message.dst, *([message.arrived] if name == "twice" else [])
+            assert identity not in seen
+            seen.add(identity)
+
+
+@pytest.mark.parametrize("file", ["relay", pytest.param("imperfect", marks=pytest.mark.slow)])
+def test_what_a_pursuit_sends_arrives_as_in_the_pursuit(file):
+    """The announcements of a run are published in a loop of its own, at their times and places: the same arrivals."""
+    scenario = load(SCENARIOS / f"{file}.toml", ["record.messages=true", "horizon=6.0", "record.trajectory=0.0"])
+    scenario = scenario.model_copy(update={"fault": ()})
+    seen = []
+    result = run(scenario, 3)
+    sent = sorted(result.trace.of(Broadcast), key=lambda event: event.transmission)
+    assert len(sent) > 50
+    for seed, same in ((3, True), (4, False)):
+        trace = Trace()
+        links = scenario.network.model_copy(update={"range": inf})
+        events = _repeated(sent, links, scenario.team.count, seed, trace)
+        seen.append(events)
+        if scenario.network.range == inf:
+            assert (events == _kept(result.trace)) is same
+    assert seen[0] != seen[1]
+
+
+def _kept(trace):
+    return [event for event in trace if isinstance(event, Broadcast | Lost)]
+
+
+def _repeated(sent, links, count, seed, trace):
+    with SteppedNetwork(count, links, seed=seed, trace=trace) as network:
+        for event in sent:
+            if event.created > round(network.now * SECOND):
+                network.step((event.created - round(network.now * SECOND)) / SECOND)
+            network.publish(event.src, event.body, size=event.size)
+        network.step(0.02)
+    return _kept(trace)
+
+
+def test_a_loop_sees_the_mean_latency_and_half_a_step():
+    """A message waits for the end of its step; the control is the exact time of its arrival."""
+    dt, mean = 0.02, 0.1
+    network = SteppedNetwork(2, Links(latency=Lognormal(mean=mean, cv=0.5)), seed=1)
+    seen, exact = [], []
+    for _ in range(4000):
+        network.send(0, 1, None)
+        for message in network.step(dt):
+            seen.append(network.now - message.sent)
+            exact.append(message.arrived - message.sent)
+    error = np.std(seen) / sqrt(len(seen))
+    assert abs(np.mean(seen) - (mean + dt / 2)) < 3 * error
+    assert abs(np.mean(exact) - mean) < 3 * error
+    assert abs(np.mean(exact) - (mean + dt / 2)) > 3 * error
+
+
+# Positions.
+
+
+@pytest.mark.parametrize("check", ["send", "delivery", "both"])
+def test_a_pair_that_moves_apart_is_not_heard_unless_its_positions_are_frozen(check):
+    def heard(moves):
+        network = SteppedNetwork(2, Links(latency=0.01, range=5.0, range_check=check), positions=START[:2])
+        messages = []
+        for k in range(20):
+            network.send(0, 1, k)
+            messages += network.step(0.1, START[:2] + VELOCITY[:2] * 0.1 * (k + 1) * moves)
+        return [message.body for message in messages], network.neighbours(0)
+
+    last = 8  # apart 2 + 3.5 t: 5 m at 0.857 s
+    assert heard(1) == ([*range(last + 1)], [])
+    assert heard(0) == ([*range(20)], [1])
+
+
+def test_an_array_that_is_changed_in_place_is_read_at_each_step():
+    x = np.zeros((2, 2))
+    network = SteppedNetwork(2, Links(range=5.0), positions=x)
+    x[1] = 100.0, 0.0
+    network.send(0, 1, "while it is there")
+    assert [message.body for message in network.step(0.1)] == ["while it is there"]
+    network.send(0, 1, "when it has gone")
+    assert network.step(0.1) == []
+    assert network.lost() == [(0, 1, "when it has gone", 0.1, "out_of_range", "")]
+    assert x.flags.writeable
+
+
+def test_a_node_passes_through_the_range_within_a_step():
+    """Apart -10 .. 10 m in one step of 2 s: within 5 m from 0.5 s to 1.5 s."""
+    heard = []
+    for latency in (0.4, 0.6, 1.4, 1.6):
+        links = Links(latency=latency, range=5.0, range_check="delivery")
+        network = SteppedNetwork(2, links, positions=[[0, 0], [-10, 0]])
+        network.send(0, 1, None)
+        heard += [len(network.step(2.0, [[0, 0], [10, 0]]))]
+    assert heard == [0, 1, 1, 0]
+
+
+# What arrives, and what does not.
+
+
+def test_everything_at_once_and_nothing_ever_are_links():
+    best, worst = SteppedNetwork(5, Links()), SteppedNetwork(5, Links(loss=1.0))
+    for network in (best, worst):
+        network.send(2, None, "x")
+        network.publish(2, "state")
+    assert [message[:5] for message in best.step(0.01)] == [(2, dst, "x", 0.0, 0.0) for dst in (0, 1, 3, 4)]
+    assert worst.step(0.01) == []
+    assert best.ages()[:, 2].tolist() == [0.01, 0.01, 0.0, 0.01, 0.01]
+    assert worst.ages()[:, 2].tolist() == [inf, inf, 0.0, inf, inf]
+    assert len(worst.lost()) == worst.counts().lost == 8
+    assert best.latest(0) == {2: (2, 0, "state", 0.0, 0.0, "")}
+    assert worst.latest(0) == {}
+
+
+def test_losses_are_listed_once_with_their_causes():
+    links = Links(latency=Lognormal(mean=0.3, cv=0.5), loss=0.2, range=6.0, range_check="both")
+    network = SteppedNetwork(SIZE, links, faults=FAULTS["all"], positions=START)
+    causes = {}
+    for k in range(10):
+        for node in range(SIZE):
+            network.send(node, None, k)
+            network.publish(node, k)
+        network.step(0.2, START + VELOCITY * 0.1 * (k + 1))
+        for lost in network.lost():
+            causes[lost.cause] = causes.get(lost.cause, 0) + 1
+    assert causes == network.counts().lost_by
+    assert len(causes) >= 4
+
+
+def test_any_labels_name_the_nodes():
+    graph = nx.Graph([("base", ("drone", 1)), (("drone", 1), 7)])
+    graph.add_edge("base", 7, latency=0.5)
+    network = SteppedNetwork(graph, Links(latency=0.1))
+    assert set(network.nodes) == set(graph)
+    network.send(7, None, "hello")
+    network.publish("base", 3)
+    assert [message[:5] for message in network.step(0.2)] == [(7, ("drone", 1), "hello", 0.0, 0.1)]
+    assert network.latest(("drone", 1))["base"].body == 3
+    assert sorted(map(str, network.neighbours("base"))) == ["('drone', 1)", "7"]
+    row = network.nodes.index(7)
+    assert network.ages()[row, network.nodes.index("base")] == inf
+    assert [message[:2] for message in network.step(0.4)] == [(7, "base")]
+    with pytest.raises(ValueError, match="there is no node 'nobody': the nodes are"):
+        network.send("nobody", None, "")
+    with pytest.raises(ValueError, match="there is no node"):
+        network.send(["unhashable"], None, "")
+
+
+def test_a_receiver_may_change_what_it_gets():
+    network = SteppedNetwork(3)
+    body = {"path": [1]}
+    network.send(0, None, body)
+    body["path"].append(2)
+    first, second = network.step(0.1)
+    first.body["path"].clear()
+    assert second.body == {"path": [1]}
+
+
+def test_nodes_leave_and_join():
+    trace = Trace([Conservation()])
+    network = SteppedNetwork(3, Links(latency=0.1), can_leave=True, trace=trace, faults=[Crash(start=0.5, node=0)])
+    network.send(0, None, "in flight")
+    network.publish(0, "state")
+    network.leave(2)
+    assert [message.dst for message in network.step(0.15)] == [1]
+    assert {(lost.dst, lost.cause) for lost in network.lost()} == {(2, "crash")}
+    network.send(2, None, "from nowhere")
+    network.join(2)
+    assert network.latest(2) == {}
+    network.send(1, None, "welcome")
+    assert [message[:3] for message in network.step(0.15)] == [(1, 0, "welcome"), (1, 2, "welcome")]
+    with pytest.raises(ValueError, match="is not away"):
+        network.join(0)
+    network.close()
+    with pytest.raises(ValueError, match="can_leave=True"):
+        SteppedNetwork(3).leave(0)
+
+
+# Seeds and copies.
+
+
+def episode(network):
+    messages = []
+    for k in range(20):
+        for node in network.nodes:
+            network.send(node, None, k)
+            network.publish(node, k)
+        messages += network.step(0.05)
+    return messages, network.lost(), network.ages().tolist(), network.counts()
+
+
+def test_a_network_that_is_reset_is_a_new_one():
+    arguments = {"links": LINKS["range"], "faults": [RandomCrashes(rate=1.0)], "horizon": 5.0, "positions": START}
+    network = SteppedNetwork(SIZE, seed=1, **arguments)
+    first = episode(network)
+    assert first == episode(SteppedNetwork(SIZE, seed=1, **arguments))
+    network.reset(2)
+    assert network.now == 0.0
+    other = episode(network)
+    assert other == episode(SteppedNetwork(SIZE, seed=2, **arguments)) != first
+    network.reset(1)
+    assert episode(network) == first
+
+
+def test_a_network_is_copied_and_pickled_before_it_is_used():
+    network = SteppedNetwork(nx.path_graph(["a", "b", "c"]), LINKS["lognormal"], seed=3)
+    copies = [pickle.loads(pickle.dumps(network)), copy.deepcopy(network)]
+    assert [episode(other) for other in copies] == [episode(network)] * 2
+    with pytest.raises(TypeError, match="before its first message and step"):
+        pickle.dumps(network)
+    network.reset(3)
+    assert episode(pickle.loads(pickle.dumps(network))) == episode(network)
+
+
+def test_the_bytes_of_a_network_do_not_depend_on_the_hash_seed():
+    program = (
+        "from desim import Links, Lognormal, SteppedNetwork; n = SteppedNetwork(6, Links(latency=Lognormal(mean=.1, cv=1.), loss=.1),"
+        " seed=2)\nfor k in range(9): [n.send(i, None, {'k': k}) for i in range(6)]; print(n.step(.05))"
+    )
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", program], env={"PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in ("0", "1")
+    }
+    assert len(outputs) == 1
+
+
+def test_many_networks_are_each_as_a_single_one():
+    links = LINKS["range"]
+    many = SteppedNetworks(3, SIZE, links, seed=4, positions=np.stack([START] * 3))
+    single = [SteppedNetwork(SIZE, links, seed=run_seed(4, e), positions=START) for e in range(3)]
+    for k in range(6):
+        bodies = np.arange(3 * SIZE * 2, dtype=float).reshape(3, SIZE, 2) + k
+        many.publish(bodies)
+        many.send(bodies)
+        place = np.stack([START + (k + 1) * 0.1 * VELOCITY] * 3)
+        arrived = many.step(0.1, place)
+        for e, network in enumerate(single):
+            for node in range(SIZE):
+                network.publish(node, tuple(bodies[e, node].tolist()))
+            for node in range(SIZE):
+                network.send(node, None, tuple(bodies[e, node].tolist()))
+            assert repr(network.step(0.1, place[e])) == repr(arrived[e])
+    assert many.ages().tolist() == [network.ages().tolist() for network in single]
+    latest = many.latest()
+    assert latest.shape == (3, SIZE, SIZE, 2)
+    for e, network in enumerate(single):
+        for dst in range(SIZE):
+            table = network.latest(dst)
+            for src in range(SIZE):
+                expected = table[src].body if src in table else (nan, nan)
+                assert np.array_equal(latest[e, dst, src], expected, equal_nan=True)
+    assert many[0].counts() != many[1].counts() or many.ages()[0].tolist() != many.ages()[1].tolist()
+    many.reset(4, positions=np.stack([START] * 3))
+    assert many.now == 0.0
+
+
+# Bad use.
+
+
+@pytest.mark.parametrize(
+    ("positions", "why"),
+    [
+        (np.zeros((3, 2)), r"shape \(2, 2\).*got shape \(3, 2\)"),
+        (np.zeros((2, 3)), "got shape"),
+        ([[0.0, 0.0], [nan, 0.0]], "finite.*row 1"),
+        ([[inf, 0.0], [0.0, 0.0]], "finite.*row 0"),
+        ([["a", "b"], ["c", "d"]], "array of numbers"),
+        ([[0.0], [0.0, 1.0]], "array of numbers"),
+        (np.zeros((2, 2), dtype=complex), "array of numbers"),
+    ],
+)
+def test_wrong_positions_are_refused_and_the_step_is_not_made(positions, why):
+    with pytest.raises(ValueError, match=why):
+        SteppedNetwork(2, positions=positions)
+    network = SteppedNetwork(2, Links(range=5.0), positions=np.zeros((2, 2)))
+    network.send(0, 1, "still in flight")
+    with pytest.raises(ValueError, match=why):
+        network.step(0.1, positions)
+    assert network.now == 0.0
+    assert [message.body for message in network.step(0.1)] == ["still in flight"]
+
+
+@pytest.mark.parametrize("dt", [0, 0.0, -0.1, nan, inf, -inf, 1e-10, 1e300, "0.1", None, True])
+def test_a_step_takes_a_finite_time(dt):
+    network = SteppedNetwork(2)
+    with pytest.raises(ValueError, match=r"dt should be|time should be at most"):
+        network.step(dt)
+    assert network.now == 0.0
+    assert network.step(0.1) == []
+
+
+def test_what_a_network_cannot_do_is_said():
+    network = SteppedNetwork(3, Links(range=5.0))
+    with pytest.raises(ValueError, match="depends on the positions"):
+        network.send(0, None, 1)
+    for node in (3, -1):
+        with pytest.raises(ValueError, match=f"there is no node {node}"):
+            network.send(node, None, 1)
+    for node in (0.0, True, "0"):
+        with pytest.raises(ValueError, match="a node should be an integer"):
+            network.latest(node)
+    with pytest.raises(ValueError, match="to itself"):
+        network.send(1, 1, 1)
+    with pytest.raises(ValueError, match="has no size: send it with size="):
+        SteppedNetwork(2, Links(medium=Bitrate(bitrate=1e6))).send(0, 1, len)
+    with pytest.raises(ValueError, match="at least 1 node"):
+        SteppedNetwork(0)
+    with pytest.raises(ValueError, match="number of nodes"):
+        SteppedNetwork("radio.toml")
+    with pytest.raises(ValueError, match="one graph"):
+        SteppedNetwork(nx.path_graph(3), Links(graph=nx.path_graph(3)))
+    with pytest.raises(ValueError, match="horizon="):
+        SteppedNetwork(3, faults=[RandomCrashes()])
+    with pytest.raises(ValueError, match="there is no node 7"):
+        SteppedNetwork(3, faults=[Crash(start=0.0, node=7)])
+    with pytest.raises(ValueError, match="latencyy"):
+        SteppedNetwork(3, {"latencyy": 0.1})
+    with pytest.raises(ValueError, match="seed"):
+        SteppedNetwork(3, seed=-1)
+    with pytest.raises(ValueError, match=r"shape \(2, 3\)"):
+        SteppedNetworks(2, 3).publish(np.zeros((3, 3)))
+
+
+def test_a_closed_network_says_so():
+    with SteppedNetwork(2) as network:
+        network.send(0, 1, "x")
+    network.close()
+    for call in (
+        lambda: network.step(0.1),
+        lambda: network.send(0, 1, "x"),
+        lambda: network.publish(0, "x"),
+        lambda: network.latest(0),
+        network.ages,
+        network.lost,
+        network.counts,
+        lambda: network.reset(1),
+    ):
+        with pytest.raises(RuntimeError, match="closed"):
+            call()
+    assert "closed" in repr(network)
+
+
+def test_a_network_belongs_to_one_thread_and_a_failed_step_is_not_continued():
+    errors = []
+
+    def watch(event):
+        def call():
+            try:
+                network.step(0.1)
+            except RuntimeError as error:
+                errors.append(str(error))
+
+        thread = Thread(target=call)
+        thread.start()
+        thread.join()
+        if event.body == "bad":
+            raise ArithmeticError("of a watcher")
+
+    links = Links(medium=Bitrate(bitrate=1e3))
+    network = SteppedNetwork(2, links, trace=Trace([lambda event: isinstance(event, Sent) and watch(event)]))
+    network.send(0, 1, "good", size=100)
+    network.send(0, 1, "bad", size=100)
+    with pytest.raises(ArithmeticError):
+        network.step(5.0)
+    assert errors
+    assert all("one thread" in text for text in errors)
+    with pytest.raises(RuntimeError, match="has failed"):
+        network.step(0.1)
+    network.reset(0)
+    assert network.step(0.1) == []
+
+
+def test_a_table_of_a_scenario_file_is_enough(tmp_path):
+    file = tmp_path / "net.toml"
+    file.write_text('[network]\nlatency = 0.1\nloss = 0.2\n\n[[fault]]\nkind = "crash"\nnode = 1\nstart = 0.5\n')
+    scenario = load(file)
+    network = SteppedNetwork(4, scenario.network, faults=scenario.network_faults)
+    same = SteppedNetwork(4, {"latency": 0.1, "loss": 0.2}, faults=[Crash(start=0.5, node=1)])
+    assert episode(network) == episode(same)
+    assert network.counts().lost_by.keys() == {"loss", "crash"}
+
+
+@pytest.mark.slow
+def test_a_network_alone_imports_nothing_of_the_pursuit():
+    program = (
+        "import sys; from desim import SteppedNetwork, SteppedNetworks, Links; SteppedNetwork(3).step(0.1);"
+        "print([name for name in sys.modules if name.startswith(('desim.', 'protocols'))"
+        " and name.split('.')[1] not in ('config', 'kernel')])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "agrees"), [(0.8, True), (1.2, False)])
+def test_consensus_bears_delays_below_the_bound(share, agrees):
+    """Equal delays below pi / (2 lambda_n) are borne, longer ones not (Olfati-Saber & Murray 2004, theorem 10)."""
+    graph, dt = nx.cycle_graph(4), 0.01
+    bound = pi / (2 * max(nx.laplacian_spectrum(graph)))  # lambda_n = 4
+    latency = round(share * bound, 2)
+    network, history = SteppedNetwork(graph, Links(latency=latency)), [np.array([1.0, -2.0, 4.0, 0.0])]
+    for step in range(2000):
+        x = history[-1]
+        for node in graph:
+            network.publish(node, float(x[node]))
+        network.step(dt)
+        own = history[max(step + 1 - round(latency / dt), 0)]
+        heard = [network.latest(node).values() for node in graph]
+        history.append(x + dt * np.array([sum(other.body - own[node] for other in heard[node]) for node in graph]))
+    spread = max(history[-1]) - min(history[-1])
+    assert spread < 0.1 if agrees else spread > 100.0
