@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from desim.config.data_files import open_data as open_data
     from desim.kernel.clock_sync import TwoWay as TwoWay
     from desim.kernel.core.trace_file import TraceFile as TraceFile
+    from desim.kernel.fates import fates as fates
     from desim.kernel.measured.models import LatencyTrace as LatencyTrace
     from desim.kernel.measured.models import LossTrace as LossTrace
     from desim.kernel.measured.models import SignalTrace as SignalTrace

@@ -11,6 +11,7 @@ import click
 from desim.cli.about import check, keys, metrics, protocols, schema
 from desim.cli.explain import explain
 from desim.cli.export import export
+from desim.cli.fates import fates
 from desim.cli.many import merge, sweep
 from desim.cli.netem import netem
 from desim.cli.one import run
@@ -32,6 +33,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
     "Run": {
         run: "Run a scenario with one or several seeds.",
         sweep: "Run each configuration of a grid with many seeds; resumes.",
+        fates: "Send the messages of a log over the network of a scenario.",
         explain: "Measure what each imperfection of the network costs.",
         merge: "Merge the runs of several stores of one sweep.",
     },

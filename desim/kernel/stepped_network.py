@@ -17,7 +17,6 @@ only `step` moves, and runs the same network: the same links, faults and draws.
 """
 
 from collections.abc import Hashable, Iterable, Mapping
-from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -47,8 +46,6 @@ from desim.kernel.wandering_clock import node_clocks
 if TYPE_CHECKING:
     import networkx as nx
 
-MIN_DT = 1e-9
-"""Minimum duration of a step, s."""
 SHOWN = 10
 """Number of nodes listed in an error message."""
 STEPPING = "a step is under way, or has failed: a network belongs to one thread; after a failure, call reset(seed)"
@@ -95,8 +92,8 @@ class SteppedNetwork:
     `nodes`. They are read when they are given, and at each step; an array may be changed in place. During a step every
     node moves in a straight line from where it was to where it is at the end.
 
-    In a `with` block the network is closed at the end, and Python collects garbage less often, as in `desim.run`: with
-    many messages in flight, this is up to 1.6 times as fast.
+    In a `with` block the network is closed at the end, and Python collects garbage less often, as in `desim.run`. This
+    saves time if many messages are in flight.
 
     Equal arguments, calls and seeds give equal arrivals, on any machine. An instance belongs to one thread at a time.
     It can be pickled and copied before its first message and step, as its arguments; run it on from there.
@@ -222,7 +219,7 @@ class SteppedNetwork:
             positions: (n, 2) the positions at the end, m; None: those that the last array then has.
 
         Raises:
-            ValueError: if dt is not a finite number of at least 1 ns, or the positions are not finite numbers, (n, 2);
+            ValueError: if dt is not a time from 1 ns to 1e9 s, or the positions are not finite numbers, (n, 2);
                 the step is then not made.
             RuntimeError: if the network is closed, or a step is under way or has failed.
         """
@@ -244,8 +241,8 @@ class SteppedNetwork:
     def _end_of_step(self, dt: Any) -> int:
         """Return the end of the next step, ns; raise ValueError if there is none."""
         duration = real(dt, "dt")
-        if not isfinite(duration) or duration < MIN_DT:
-            raise ValueError(f"dt should be a finite time of at least 1 ns, in s (got {dt!r})")
+        if not 0 < duration <= MAX_TIME or nanoseconds(duration) < 1:
+            raise ValueError(f"dt should be a time from 1 ns to {MAX_TIME:g} s, in s (got {dt!r})")
         if self.now + duration > MAX_TIME:
             raise ValueError(f"the time should be at most {MAX_TIME:g} s (got {self.now:g} s and dt = {duration:g} s)")
         return self._clock.now + nanoseconds(duration)
@@ -314,7 +311,7 @@ class SteppedNetwork:
     def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Note the losses of a transmission."""
         number, src, created, *_ = transmission
-        if type(transmission.port) is ReservedPort:
+        if isinstance(transmission.port, ReservedPort):
             return
         content, labels = transmission.content, self._nodes
         for dst, cause in causes.items():
@@ -482,7 +479,7 @@ def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple
             raise ValueError(f"a network should have at least 1 node (got {size})")
         return links, tuple(range(size)), None
     graph: Any = nodes
-    if type(links.graph) is not Complete:
+    if not isinstance(links.graph, Complete):
         raise ValueError("a network has one graph: give it as the nodes or as links.graph, and a number of nodes")
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")

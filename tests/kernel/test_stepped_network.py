@@ -196,10 +196,13 @@ def test_what_a_pursuit_sends_arrives_as_in_the_pursuit(file, changes):
 
 
 def kept(trace):
-    """Return all that a trace has about messages, up to the last transmission: later, the run has ended."""
-    events = [event for event in trace if isinstance(event, Broadcast | Lost)]
-    last = max(event.t for event in events if isinstance(event, Broadcast))
-    return [event for event in events if event.t <= last]
+    """Return all that a trace has about messages, up to the last transmission: later, the run has ended.
+
+    Sequence numbers also count what a node publishes while it is down, and which is not transmitted.
+    """
+    events = [event._replace(seq=0) if type(event) is Broadcast else event for event in trace]
+    last = max(event.t for event in events if type(event) is Broadcast)
+    return [event for event in events if type(event) in {Broadcast, Lost} and event.t <= last]
 
 
 def repeated(scenario, sent, seed):

@@ -14,7 +14,11 @@ QueuedMessage = tuple[int, int, int, Message, str]
 
 
 class MessageQueue(Inboxes):
-    """Inboxes whose messages wait in one queue instead; those of the transport layer stay in inboxes of their own."""
+    """Inboxes whose messages wait in one queue instead; those of the transport layer stay in inboxes of their own.
+
+    Kept equal to messages in the inboxes of processes by
+    `tests/kernel/test_stepped_network.py::test_a_stepped_network_is_the_network_of_a_process`.
+    """
 
     def __init__(self, env: Clock, size: int):
         super().__init__(env, size)
@@ -22,7 +26,7 @@ class MessageQueue(Inboxes):
 
     def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
         """Put a message into the queue once for each receiver; see `Inboxes.deliver`."""
-        if type(port) is ReservedPort:
+        if isinstance(port, ReservedPort):
             super().deliver(message, port, receivers, arrival, number)
             return
         times = per_receiver(arrival, len(receivers))
@@ -34,7 +38,7 @@ class MessageQueue(Inboxes):
 
     def can_wait(self, port: str) -> bool:
         """Return whether a port is not one of the simulator itself."""
-        return type(port) is not ReservedPort
+        return not isinstance(port, ReservedPort)
 
     def take(self) -> list[QueuedMessage]:
         """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""

@@ -1,0 +1,144 @@
+"""The fates of messages that a program has logged: what a network would have done to each of them."""
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from desim.config.model import MAX_TIME
+from desim.config.number_files import number_of
+from desim.config.python_numbers import real
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.measured.csv_tables import cells_of, header_of, select, text_of
+from desim.kernel.models.links import Links
+from desim.kernel.stepped_network import SteppedNetwork
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+NONE = "none"
+"""The fate of a message to one node that has neither arrived nor been lost: it is still in flight, its transport has
+given it up, or its sender was down."""
+WAIT = 60.0
+"""How long a network is observed after the last message, s."""
+STEP = 1.0
+"""Duration of a step of this observation, s."""
+COLUMNS = ("t", "src", "dst", "size")
+ALL = ("", "*")
+"""The cells of the column `dst` that stand for all neighbours."""
+
+
+class LoggedMessage(NamedTuple):
+    """A message of a log."""
+
+    t: float
+    """When it was sent, s."""
+    src: Any
+    dst: Any
+    """The receiver; None: all neighbours."""
+    size: int
+    """Bytes."""
+
+
+class Fate(NamedTuple):
+    """What happened to a message at one receiver."""
+
+    row: int
+    """The number of the message in the log, from 0 on."""
+    t: float
+    """When it was sent, s."""
+    src: Any
+    dst: Any
+    size: int
+    """Bytes."""
+    fate: str
+    """"delivered", the cause of its loss, or "none"; see `NONE`."""
+    arrived: float
+    """When it arrived, s; nan if it did not."""
+
+
+def fates(
+    messages: Iterable[Sequence[Any]],
+    nodes: "int | nx.Graph[Any]",
+    links: Links | Mapping[str, Any] | None = None,
+    *,
+    wait: float = WAIT,
+    **arguments: Any,
+) -> list[Fate]:
+    """Send the messages of a log over a network, and return what happens to each at each of its receivers.
+
+    The fates are in the order of the log, then of the receivers. A message that is transmitted twice
+    (`Links.duplicate`) has its first arrival. One to all neighbours has a fate where it has arrived or been lost.
+
+    Args:
+        messages: rows (t, src, dst, size), ascending in time: s, nodes, and bytes; the dst None is all neighbours.
+        nodes: as in `SteppedNetwork`.
+        links: as in `SteppedNetwork`.
+        wait: how long the network is observed after the last message, s.
+        **arguments: further arguments of `SteppedNetwork`, such as faults, seed and positions.
+
+    Raises:
+        ValueError: if a row is not such a message, with its number, or an argument is not valid.
+    """
+    duration = real(wait, "wait")
+    if not 0 <= duration <= MAX_TIME:
+        raise ValueError(f"wait should be a time from 0 to {MAX_TIME:g} s (got {wait!r})")
+    log: list[LoggedMessage] = []
+    arrivals: dict[tuple[int, Hashable], float] = {}
+    losses: dict[tuple[int, Hashable], str] = {}
+    with SteppedNetwork(nodes, links, **arguments) as network:
+
+        def step(until: float) -> None:
+            if nanoseconds(until - network.now):
+                for arrived in network.step(until - network.now):
+                    arrivals.setdefault((arrived.body, arrived.dst), arrived.arrived)
+                losses.update(((lost.body, lost.dst), lost.cause) for lost in network.lost())
+
+        for row, values in enumerate(messages):
+            try:
+                message = LoggedMessage(*values)
+                time = real(message.t, "t")
+                if not (log[-1].t if log else 0.0) <= time <= MAX_TIME:
+                    raise ValueError("t should be ascending, from 0 s on")
+                step(time)
+                log.append(message)
+                network.send(message.src, message.dst, row, size=message.size)
+            except (TypeError, ValueError) as error:
+                shown = tuple(values) if isinstance(values, tuple) else values
+                raise ValueError(f"message {row} {shown!r}: {error}") from error
+        end = network.now + duration
+        while network.now < end and (network.counts().in_flight or network.transport_counts() is not None):
+            step(min(network.now + STEP, end))
+        step(network.now + 1e-9)  # tells what was lost when it was sent last
+        number = {node: k for k, node in enumerate(network.nodes)}
+    told = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
+    return [
+        Fate(
+            row,
+            log[row].t,
+            log[row].src,
+            dst,
+            log[row].size,
+            "delivered" if (row, dst) in arrivals else losses.get((row, dst), NONE),
+            arrivals.get((row, dst), nan),
+        )
+        for row, dst in sorted(told, key=lambda key: (key[0], number[key[1]]))
+    ]
+
+
+def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
+    """Return the messages of a CSV or Parquet file with the columns t, src, dst and size.
+
+    Args:
+        file: the path of the file. An empty cell or * in the column `dst` stands for all neighbours.
+        node_of: returns the node of a cell; raises ValueError if there is none.
+
+    Raises:
+        ValueError: if the file is not such a table, with the line.
+    """
+    text, name = text_of(file, COLUMNS), str(file)
+    header_of(text, name)
+    cells = cells_of(select(text, COLUMNS, name), name)
+    senders, sizes = cells.numbers("src", node_of), cells.numbers("size", int)
+    receivers = cells.numbers("dst", lambda cell: None if cell.strip() in ALL else node_of(cell))
+    return [LoggedMessage(*row) for row in zip(cells.numbers("t", number_of), senders, receivers, sizes, strict=True)]

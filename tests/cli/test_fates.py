@@ -1,0 +1,77 @@
+"""`desim fates`, and `desim.fates`: what a network does to the messages of a log."""
+
+import csv
+from math import isnan, nan
+
+import pytest
+
+from desim import Crash, Links, Reliable, fates
+from tests.command import accepted, refused
+
+SCENARIO = (
+    '[team]\ncount = 3\n\n[network]\nlatency = 0.1\n\n[[fault]]\nkind = "crash"\nnode = 2\nstart = 1.0\nend = 2.0\n'
+)
+LOG = "t;src;dst;size\n0,5;0;1;24\n0.95;1;*;100\n# pause\n3.0;2;0;8\n"
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "net.toml").write_text(SCENARIO)
+    (tmp_path / "log.csv").write_text(LOG.replace("0,5", "0.5"))
+    return tmp_path
+
+
+def test_a_log_goes_in_and_a_table_of_fates_comes_out(files):
+    printed = accepted("fates", files / "log.csv", files / "net.toml").stdout
+    rows = list(csv.reader(printed.splitlines()))
+    assert rows == [
+        ["row", "t", "src", "dst", "size", "fate", "arrived"],
+        ["0", "0.5", "0", "1", "24", "delivered", "0.6"],
+        ["1", "0.95", "1", "0", "100", "delivered", "1.05"],
+        ["1", "0.95", "1", "2", "100", "crash", ""],
+        ["2", "3.0", "2", "0", "8", "delivered", "3.1"],
+    ]
+    accepted("fates", files / "log.csv", files / "net.toml", "-o", files / "fates.csv")
+    assert (files / "fates.csv").read_text() == printed
+
+
+@pytest.mark.parametrize(
+    ("log", "why"),
+    [
+        ("t,src,dst,size\n0.0,0,9,8\n", "log.csv, line 2: dst: there is no node 9: the nodes are 0 .. 2"),
+        ("t,src,dst,size\n0.0,a,1,8\n", "log.csv, line 2: src: there is no node a"),
+        ("t,src,dst\n0.0,0,1\n", "log.csv has no column 'size'"),
+        ("t,src,dst,size\n1.0,0,1,8\n0.5,0,1,8\n", "message 1 (0.5, 0, 1, 8): t should be ascending"),
+        ("t,src,dst,size\n0.0,0,1,-8\n", "at least 0 bytes"),
+        ("t,src,dst,size\n0.0,1,1,8\n", "to itself"),
+        ("t,src,dst,size\nx,0,1,8\n", "log.csv, line 2: t: "),
+        ("t,src,dst,size\nnan,0,1,8\n", "t"),
+        ("t,src,dst,size\n", "has no rows"),
+    ],
+)
+def test_a_wrong_log_is_refused_with_its_line(files, log, why):
+    (files / "log.csv").write_text(log)
+    assert why in refused("fates", files / "log.csv", files / "net.toml")
+
+
+def test_fates_say_what_is_lost_late_or_not_there_yet():
+    log = [(0.0, 0, None, 8), (1.0, 1, 0, 8)]
+    alike = fates(log, 3, Links(latency=0.2), faults=[Crash(start=0.9, node=0)])
+    assert [(row.row, row.dst, row.fate) for row in alike] == [
+        (0, 1, "delivered"), (0, 2, "delivered"), (1, 0, "crash"),
+    ]  # fmt: skip
+    assert isnan(alike[-1].arrived)
+    late = fates(log, 3, Links(latency=5.0), wait=4.5)
+    assert [row[4:6] for row in late] == [(8, "delivered"), (8, "delivered"), (8, "none")]
+    assert [row.fate for row in fates(log, 3, {"loss": 1.0})] == ["loss"] * 3
+    with pytest.raises(ValueError, match="wait should be"):
+        fates(log, 3, wait=nan)
+
+
+def test_a_transport_repeats_a_logged_message_until_it_arrives():
+    links = Links(latency=0.01, loss=0.5, transport=Reliable(timeout=0.1, history="keep_all"))
+    log = [(0.1 * k, 0, 1, 8) for k in range(30)]
+    rows = fates(log, 2, links, seed=1)
+    assert {row.fate for row in rows} == {"delivered"}
+    assert len(rows) == 30
+    assert any(row.arrived - row.t > 0.05 for row in rows)
