@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from desim.analysis.drawing.palette import ON_DARK
+
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 FOLDER = "_dark"
-INK, PAPER = "#e6e9ec", "#14181e"
-COLOURS = {
-    **{"#000000": INK, "#ffffff": PAPER, "#555555": "#aab2ba", "#333333": "#c8ced4"},
-    **{"#0072b2": "#3a8ee6", "#56b4e9": "#93d6ff", "#d55e00": "#f47d31", "#009e73": "#22c196", "#d11a2a": "#ff5a67"},
-}
+COLOURS = {colour.lower(): on_dark for colour, on_dark in ON_DARK.items()}
 """The colours of figures, and those of the same meaning that are legible on a dark page."""
+INK = COLOURS["#000000"]
 COLOUR = re.compile("|".join(COLOURS))
 
 

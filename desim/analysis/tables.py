@@ -72,16 +72,21 @@ def number(value: float, digits: int = 3) -> str:
     return "-" if isnan(value) else f"{value:,.{digits}f}"
 
 
-def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "") -> str:
+def digits_of(values: Sequence[Estimate]) -> int:
+    """Return the number of decimals of the estimates in a column of a table: all have the same."""
+    return 3 if any(abs(value.mean) < 100.0 for value in values) else 1
+
+
+def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", digits: int | None = None) -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
     If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
     another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
-    positive mean, too. `unit` follows the number.
+    positive mean, too. `unit` follows the number. `digits` is the number of decimals; None = as in a column of its own.
     """
     if not value.count:
         return "-"
-    digits, unit = 3 if abs(value.mean) < 100.0 else 1, f" {unit}".rstrip()
+    digits, unit = digits_of([value]) if digits is None else digits, f" {unit}".rstrip()
     few = f" ({value.count})" if value.count != runs else ""
     if value.others is not None:
         return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {value.others:.1%}{few}"

@@ -6,13 +6,14 @@ from math import inf, isnan
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from desim.analysis.drawing.plots import save
 from desim.analysis.metrics import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.figures import INK, _cell_text, means, multiples, phase
+from desim.study.results.figures import INK, _cell_format, _cell_text, legend, means, multiples, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
 from desim.study.store.run_table import Row
@@ -36,6 +37,11 @@ def drawn(grid, metric="active_time", **options):
     return axes, [container.lines[0] for container in axes.containers]
 
 
+def legend_of(axes):
+    (legend,) = axes.figure.legends
+    return legend
+
+
 def ticks(axis):
     return dict(zip([text.get_text() for text in axis.get_ticklabels()], axis.get_ticklocs(), strict=True))
 
@@ -48,6 +54,7 @@ def test_one_key_is_a_line_over_its_values():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("horizon (s)", "active time (s)")
     assert axes.get_title() == "a <b> & $c$, 95 % intervals"
     assert axes.get_legend() is None
+    assert not axes.figure.legends
 
 
 def test_error_bars_are_intervals():
@@ -72,7 +79,7 @@ def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
     assert (np.diff(places, axis=0) > 0.0).all()
     assert places.mean(axis=0) == pytest.approx([1.0, 2.0])
     assert np.ptp(places[:, 0]) < 0.05
-    legend = axes.get_legend()
+    legend = legend_of(axes)
     assert legend.get_title().get_text() == "prune"
     assert [text.get_text() for text in legend.get_texts()] == ["inf", "none", "infeasible"]
     assert len({line.get_color() for line in lines}) == 3
@@ -82,7 +89,7 @@ def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
 def test_lines_over_several_other_keys_are_named_by_all_of_them():
     axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.static": [True, False]})
     assert len(lines) == 4
-    assert axes.get_legend().get_texts()[0].get_text() == "prune = inf, motion.static = true"
+    assert legend_of(axes).get_texts()[0].get_text() == "prune = inf, motion.static = true"
     assert axes.get_xlabel() == "network.range (m)"
 
 
@@ -164,7 +171,7 @@ def test_a_figure_of_single_runs_or_of_unmeasured_metrics_can_be_saved(tmp_path,
 def test_names_are_drawn_as_they_are():
     """matplotlib hides lines whose name begins with an underscore, and reads $..$ as mathematics."""
     axes, _ = drawn({"x": [1.0, 2.0], "y": ["_own", "$a_$"]})
-    assert [each.get_text() for each in axes.get_legend().get_texts()] == [" _own", r"\$a_\$"]
+    assert [each.get_text() for each in legend_of(axes).get_texts()] == [" _own", r"\$a_\$"]
 
 
 def test_unmeasured_values_are_not_drawn():
@@ -239,19 +246,23 @@ def written(axes):
 def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
     """Of k, k + 1, k + 2, the mean is k + 1; the last key changes fastest, and values are sorted."""
     figure = phase(result({"x": [2.0, 1.0], "prune": ["inf"], "y": [4.0, inf, 3.0]}), "active_time")
-    (axes,) = figure.axes
+    axes, bar = figure.axes
+    assert bar.get_ylabel() == "active time (s)"
     assert ticks(axes.xaxis) == {"1": 0, "2": 1}
     assert ticks(axes.yaxis) == {"3": 0, "4": 1, "inf": 2}
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x", "y", "prune = inf")
-    assert written(axes) == {(1, 1): "1", (1, 2): "2", (1, 0): "3", (0, 1): "4", (0, 2): "5", (0, 0): "6"}
+    assert written(axes) == {
+        place: f"{value}.00"
+        for place, value in {(1, 1): 1, (1, 2): 2, (1, 0): 3, (0, 1): 4, (0, 2): 5, (0, 0): 6}.items()
+    }
 
 
 def test_a_phase_diagram_has_a_panel_per_combination_of_the_other_keys_in_equal_colours():
     figure = phase(result({"prune": ["inf", "none"], "x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time")
-    one, other = figure.axes
+    one, other, _ = figure.axes
     assert [one.get_title(), other.get_title()] == ["prune = inf", "prune = none"]
-    assert written(other)[0, 0] == "5"
-    configurations = [each for axes in figure.axes for each in zip(axes.texts, axes.patches, strict=True)]
+    assert written(other)[0, 0] == "5.00"
+    configurations = [each for axes in (one, other) for each in zip(axes.texts, axes.patches, strict=True)]
     faces = [patch.get_facecolor() for _, patch in sorted(configurations, key=lambda each: float(each[0].get_text()))]
     light = [0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue, _ in faces]
     assert len(set(light)) == 8
@@ -340,7 +351,7 @@ def test_differences_are_from_any_value_of_any_key_and_paired(value, step):
     assert axes.get_ylabel() == f"difference in active time from protocol = {value} (s)"
     assert [each.lines[0].get_ydata().tolist() for each in axes.containers] == [[step] * 3] * 2
     other = {"sap": "cbba", "cbba": "sap"}[value]
-    assert [each.get_text() for each in axes.get_legend().get_texts()] == [
+    assert [each.get_text() for each in legend_of(axes).get_texts()] == [
         f"protocol = {other}, y = {y}" for y in (10, 20)
     ]
 
@@ -369,7 +380,7 @@ def test_differences_may_be_from_one_configuration():
 def test_texts_of_the_user_are_shown_and_may_be_mathematics():
     options = {"labels": {"sap": "SAP (ours)", "10": "$L_1$"}, "xlabel": "latency $L$", "ylabel": "T_0"}
     (axes,) = means(result(GRID), "active_time", x="x", **options).axes
-    assert [each.get_text() for each in axes.get_legend().get_texts()][:2] == [
+    assert [each.get_text() for each in legend_of(axes).get_texts()][:2] == [
         "SAP (ours), $L_1$",
         "SAP (ours), y = 20",
     ]
@@ -429,7 +440,7 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
     slow, fast = (f"sap(slot={each})" for each in (0.2, 0.1))
     alone, both = (result({"protocol": each, "x": [1.0, 2.0]}) for each in ([slow, "cbba", "cbaa"], [slow, fast]))
     figure = means(alone, "active_time", against={"protocol": "sap"}, labels={"protocol": "rule", "sap": "SAP"})
-    assert figure.axes[0].get_legend().get_title().get_text() == "rule"
+    assert figure.legends[0].get_title().get_text() == "rule"
     for options in ({"against": {"protocol": "sap"}}, {"labels": {"sap": "SAP"}}):
         with pytest.raises(ValueError, match=r"several values .* kind sap.*sap\(slot=0.1\)"):
             means(both, "active_time", **options)
@@ -439,7 +450,7 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
         both.plot(against=["protocol=sap"])
     with pytest.raises(ValueError, match="a size should be a width"):
         both.plot(size=(8.5, 6.0))
-    with pytest.raises(TypeError, match="no option 'label'; its options: x, by, against, labels"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'label'"):
         both.plot(label={"sap": "SAP"})
 
 
@@ -447,17 +458,179 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
 def test_the_label_of_a_value_is_not_that_of_other_values_of_its_kind():
     found = result({"protocol": ["sap", "sap(tau=1)"], "x": [1.0, 2.0]})
     (axes,) = means(found, "active_time", x="x", labels={"sap": "SAP"}).axes
-    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["SAP", "sap(tau=1)"]
+    assert [each.get_text() for each in legend_of(axes).get_texts()] == ["SAP", "sap(tau=1)"]
 
 
 @pytest.mark.parametrize(
-    ("value", "cell"), [(998.9, "999"), (999.4, "999"), (999.7, "1,000"), (-999.9, "-1,000"), (1234.5, "1,234")]
+    ("values", "cells"),
+    [
+        ([8.1, 8.19], ["8.10", "8.19"]),
+        ([998.9, 5.04], ["999", "5"]),
+        ([-1234.5, 0.0], ["-1,234", "0"]),
+        ([100.0, 0.02], ["100.00", "0.02"]),
+        ([0.00021, 0.1], ["2.10e-04", "1.00e-01"]),
+        ([0.0, inf], ["0", "-"]),
+    ],
 )
-def test_a_cell_has_three_digits_or_all_of_an_integer(value, cell):
-    assert _cell_text(value) == cell
+def test_the_cells_of_a_heat_map_have_one_format_in_which_only_0_looks_like_0(values, cells):
+    form = _cell_format([value for value in values if value != inf])
+    assert [_cell_text(value, form) for value in values] == cells
 
 
 def test_a_configuration_without_a_reference_is_named():
     found = result({"protocol": ["sap", "cbba"], "x": [1.0, 2.0]})
     with pytest.raises(ValueError, match="protocol = cbba, x = 2: has no reference with protocol = sap"):
         means(replace(found, groups=(found.groups[0], *found.groups[2:])), "active_time", against={"protocol": "sap"})
+
+
+# What must not mislead.
+
+
+def boxes_of_data(axes):
+    """Return what is drawn on axes, in pixels: the points of each line, and the ends of error bars."""
+    yield from (axes.transData.transform(line.get_xydata()) for line in axes.lines)
+    for container in axes.containers:
+        for bars in container.lines[2]:
+            yield from (axes.transData.transform(segment) for segment in bars.get_segments())
+
+
+SIZES = {"usual": None, "column": "8.5cm", "square": "8.5cmx8.5cm", "wide": "17cmx6cm"}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("count", [1, 2, 6, 9])
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_a_legend_is_not_on_data_and_within_the_figure(size, count):
+    grid = {"x": [1.0, 2.0, 5.0], "a_key_with_a_name": [f"value {k}" for k in range(count)]}
+    figure = means(result(grid), "active_time", size=size)
+    (axes,) = figure.axes
+    box = figure.legends[0].get_window_extent()
+    for points in boxes_of_data(axes):
+        assert not any(box.contains(*point) for point in points)
+    assert box.y1 <= axes.get_window_extent().y0
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0
+
+
+def test_a_line_is_named_also_if_it_is_the_only_one():
+    (axes,) = means(
+        result({"x": [1.0, 2.0], "protocol": ["sap", "cbaa"]}), "active_time", against={"protocol": "sap"}
+    ).axes
+    assert [text.get_text() for text in legend_of(axes).get_texts()] == ["cbaa"]
+    assert legend_of(axes).get_title().get_text() == "protocol"
+
+
+@pytest.mark.slow
+def test_the_reference_has_its_label_in_the_label_of_the_axis():
+    swept = result({"x": [1.0, 2.0], "protocol": ["sap(rate=5)", "cbaa"]})
+    options = {"against": {"protocol": "sap"}, "labels": {"sap": "SAP (ours)"}}
+    (axes,) = means(swept, "active_time", **options).axes
+    assert axes.get_ylabel() == "difference in active time from SAP (ours) (s)"
+
+
+def test_a_metric_that_is_equal_in_every_run_has_no_scale_around_it():
+    swept = result({"x": [1.0, 2.0], "protocol": ["sap", "cbaa"]})
+    zero = [
+        replace(group, rows=tuple(replace(row, summary=changed(row.summary, idle_time=0.0)) for row in group.rows))
+        for group in swept.groups
+    ]
+    for figure in (
+        means(replace(swept, groups=tuple(zero)), "idle_time"),
+        multiples(replace(swept, groups=tuple(zero)), ["idle_time"]),
+    ):
+        axes = figure.axes[0]
+        assert ticks(axes.yaxis) == {"0": 0.0}
+        assert axes.get_ylim()[1] >= 1.0
+        assert [text.get_text() for text in axes.texts] == ["0 in every run"]
+    (axes,) = means(swept, "active_time").axes
+    assert not axes.texts
+    assert len(axes.get_yticks()) > 2
+
+
+def test_figures_without_a_legend_share_one():
+    swept = result({"x": [1.0, 2.0], "protocol": ["sap", "cbaa"]})
+    figure = multiples(swept, ["active_time"], has_legend=False)
+    assert not figure.legends
+    (shared,) = legend(swept).legends
+    assert [text.get_text() for text in shared.get_texts()] == ["sap", "cbaa"]
+    assert [handle.get_color() for handle in shared.get_lines()] == [
+        container.lines[0].get_color() for container in figure.axes[0].containers
+    ]
+    assert legend(result({"x": [1.0, 2.0]})) is None
+    assert legend(result({"prune": ["inf", "none"]})) is None
+
+
+@pytest.mark.slow
+def test_tick_labels_do_not_touch():
+    figure = means(result({"x": [0.0, 0.05, 0.1, 0.2, 0.5, 1.0]}), "active_time", size="8.5cm")
+    boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels()]
+    assert all(before.x1 < after.x0 for before, after in pairwise(boxes))
+    assert {"0", "1"} < ticks(figure.axes[0].xaxis).keys()
+
+
+# Axes of the user.
+
+
+def two_axes():
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    return figure, figure.subplots(1, 2)
+
+
+DRAWN = {
+    "means": lambda swept, ax: swept.plot("active_time", ax=ax),
+    "differences": lambda swept, ax: swept.plot("active_time", against={"protocol": "sap"}, ax=ax),
+    "phase": lambda swept, ax: replace(swept, keys=("x", "y"), groups=swept.groups[:6]).plot(kind="phase", ax=ax),
+}
+
+
+@pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
+def test_a_figure_is_drawn_on_given_axes_and_nowhere_else(draw):
+    figure, (left, right) = two_axes()
+    assert draw(result(GRID), left) is figure
+    assert left.has_data()
+    assert not right.has_data()
+    assert figure.get_size_inches().tolist() == [8, 3]
+    assert not figure.legends
+    figure.draw_without_rendering()
+    if box := left.get_legend():
+        assert box.get_window_extent().y0 >= left.get_window_extent().y1
+
+
+WRONG_AXES = {
+    "figure": (lambda: Figure(), TypeError, r"got Figure; ax=figure.add_subplot\(\)"),
+    "several": (lambda: two_axes()[1], TypeError, r"got ndarray; give one of them, such as ax=axes\[0\]"),
+    "list": (lambda: list(two_axes()[1]), TypeError, "got list; give one of them"),
+    "text": (lambda: "left", TypeError, "got str$"),
+    "truth": (lambda: True, TypeError, "got bool$"),
+    "polar": (lambda: Figure().add_subplot(projection="polar"), ValueError, "plain axes, not polar ones"),
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("make", "error", "message"), WRONG_AXES.values(), ids=WRONG_AXES)
+def test_wrong_axes_are_refused(make, error, message):
+    swept = result(GRID)
+    for kind in ("means", "phase"):
+        with pytest.raises(error, match=message):
+            replace(swept, keys=("x", "y"), groups=swept.groups[:6]).plot(kind=kind, ax=make())
+
+
+def test_what_does_not_fit_into_axes_is_refused():
+    swept = result(GRID)
+    _, (ax, _) = two_axes()
+    with pytest.raises(ValueError, match=r"ax is one panel, and there are 2 \(y = 10; y = 20\)"):
+        swept.plot(x="x", by="protocol", ax=ax)
+    with pytest.raises(ValueError, match="size is that of a new figure"):
+        swept.plot(size="8.5cm", ax=ax)
+    assert not ax.has_data()
+    with pytest.raises(ValueError, match="phase has no option 'by'"):
+        swept.plot(kind="phase", by="protocol")
+    with pytest.raises(ValueError, match=r"style: .*seaborn-v9"):
+        swept.plot(style="seaborn-v9")
+
+
+def test_a_style_is_on_top_of_that_of_desim():
+    (axes,) = result(GRID).plot(style={"axes.spines.top": True, "font.size": 13.0}).axes
+    assert axes.spines["top"].get_visible()
+    assert not axes.spines["right"].get_visible()
+    assert axes.yaxis.label.get_fontsize() == 13.0

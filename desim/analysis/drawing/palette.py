@@ -9,6 +9,9 @@ ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Colours of the lines of a diagram, in order."""
+MARKERS = "osD^vPX"
+"""Marks of the lines of a diagram, in order. Their number has no common divisor with that of `SERIES`, so 42 lines in a
+row differ, and lines of one colour differ in their marks, for readers and printers that show no colour."""
 
 ACTIVE = BLUE
 """A pursuer that chases an evader alone."""
@@ -23,6 +26,11 @@ DELIVERED = GREEN
 """A message that arrived."""
 LOST = "#D11A2A"
 """A message that was lost; it is always drawn dotted or as a cross."""
+ON_DARK = {
+    **{"#000000": "#e6e9ec", "#ffffff": "#14181e", "#555555": "#aab2ba", "#333333": "#c8ced4"},
+    **{BLUE: "#3388ff", LOST: "#ff5a67"},
+}
+"""The colours of figures that are illegible on a dark page, and those of the same meaning that are legible there."""
 
 PURSUER_MARK = "o"
 EVADER_MARK = "D"

@@ -5,7 +5,7 @@ Files are reproducible byte by byte.
 
 import re
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
 from io import BytesIO
@@ -14,6 +14,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib import style as mpl_style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -41,9 +42,12 @@ __all__ = [
     "NARROW",
     "Axes",
     "Figure",
+    "Style",
     "as_it_is",
     "draw_trajectory",
+    "figure_of",
     "html_image",
+    "in_style",
     "save",
     "set_plane",
     "size_of",
@@ -74,8 +78,60 @@ UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {},
 """The option `metadata` of `savefig` for each format: None leaves out the date."""
 
 
+Style = str | Mapping[str, Any] | Sequence[str | Mapping[str, Any]] | None
+"""A style of matplotlib: rcParams, the name of a style, or several of these; None = that of desim."""
+
+
 @contextmanager
-def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
+def in_style(style: Style) -> Iterator[None]:
+    """Draw in a style of matplotlib on top of the present one.
+
+    Raises:
+        ValueError: if there is no such style or parameter.
+    """
+    try:
+        with mpl_style.context([] if style is None else style):  # type: ignore[arg-type]  # rcParams are a mapping
+            yield
+    except (KeyError, OSError) as error:
+        if style is None:
+            raise
+        raise ValueError(f"style: {error.args[0] if error.args else error}") from error
+
+
+def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = None) -> Figure:
+    """Return the figure of axes to draw on.
+
+    Args:
+        ax: what a caller gave as `ax`.
+        panels: the titles of the panels of the drawing; it needs one pair of axes, so there should be one.
+        size: the size that was asked for beside `ax`; the size is that of the figure, so there should be none.
+
+    Raises:
+        TypeError: if `ax` is not a pair of axes.
+        ValueError: if the axes are not plain, there are several panels, or a size.
+    """
+    if not isinstance(ax, Axes):
+        hint = ""
+        if isinstance(ax, Figure):
+            hint = "; ax=figure.add_subplot() gives it one"
+        elif isinstance(ax, np.ndarray | Sequence) and not isinstance(ax, str):
+            hint = "; give one of them, such as ax=axes[0]"
+        elif isinstance(ax, type(mpl)):
+            hint = "; ax=plt.gca() is the current one"
+        raise TypeError(f"ax should be the axes of a figure of matplotlib, got {type(ax).__name__}{hint}")
+    if ax.name != "rectilinear":
+        raise ValueError(f"ax should have plain axes, not {ax.name} ones")
+    if (figure := ax.get_figure(root=True)) is None:
+        raise ValueError("ax was removed from its figure")
+    if size is not None:
+        raise ValueError("size is that of a new figure: with ax, set the size of the figure of ax")
+    if len(panels) > 1:
+        raise ValueError(f"ax is one panel, and there are {len(panels)} ({'; '.join(panels[:3])}): leave ax out")
+    return figure
+
+
+@contextmanager
+def styled(figsize: tuple[float, float], *, font: float = 9.0, style: Style = None) -> Iterator[Figure]:
     """Yield an empty figure in the common style.
 
     Its layout is computed at the end of the block, and again at each drawing if its size or a text has changed.
@@ -83,9 +139,13 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
     Args:
         figsize: width and height, inches.
         font: size of text, points.
+        style: a style on top of the common one.
+
+    Raises:
+        ValueError: if there is no such style.
     """
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
-    with mpl.rc_context(STYLE | small | {"font.size": font}):
+    with mpl.rc_context(STYLE | small | {"font.size": font}), in_style(style):
         figure = _StyledFigure(figsize=figsize, layout=_SettledLayout())
         yield figure
         for _ in range(2):  # the first layout may change the ticks of the axes
@@ -198,18 +258,27 @@ def html_image(figure: Figure, name: str) -> str:
     return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'
 
 
-def trajectory(result: Result, size: str | None = None) -> Figure:
+def trajectory(result: Result, size: str | None = None, *, style: Style = None, ax: Axes | None = None) -> Figure:
     """Draw the paths of the evaders, their capturers and all other pursuers that moved, and return the figure.
 
     Args:
         result: the result of a run with recorded positions.
         size: the width and perhaps the height; see `size_of`.
+        style: a style of matplotlib on top of that of desim.
+        ax: the axes to draw on; None = a figure of its own.
 
     Raises:
-        ValueError: if the run recorded no positions, or the size is invalid.
+        ValueError: if the run recorded no positions, or the size or the style is invalid.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
     """
+    if ax is not None:
+        figure = figure_of(ax, size=size)
+        with in_style(style):
+            draw_trajectory(ax, result)
+            ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
+        return figure
     width, height = (5.2, None) if size is None else size_of(size)
-    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0) as figure:
+    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
         axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))

@@ -6,15 +6,18 @@ Imperfections interact if their costs do not add up to the cost of all of them t
 
 import html
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, wilson
-from desim.analysis.tables import aligned, as_json, from_json, number, with_half_width
+from desim.analysis.tables import aligned, as_json, digits_of, from_json, number, with_half_width
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
+
+if TYPE_CHECKING:
+    from desim.analysis.drawing.plots import Axes, Figure, Style
 
 EXPLAINED: Mapping[str, str] = MappingProxyType(
     {"active_time": "sum of active times", "end_time": "capture time, or horizon"}
@@ -54,10 +57,10 @@ class Saving:
         """
         return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
 
-    def text(self, runs: int) -> str:
-        """Return the saving as the text of a table cell."""
+    def text(self, runs: int, digits: int) -> str:
+        """Return the saving as the text of a table cell, with a number of decimals."""
         is_0 = self.mean.count and not self.differing
-        return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+")
+        return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+", digits=digits)
 
     def document(self) -> dict[str, Any]:
         """Return the saving as JSON-compatible values."""
@@ -103,6 +106,12 @@ class Cost:
             made["more_is"],
             float(made["confidence"]),
         )
+
+    @property
+    def digits(self) -> int:
+        """The number of decimals of the cost in a table."""
+        savings = (*self.parts.values(), self.together, self.interaction)
+        return digits_of([self.as_it_is, self.ideal, *(saving.mean for saving in savings)])
 
     @property
     def interacts(self) -> bool:
@@ -162,6 +171,34 @@ class Explanation:
         """Return the costs as text."""
         return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
 
+    def plot(
+        self,
+        metric: str | None = None,
+        *,
+        size: str | None = None,
+        style: "Style" = None,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
+        """Return the costs as a waterfall chart from ideal to as it is; needs matplotlib (the extra `plot`).
+
+        Args:
+            metric: the metric to draw; None = all, with a panel each.
+            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; such a figure has no title.
+            style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
+            ax: the axes to draw on, for a figure of several; None = a figure of its own.
+
+        Raises:
+            ValueError: if there are no costs in this metric, the size or the style is invalid, or several metrics do
+                not fit into `ax`.
+            TypeError: if `ax` is not one pair of axes of matplotlib.
+        """
+        from desim.study.results.figures import waterfall
+
+        if metric is not None and metric not in self.costs:
+            raise ValueError(f"there are no costs in {metric}: the metrics are {', '.join(self.costs)}")
+        chosen = self if metric is None else replace(self, costs={metric: self.costs[metric]})
+        return waterfall(chosen, size=size, style=style, ax=ax)
+
     def _repr_html_(self) -> str:
         """Return the table as HTML, for notebooks."""
         remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
@@ -179,8 +216,10 @@ class Explanation:
 
         def add(name: str, estimates: list[Estimate | Saving]) -> None:
             texts = (
-                part.text(self.runs) if isinstance(part, Saving) else with_half_width(part, self.runs)
-                for part in estimates
+                part.text(self.runs, cost.digits)
+                if isinstance(part, Saving)
+                else with_half_width(part, self.runs, digits=cost.digits)
+                for part, cost in zip(estimates, costs, strict=True)
             )
             rows.append((name, *texts))
 

@@ -2,7 +2,8 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from math import inf, isfinite, log10, nan
+from math import floor, inf, isfinite, log10, nan
+from textwrap import fill
 from types import MappingProxyType
 from typing import Any
 
@@ -12,10 +13,20 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, as_it_is, size_of, styled
+from desim.analysis.drawing.palette import BLUE, GREEN, GREY, MARKERS, ORANGE, SERIES, VERMILION
+from desim.analysis.drawing.plots import (
+    NARROW,
+    Axes,
+    Figure,
+    Style,
+    as_it_is,
+    figure_of,
+    in_style,
+    size_of,
+    styled,
+)
 from desim.analysis.metrics import unit_of as unit_of_metric
-from desim.analysis.metrics import words
+from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate
 from desim.config.key_index import unit_of_key
 from desim.config.trust import escaped
@@ -24,7 +35,6 @@ from desim.study.plan.configurations import in_words
 from desim.study.results.explanation import AS_IT_IS, IDEAL, Cost, Explanation
 from desim.study.results.runs import SHOWN, Group, SweepRuns, kind_of, text
 
-MARKERS = "osD^v"
 APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
 error bars apart."""
@@ -36,10 +46,14 @@ PAGE = 9.4
 """The maximum width, inches, of a figure with several heat maps side by side."""
 LETTER = 0.075
 """The approximate width of a letter of 8 points, inches."""
+LEGEND_LETTER = 0.062
+"""The approximate width of a letter in a legend, inches."""
 CELL = 0.68, 0.45
 """The minimum width and the height of a cell of a heat map, inches."""
 FLAT = 0.7
 """The ratio of height to width of a figure with one panel, if only its width is given."""
+MAX_DECIMALS = 3
+"""The largest number of decimals in a cell of a heat map."""
 INK = "#111111"
 """The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
 WIDE = 20.0
@@ -65,6 +79,8 @@ def means(
     xlabel: str | None = None,
     ylabel: str | None = None,
     size: str | None = None,
+    style: Style = None,
+    ax: Axes | None = None,
 ) -> Figure:
     """Draw the mean of a metric by configuration, or its paired difference from a reference, with 95 % intervals.
 
@@ -87,38 +103,61 @@ def means(
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title: put
             the title in the caption. A figure can also be resized later with `set_size_inches`. None = a size that
             suits the panels.
+        style: a style of matplotlib that replaces parts of desim's own: rcParams, the name of a style, or a list of
+            these.
+        ax: the axes to draw on, for a figure of several; the figure then keeps its size and its title. None = a figure
+            of its own.
 
     Raises:
-        ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
+        ValueError: if the sweep has no such metric, key, value or reference, the size is invalid, or several panels do
+            not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
     labels = _labels_of_values(result, keys, labels)
     abscissa = _abscissa(result, x, keys)
-    panels = _panels(result, _points(result, metric, against), abscissa, keys)
+    all_points = _points(result, metric, against)
+    panels, flat = _panels(result, all_points, abscissa, keys), _flat(all_points)
+    named = keys or [key for key in result.keys if key != abscissa]
+
+    def draw(axes: Axes, points: Sequence[Point]) -> None:
+        title = _with_unit(metric, result, against, labels)
+        if abscissa is None:
+            axes.set_xlabel(title)
+            _draw_rows(axes, result.keys, points, labels)
+        else:
+            axes.set_ylabel(title)
+            _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
+            if flat is not None:
+                _mark_flat(axes, flat)
+        if against is not None:
+            (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
+
+    legend_title = escaped(labels[named[0]]) if len(named) == 1 and named[0] in labels else _legend_title(named)
+    if ax is not None:
+        figure = figure_of(ax, panels=list(panels), size=size)
+        with in_style(style):
+            draw(ax, next(iter(panels.values())))
+            _label(ax, xlabel, ylabel)
+            _add_legend_above(ax, legend_title)
+        return figure
     columns = min(MAX_ABREAST, len(panels))
     rows = -(-len(panels) // columns)
+    names = [] if abscissa is None else list(dict.fromkeys(_line_name(group, named, labels) for group in result.groups))
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
-    named = keys or [key for key in result.keys if key != abscissa]
-    with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0) as figure:
+    if size is None:
+        height += _legend_height(names, width)
+    with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
         for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
-            title = _with_unit(metric, result, against)
-            if abscissa is None:
-                axes.set_xlabel(title)
-                _draw_rows(axes, result.keys, points, labels)
-            else:
-                axes.set_ylabel(title)
-                _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
-            if against is not None:
-                (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
+            draw(axes, points)
             axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
         _label_outer(shared, len(panels), xlabel, ylabel)
         if size is None:
             intervals = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
             over(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
-        if abscissa is not None:
-            _add_legend(figure, named, labels)
+        _add_legend(figure, legend_title)
     return figure
 
 
@@ -220,8 +259,13 @@ def _label(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
     axes.yaxis.label.set_wrap(True)
 
 
-def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
+def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = True) -> Figure:
     """Draw several metrics by configuration, each as `means` does, in small panels with one legend.
+
+    Args:
+        result: the result of a sweep.
+        metrics: the names of the metrics.
+        has_legend: whether a legend names the lines; several figures of one sweep can share that of `legend`.
 
     Raises:
         ValueError: if there are no metrics.
@@ -236,10 +280,9 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
     lines = (
         {metric: _lines(_points(result, metric, None), abscissa, line_keys) for metric in metrics} if abscissa else {}
     )
-    names = list(lines[metrics[0]]) if abscissa else []
+    names = list(lines[metrics[0]]) if abscissa and has_legend else []
     width = 0.4 + 3.0 * columns
-    abreast = max(1, int(width / (0.6 + LETTER * max(map(len, names), default=0))))
-    size = (width, 0.3 + height * rows + 0.17 * -(-len(names) // abreast))
+    size = (width, 0.3 + height * rows + _legend_height(names, width))
     with styled(figsize=size, font=8.0) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
         for axes, metric in zip(panels.flat, metrics, strict=False):
@@ -248,6 +291,8 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
                 _draw_rows(axes, result.keys, _points(result, metric, None))
             else:
                 _draw_lines(axes, result, abscissa, lines[metric])
+                if (value := _flat(_points(result, metric, None))) is not None:
+                    _mark_flat(axes, value)
         for k, axes in enumerate(panels.flat):
             if k >= len(metrics):
                 axes.set_axis_off()
@@ -256,21 +301,49 @@ def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
                 axes.set_ylabel("")
             if k + columns < len(metrics):
                 axes.set_xlabel("")
-        if len(names) > 1:
-            handles_and_labels = panels.flat[0].get_legend_handles_labels()
-            title = _legend_title(line_keys)
-            figure.legend(*handles_and_labels, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
+        if has_legend:
+            _add_legend(figure, _legend_title(line_keys))
     return figure
 
 
-def phase(result: SweepRuns, metric: str) -> Figure:
+def legend(result: SweepRuns) -> Figure | None:
+    """Draw the legend of the figures of `multiples` on its own; None if their lines have no names."""
+    abscissa = next(iter(swept_numbers(result)), None)
+    line_keys = [key for key in result.keys if key != abscissa]
+    names = [name for group in result.groups if (name := _line_name(group, line_keys))] if abscissa else []
+    if not names:
+        return None
+    names = list(dict.fromkeys(names))
+    width = MAX_ABREAST * 3.0
+    with styled(figsize=(width, _legend_height(names, width)), font=8.0) as figure:
+        axes = figure.add_subplot()
+        axes.set_axis_off()
+        for k, name in enumerate(names):
+            axes.plot([], [], label=name, **_look(k))
+        _add_legend(figure, _legend_title(line_keys))
+        axes.remove()
+    return figure
+
+
+def phase(
+    result: SweepRuns,
+    metric: str,
+    *,
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    size: str | None = None,
+    style: Style = None,
+    ax: Axes | None = None,
+) -> Figure:
     """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
 
     The values of a key are equally spaced. Each combination of values of the other keys has a panel; all panels share
-    one colour scale.
+    one colour scale, and one number of decimals. For the arguments see `means`.
 
     Raises:
-        ValueError: if fewer than two keys take several numbers, or the sweep has no such metric.
+        ValueError: if fewer than two keys take several numbers, the sweep has no such metric, the size is invalid, or
+            several panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = swept_numbers(result)
     if len(keys) < 2:
@@ -284,28 +357,47 @@ def phase(result: SweepRuns, metric: str) -> Figure:
     finite = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high), "cividis")
-    longest = max(map(len, [*map(_cell_text, finite.tolist()), *map(text, over[x])]), default=0)
+    form = _cell_format(finite.tolist())
+    longest = max(map(len, [*(_cell_text(value, form) for value in finite.tolist()), *map(text, over[x])]), default=0)
     across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
     columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
     rows = -(-len(panels) // columns)
-    size = (0.8 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
-    with styled(figsize=size, font=8.0) as figure:
+
+    def draw(axes: Axes, panel: NDArray[np.float64]) -> None:
+        _draw_map(axes, panel, colours, form)
+        axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
+        axes.set_xticks(range(len(over[x])), map(text, over[x]))
+        axes.set_yticks(range(len(over[y])), map(text, over[y]))
+        _label(axes, xlabel, ylabel)
+
+    title = _with_unit(metric, result)
+    if ax is not None:
+        figure = figure_of(ax, panels=list(panels), size=size)
+        with in_style(style):
+            draw(ax, next(iter(panels.values())))
+            _add_colour_bar(figure, colours, [ax], title)
+        return figure
+    usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    width, height = usual if size is None else size_of(size)
+    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
-            _draw_map(axes, panel, colours)
+            draw(axes, panel)
             axes.set_title(escaped(settings), fontsize=8, parse_math=False)
-            axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
-            axes.set_xticks(range(len(over[x])), map(text, over[x]))
-            axes.set_yticks(range(len(over[y])), map(text, over[y]))
         for axes in shared.flat[len(panels) :]:
             axes.set_axis_off()
         for axes in shared.flat:
             axes.label_outer()
-        figure.suptitle(_with_unit(metric, result), fontsize=8)
+        _add_colour_bar(figure, colours, shared.ravel().tolist(), title)
     return figure
 
 
-def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) -> None:
+def _add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes], title: str) -> None:
+    bar = figure.colorbar(colours, ax=axes, label=title, fraction=0.05, pad=0.03)
+    bar.outline.set_visible(False)
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, form: str) -> None:
     """Draw values (rows, columns), first row at the bottom, as coloured cells with their text; "-" if not finite."""
     # Rectangles, because an image has pixels even in an SVG.
     faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
@@ -315,17 +407,28 @@ def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) 
         face = (red, green, blue) if there else "none"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
         dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        axes.text(column, row, _cell_text(value), ha="center", va="center", color="white" if dark else INK)
+        axes.text(column, row, _cell_text(value, form), ha="center", va="center", color="white" if dark else INK)
     axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 
 
-def _cell_text(value: float) -> str:
-    """Return a mean as the text of a cell: three significant digits, or all integer digits if there are more."""
-    if not isfinite(value):
-        return "-"
-    return f"{value:,.0f}" if abs(value) >= 999.5 else f"{value:.3g}"
+def _cell_format(values: Sequence[float]) -> str:
+    """Return the common format of the cells of a heat map.
+
+    The largest value has three significant digits, or all its integer digits, and the smallest value that is not 0 has
+    one at least; beyond three decimals, all values are in scientific notation.
+    """
+    sizes = [abs(value) for value in values if value]
+    if not sizes:
+        return ".0f"
+    decimals = max(0, 2 - floor(log10(max(sizes))), -floor(log10(min(sizes))))
+    return f",.{decimals}f" if decimals <= MAX_DECIMALS else ".2e"
+
+
+def _cell_text(value: float, form: str) -> str:
+    """Return a mean as the text of a cell; a dash if it is not finite."""
+    return f"{value:{form}}" if isfinite(value) else "-"
 
 
 def swept_numbers(result: SweepRuns) -> list[str]:
@@ -333,11 +436,24 @@ def swept_numbers(result: SweepRuns) -> list[str]:
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
-def _with_unit(metric: str, result: SweepRuns, against: Mapping[str, Any] | None = None) -> str:
-    unit, name = unit_of_metric(metric, result.units), words(metric)
-    if against is not None:
-        name = f"difference in {name} from {in_words(against)}"
-    return _literal(f"{name} ({unit})" if unit else name)
+def _with_unit(
+    metric: str,
+    result: SweepRuns,
+    against: Mapping[str, Any] | None = None,
+    labels: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Return the name and the unit of a metric, or of its difference from a reference, whose label is its name."""
+    unit = f" ({unit_name})" if (unit_name := unit_of_metric(metric, result.units)) else ""
+    if against is None:
+        return _literal(f"{words(metric)}{unit}")
+    reference = {key: text(result.setting(key, value)) for key, value in against.items()}
+    if any(value in labels for value in reference.values()):
+        names = ", ".join(
+            escaped(labels[value]) if value in labels else _literal(value) for value in reference.values()
+        )
+    else:
+        names = _literal(in_words(reference))
+    return f"{_literal(f'difference in {words(metric)} from ')}{names}{_literal(unit)}"
 
 
 def _key_with_unit(key: str) -> str:
@@ -365,17 +481,53 @@ def _draw_lines(
     for k, (name, points) in enumerate(lines.items()):
         if not points:
             continue
-        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 * 6 different pairs
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         bars = sorted((places[value] + shift, estimate.mean, estimate.half_width) for value, estimate in points)
         x, y, error = zip(*bars, strict=True)
-        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3.5, "ls": "-" if is_number else "none"}
-        axes.errorbar(x, y, error, lw=1.2, elinewidth=0.8, capsize=2, label=name, **look)
+        look = _look(k) | {"ls": "-" if is_number else "none"}
+        axes.errorbar(x, y, error, elinewidth=0.8, capsize=2, label=name, **look)
     if len(values) <= MAX_TICKS or not is_plain:
         count = min(len(values), MAX_TICKS) if is_number else len(values)
         ticks = [values[round(k * (len(values) - 1) / max(count - 1, 1))] for k in range(count)]
+        ticks = _apart(axes, ticks, places)
         axes.set_xticks([places[value] for value in ticks], [_literal(text(value)) for value in ticks])
     axes.set_xlabel(_key_with_unit(abscissa))
+
+
+def _apart(axes: Axes, values: Sequence[Any], places: Mapping[Any, float]) -> list[Any]:
+    """Return the values, without those whose labels would touch the label before or the last one."""
+    span = max(places.values()) - min(places.values()) or 1.0
+    width = axes.get_position().width * axes.figure.get_figwidth()  # type: ignore[union-attr]  # a figure or a part
+    letter = 0.9 * LETTER * span / width
+    first, *inner, last = values if len(values) > 1 else (*values, values[0])
+    kept = [first]
+    for value in inner:
+        gaps = places[value] - places[kept[-1]], places[last] - places[value]
+        sizes = (len(text(value)) + len(text(other)) for other in (kept[-1], last))
+        if all(gap > letter * (size / 2 + 0.5) for gap, size in zip(gaps, sizes, strict=True)):
+            kept.append(value)
+    return kept if len(values) == 1 else [*kept, last]
+
+
+def _look(k: int) -> dict[str, Any]:
+    """Return the colour and the mark of line k of a diagram."""
+    return {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2}
+
+
+def _flat(points: Sequence[Point]) -> float | None:
+    """Return the value that a metric has in every run of several configurations; None if there is no such value."""
+    estimates = [estimate for _, estimate in points if estimate is not None and estimate.count]
+    values = {estimate.mean for estimate in estimates}
+    return values.pop() if len(values) == 1 and all(estimate.others is not None for estimate in estimates) else None
+
+
+def _mark_flat(axes: Axes, value: float) -> None:
+    """Show the one value of a metric, in place of a scale that would show rounding errors around it."""
+    low = min(value, 0.0)
+    axes.set_ylim(low - 0.05, low + 1.05 * (abs(value) or 1.0))
+    axes.set_yticks([value], [f"{value:.4g}"])
+    place: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "top"}
+    axes.text(0.98, 0.85, f"{value:.4g} in every run", color=GREY, fontsize=7, **place)
 
 
 def _lines(
@@ -387,10 +539,15 @@ def _lines(
     """
     lines: dict[str, list[tuple[Any, Estimate]]] = {}
     for group, estimate in points:
-        line = lines.setdefault(", ".join(_named(key, group, labels, len(by) > 1) for key in by), [])
+        line = lines.setdefault(_line_name(group, by, labels), [])
         if estimate is not None:
             line.append((group.settings[abscissa], estimate))
     return lines
+
+
+def _line_name(group: Group, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the name of the line of a configuration: its values of the keys `by`."""
+    return ", ".join(_named(key, group, labels, len(by) > 1) for key in by)
 
 
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
@@ -401,19 +558,45 @@ def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several:
     return _literal(f"{key} = {value}" if is_one_of_several else value)
 
 
-def _add_legend(figure: Figure, by: Sequence[str], labels: Mapping[str, str]) -> None:
-    """Add a legend if there are several lines or panels: into the only panel, or below several panels."""
-    panels = [axes for axes in figure.axes if axes.axison]
-    handles = {
-        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    if len(handles) > 1 or (handles and len(panels) > 1):
-        title = escaped(labels[by[0]]) if len(by) == 1 and by[0] in labels else _legend_title(by)
-        if len(panels) == 1:
-            panels[0].legend(fontsize=7, title=title, title_fontsize=7)
-        else:
-            place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(handles), 4)}
-            figure.legend(list(handles.values()), list(handles), fontsize=7, title=title, title_fontsize=7, **place)
+def _add_legend(figure: Figure, title: str | None) -> None:
+    """Add a legend below all panels, outside of their axes, if the lines have names; a single line is named, too."""
+    width = figure.get_figwidth()
+    if handles := _handles(figure.axes):
+        names = [_wrapped(name, width) for name in handles]
+        look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7}
+        figure.legend(list(handles.values()), names, loc="outside lower center", ncols=_abreast(names, width), **look)
+
+
+def _add_legend_above(axes: Axes, title: str | None) -> None:
+    """Add a legend above axes of a figure that is not ours: only there it lies neither on data nor on labels."""
+    if handles := _handles([axes]):
+        place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
+        columns = _abreast(list(handles), axes.get_window_extent().width / axes.figure.dpi)
+        look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7, "frameon": False}
+        axes.legend(list(handles.values()), list(handles), ncols=columns, **place, **look)
+
+
+def _handles(panels: Sequence[Axes]) -> dict[str, Any]:
+    """Return the marks of the lines of several panels by name."""
+    return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+
+
+def _wrapped(name: str, width: float) -> str:
+    """Return the name of a line in as many lines as a legend of a width, inches, takes; mathematics is not divided."""
+    return name if "$" in name else fill(name, max(12, int((width - 0.6) / LEGEND_LETTER)), break_long_words=False)
+
+
+def _abreast(names: Sequence[str], width: float) -> int:
+    """Return the number of columns of a legend."""
+    longest = max((len(line) for name in names for line in name.split("\n")), default=0)
+    return max(1, min(len(names), int(width / (0.6 + LEGEND_LETTER * longest))))
+
+
+def _legend_height(names: Sequence[str], width: float) -> float:
+    """Return the height, inches, of a legend with a title below a figure; 0 without names."""
+    shown = [_wrapped(name, width) for name in names if name]
+    lines = max((name.count("\n") + 1 for name in shown), default=0)
+    return 0.3 + 0.15 * lines * -(-len(shown) // _abreast(shown, width)) if shown else 0.0
 
 
 def _legend_title(by: Sequence[str]) -> str | None:
@@ -459,16 +642,34 @@ def _literal(name: str) -> str:
     return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
 
 
-def waterfall(explanation: Explanation) -> Figure:
-    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals."""
-    with styled(figsize=(4.4 * len(explanation.costs), 4.0)) as figure:
+def waterfall(
+    explanation: Explanation, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+) -> Figure:
+    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals.
+
+    For the arguments see `means`; each metric has a panel.
+
+    Raises:
+        ValueError: if the size or the style is invalid, or several metrics do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    if ax is not None:
+        figure = figure_of(ax, panels=list(explanation.costs), size=size)
+        with in_style(style):
+            (cost,) = explanation.costs.values()
+            draw_waterfall(ax, cost)
+            ax.set_ylabel(_literal(with_unit(cost.label, cost.unit)))
+        return figure
+    width, height = (4.4 * len(explanation.costs), None) if size is None else size_of(size)
+    with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         for axes, cost in zip(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
-            axes.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
+            axes.set_ylabel(_literal(with_unit(cost.label, cost.unit)))
         title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
-        figure.suptitle(title, fontsize=9, parse_math=False)
+        if size is None:
+            figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
 

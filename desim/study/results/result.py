@@ -3,7 +3,6 @@
 import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from inspect import signature
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -21,7 +20,8 @@ from desim.study.store.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
+
+    from desim.analysis.drawing.plots import Axes, Figure, Style
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,37 +67,66 @@ class SweepResult(SweepRuns):
         return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))
 
     @naming_extras()
-    def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
+    def plot(
+        self,
+        y: str = SHOWN[0],
+        *,
+        kind: Literal["means", "phase"] = "means",
+        x: str | None = None,
+        by: str | Sequence[str] = (),
+        against: Mapping[str, Any] | None = None,
+        labels: Mapping[str, str] = MappingProxyType({}),
+        xlabel: str | None = None,
+        ylabel: str | None = None,
+        size: str | None = None,
+        style: "Style" = None,
+        ax: "Axes | None" = None,
+    ) -> "Figure":
         """Return a figure of a metric; needs matplotlib (the extra `plot`).
 
         The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
 
             swept.plot("active_time", x="network.latency.value", by="protocol", labels={"sap": "SAP (ours)"})
             swept.plot("active_time", against={"protocol": "sap"}, size="8.5cm")
+            figure, axes = plt.subplots(1, 2, layout="constrained")
+            swept.plot("active_time", ax=axes[0])
 
         Args:
             y: the name of the metric.
             kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
                 each configuration as a heat map, with a key on each axis.
-            options: for means, the options of `desim.study.results.figures.means`: x, by, against, labels, xlabel,
-                ylabel, size; phase has none.
+            x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers.
+            by: of means: the key or keys whose values name the lines; each combination of values of the other keys has
+                a panel. By default all keys but `x` name the lines, in one panel.
+            against: of means: values of some keys, such as {"protocol": "sap"}; draw the paired differences from the
+                configurations that have them and are otherwise equal. None = draw the means.
+            labels: of means: texts to show in place of values, or in place of the key of the legend.
+            xlabel: the label of the abscissa; None = the name and the unit of what is on it.
+            ylabel: the label of the ordinate; None = the name and the unit of what is on it.
+            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = as the panels need.
+            style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
+            ax: the axes to draw on, for a figure of several; the legend then lies above them. None = a figure of its
+                own, with the legend below.
+
+        `desim.study.results.figures.means` has the details.
 
         Raises:
-            ValueError: if the sweep has no such metric, key or value.
-            TypeError: if an option does not exist.
+            ValueError: if the sweep has no such metric, key or value, an option does not fit the kind, or several
+                panels do not fit into `ax`.
+            TypeError: if `ax` is not one pair of axes of matplotlib.
             ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         """
         from desim.study.results import figures
 
-        draw = {"means": figures.means, "phase": figures.phase}
-        if kind not in draw:
+        if kind not in {"means", "phase"}:
             raise ValueError(f"kind should be means or phase, got {kind!r}")
-        options_of_kind = [option for option in signature(draw[kind]).parameters if option not in {"result", "metric"}]
-        if unknown := [option for option in options if option not in options_of_kind]:
-            raise TypeError(
-                f"a figure of {kind} has no option {unknown[0]!r}; its options: {', '.join(options_of_kind) or 'none'}"
-            )
-        return draw[kind](self, y, **options)
+        common: dict[str, Any] = {"xlabel": xlabel, "ylabel": ylabel, "size": size, "style": style, "ax": ax}
+        if kind == "means":
+            return figures.means(self, y, x=x, by=by, against=against, labels=labels, **common)
+        of_means = {"x": x, "by": by, "against": against, "labels": labels}
+        if unfit := [name for name, value in of_means.items() if value is not None and len(value)]:
+            raise ValueError(f"a figure of phase has no option {unfit[0]!r}: it is one of means")
+        return figures.phase(self, y, **common)
 
     def table(self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None) -> str:
         """Return the table of means, the table of paired differences and the notes (failed runs, warnings) as text.

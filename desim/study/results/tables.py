@@ -7,7 +7,7 @@ import numpy as np
 
 from desim.analysis.metrics import title, words
 from desim.analysis.statistics import wilson
-from desim.analysis.tables import as_json, with_half_width
+from desim.analysis.tables import as_json, digits_of, with_half_width
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
@@ -101,7 +101,10 @@ def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...
         captured = group.present("captured")
         share = _share(captured) if len(captured) else "-"
         counts = (str(len(group.rows)), *([str(len(group.failed))] if result.failed else []))
-        means = (with_half_width(column[k], len(group.rows) - len(group.failed)) for column in estimates)
+        means = (
+            with_half_width(column[k], len(group.rows) - len(group.failed), digits=digits_of(column))
+            for column in estimates
+        )
         rows.append((*map(text, group.settings.values()), *counts, share, *means))
     return rows
 
@@ -116,7 +119,7 @@ def _difference_rows(
         if k == other:
             continue
         pairs = len(group.pairs(result.groups[other])[0])
-        means = (with_half_width(estimates[k], pairs, sign="+") for estimates in differences)
+        means = (with_half_width(column[k], pairs, sign="+", digits=digits_of(column)) for column in differences)
         rows.append((*map(text, group.settings.values()), str(pairs), *means))
     return rows
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from xml.etree import ElementTree
 
+from desim.analysis.drawing.palette import ON_DARK
 from desim.analysis.metrics import METRICS, words
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import with_half_width
@@ -41,8 +42,10 @@ MAX_FAILURES = 20
 SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
 """Matches the path of a file in a traceback; the group consists of the names of its folder and of the file."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
-COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
-"""Colours that are illegible on a dark page, and the CSS colours that replace them."""
+COLOURS = {"#000000": "currentColor"} | {
+    colour.lower(): f"var(--on-{colour[1:].lower()})" for colour in ON_DARK if colour not in {"#000000", "#ffffff"}
+}
+"""The colours of figures that are illegible on a dark page, and the CSS colours that replace them."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def report(study: Study) -> str:
     """Return a self-contained HTML page about a sweep; needs jinja2 and matplotlib (the extra `plot`)."""
     from jinja2 import Environment
 
-    from desim.study.results.figures import multiples, phase, swept_numbers
+    from desim.study.results.figures import legend, multiples, phase, swept_numbers
 
     result, measured = study.result, study.measured
     panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
@@ -120,6 +123,7 @@ def report(study: Study) -> str:
     environment.filters |= {"signs": _signs, "unit": lambda key: unit_of_key(key, Scenario)}
     failures = list(_failures(result))
     made = study.made
+    key = legend(result) if panels else None
     return environment.from_string(template).render(
         study=study,
         result=result,
@@ -134,7 +138,11 @@ def report(study: Study) -> str:
         commands=shell_lines(study.commands),
         asked=None if made is None else wanted(made, study.commands),
         origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
-        panels=[_inline(multiples(result, [panel]), f"panel-{panel}", words(panel)) for panel in panels],
+        panels=[
+            _inline(multiples(result, [panel], has_legend=False), f"panel-{panel}", words(panel)) for panel in panels
+        ],
+        legend=_inline(key, "legend", "legend of the figures") if key else None,
+        colours=[(name[1:].lower(), name, on_dark) for name, on_dark in ON_DARK.items()],
         phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
         waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
     )
@@ -173,13 +181,14 @@ def _greatest_cost(explanation: Explanation) -> Iterator[str]:
     name, estimate = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
     if _excludes_0(estimate, len(parts)):
         yield (
-            f"Of the imperfections with an effect distinguishable from 0, {name} matters most: it changes the "
-            f"{cost.label} by {_size(estimate, cost.unit)}."
+            f"Of the imperfections with an effect distinguishable from 0{_corrected(len(parts))}, {name} matters most:"
+            f" it changes the {cost.label} by {_size(estimate, cost.unit, len(parts))}."
         )
     else:
         yield (
-            f"No imperfection has an effect on the {cost.label} that is distinguishable from 0; the greatest"
-            f"{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name}, {_size(estimate, cost.unit)}."
+            f"No imperfection has an effect on the {cost.label} that is distinguishable from 0"
+            f"{_corrected(len(parts))}; the greatest{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name},"
+            f" {_size(estimate, cost.unit, len(parts))}."
         )
 
 
@@ -202,16 +211,18 @@ def _greatest_difference(study: Study) -> Iterator[str]:
     value, first = (text(result.groups[group].settings[key]) for group in (k, other))
     other_settings = result.groups[k].in_words(without=[key])
     change = f"{value} instead of {first}{f' (with {other_settings})' if other_settings else ''}"
-    size = _size(estimate, METRICS[metric].unit if metric in METRICS else result.units[metric])
+    size = _size(estimate, METRICS[metric].unit if metric in METRICS else result.units[metric], count)
     if _excludes_0(estimate, count):
         among = (
-            f" Of {count} paired differences, this is the greatest that is distinguishable from 0." if count > 1 else ""
+            f" Of {count} paired differences, this is the greatest that is distinguishable from 0{_corrected(count)}."
+            if count > 1
+            else ""
         )
         yield f"{key} matters most: {change} changes the {words(metric)} by {size}.{among}"
     else:
         yield (
-            f"No paired difference in {words(metric)} is distinguishable from 0; the greatest of {count} is {size}, "
-            f"for {key} = {change}."
+            f"No paired difference in {words(metric)} is distinguishable from 0{_corrected(count)}; the greatest of"
+            f" {count} is {size}, for {key} = {change}."
         )
 
 
@@ -234,9 +245,16 @@ def _excludes_0(estimate: Estimate, count: int) -> bool:
     return bool(abs(estimate.mean) > stdtrit(estimate.count - 1, 1.0 - 0.025 / count) * estimate.standard_error)
 
 
-def _size(estimate: Estimate, unit: str) -> str:
+def _corrected(count: int) -> str:
+    """Return the correction of a test that is one of `count`, as text; "" for a single test."""
+    return f" at a level of 5 % for all {count} together (Bonferroni)" if count > 1 else ""
+
+
+def _size(estimate: Estimate, unit: str, count: int) -> str:
+    """Return a mean of pairs, one of `count`, with its interval, which is not corrected for the others."""
     size = with_half_width(estimate, estimate.count, "+", unit)
-    return f"{size} (95 % interval, {estimate.count} pairs of runs with the same seed)"
+    alone = " of this one alone" if count > 1 else ""
+    return f"{size} (95 % interval{alone}, {estimate.count} pairs of runs with the same seed)"
 
 
 def _explanation(folder: Path) -> Explanation | None:
