@@ -133,7 +133,9 @@ if TYPE_CHECKING:
     from desim.simulation.run import Result as Result
     from desim.simulation.run import run as run
     from desim.study.ablation.explain import explain as explain
+    from desim.study.sweeps.folder import compare as compare
     from desim.study.sweeps.folder import open as open  # noqa: A004 - called as `desim.open`
+    from desim.study.sweeps.listing import ls as ls
     from desim.study.sweeps.sweep import sweep as sweep
     from desim.view.formats.export import export as export
     from desim.view.pages.replay import replay as replay

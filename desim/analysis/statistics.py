@@ -145,6 +145,44 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
         return mean(first[both] - second[both])
 
 
+@dataclass(frozen=True, slots=True)
+class IndependentDifference(Estimate):
+    """The difference of two means over independent runs, by Welch's t interval; `count` is the smaller of the two."""
+
+    freedom: float = nan
+    """The degrees of freedom of Welch and Satterthwaite."""
+
+    @property
+    def others(self) -> float | None:
+        """None: two kinds of runs of which each has equal values say nothing about pairs."""
+        return None
+
+    def half_width_at(self, confidence: float) -> float:
+        """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs of a side."""
+        from scipy.special import stdtrit
+
+        if self.count < 2:
+            return nan
+        return float(stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_error) if self.standard_error else 0.0
+
+
+def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floats) -> Estimate:
+    """Return the mean of `values` minus that of `others`, which are of independent runs.
+
+    Its interval is that of Welch 1947, "The Generalization of 'Student's' Problem when Several Different Population
+    Variances are Involved", whose degrees of freedom are Satterthwaite's.
+    """
+    first, second = mean(values), mean(others)
+    count = min(first.count, second.count)
+    difference = first.mean - second.mean
+    if count < 2:
+        return IndependentDifference(difference, nan, count)
+    parts = first.standard_error**2, second.standard_error**2
+    total = parts[0] + parts[1]
+    scale = parts[0] ** 2 / (first.count - 1) + parts[1] ** 2 / (second.count - 1)
+    return IndependentDifference(difference, sqrt(total), count, total**2 / scale if scale else inf)
+
+
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Return the 95 % interval (low, high) of a probability, given the number of successes in independent trials.
 

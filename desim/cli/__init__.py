@@ -9,6 +9,7 @@ import sys
 import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
+from desim.cli.compare import compare, crossover, ls
 from desim.cli.explain import explain
 from desim.cli.export import export
 from desim.cli.fates import fates
@@ -42,6 +43,9 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         plot: "Draw a run or a sweep.",
         replay: "Make a page that plays a run.",
         report: "Make a page about a sweep.",
+        compare: "Compare two sweeps, paired by seed.",
+        crossover: "Say from which value on A is better than B in a sweep.",
+        ls: "List the results in a folder.",
     },
     "Share": {
         export: "Write runs or events as a table, or for other programs.",

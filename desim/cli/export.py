@@ -36,6 +36,14 @@ KINDS = (
     help="Of a run: the exporter, if the suffix of TO does not choose it: a kind, or MODULE:NAME, a function of the"
     " result and the file (needs --allow-import).",
 )
+@click.option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="NAME",
+    help="Of a sweep, to .tex or .md: a metric in the tables; can be repeated. Default: active_time, capture_time and"
+    " messages_sent.",
+)
 @SEED
 @limited
 @ALLOW_IMPORT
@@ -45,18 +53,24 @@ def export(
     file: Path,
     kinds: tuple[str, ...],
     exporter: str | None,
+    metrics: tuple[str, ...],
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Write the runs of a sweep, or the events of a run, to the file TO; its suffix sets the format.
 
-    Of a sweep, a STORE (a file or its folder): .csv or .parquet, one row per run.
+    Of a sweep, a STORE (a file or its folder): .csv or .parquet, one row per run; .tex (booktabs) or .md, the tables of
+    means and paired differences with their intervals.
 
     Of a run, a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first: .csv or .parquet, one row per
     event and receiver or player; .pcapng, one packet per message, for Wireshark; .mcap, for Foxglove; .perfetto.json,
     a timeline for https://ui.perfetto.dev. An installed exporter (entry point of `desim.exporters`) has a suffix of its
     own.
     """
+    if metrics and file.suffix not in {".tex", ".md"}:
+        raise click.UsageError(
+            f"--metric chooses the metrics of the tables of a sweep (.tex, .md); {file} has them all"
+        )
     if _is_run(source):
         _export_run(source, file, kinds, exporter, seed, overrides)
         return
@@ -65,7 +79,7 @@ def export(
         raise click.UsageError(f"--event chooses events of a run, and {source} is a sweep")
     if exporter is not None:
         raise click.UsageError(f"--exporter writes a run, and {source} is a sweep")
-    _export_sweep(source, file)
+    _export_sweep(source, file, metrics)
 
 
 def _is_run(source: Path) -> bool:
@@ -114,9 +128,10 @@ def _export_run(
     echo(f"wrote {written}{file}", err=True)
 
 
-def _export_sweep(source: Path, file: Path) -> None:
-    """Write the runs of a sweep to a file, one row per run; end the program if that is not possible."""
+def _export_sweep(source: Path, file: Path, metrics: tuple[str, ...]) -> None:
+    """Write the runs of a sweep to a file, or the tables of metrics; end the program if that is not possible."""
     from desim.study.results.result import SweepResult
+    from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
 
     path, *others = store_files((source,))
@@ -125,7 +140,7 @@ def _export_sweep(source: Path, file: Path) -> None:
     with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
-        result.write(file)
+        result.write(file, metrics or SHOWN)
     except OSError as error:
         fail(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:

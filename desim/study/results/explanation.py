@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, wilson
+from desim.analysis.table_formats import TableFormat, formatted
 from desim.analysis.tables import aligned, as_json, digits_of, from_json, number, with_half_width
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
@@ -167,9 +168,15 @@ class Explanation:
             raise ValueError("is not an explanation: has no costs")
         return explanation
 
-    def table(self) -> str:
-        """Return the costs as text."""
-        return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+        """Return the costs as a table: text, latex (booktabs) or markdown.
+
+        Raises:
+            ValueError: if there is no such format.
+        """
+        if format == "text":
+            return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
+        return formatted([(self._head(), self.rows())], self.remarks(), format)
 
     def plot(
         self,

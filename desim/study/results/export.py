@@ -56,7 +56,7 @@ def write(result: SweepRuns, file: Path) -> None:
             writer.writerow(map(csv_cell, columns))
             writer.writerows(map(csv_cell, map(record.get, columns)) for record in records(result))
     else:
-        raise ValueError(f"{file}: should end in .csv or .parquet")
+        raise ValueError(f"{file}: should end in .csv, .parquet, .tex or .md")
 
 
 def _columns(result: SweepRuns) -> tuple[str, ...]:

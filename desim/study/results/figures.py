@@ -395,6 +395,8 @@ def phase(
 def _add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes], title: str) -> None:
     bar = figure.colorbar(colours, ax=axes, label=title, fraction=0.05, pad=0.03)
     bar.outline.set_visible(False)
+    if bar.solids is not None:
+        bar.solids.set_rasterized(False)  # an image would have pixels even in an SVG
 
 
 def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, form: str) -> None:

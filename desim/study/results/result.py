@@ -8,11 +8,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
-from desim.analysis.tables import aligned
+from desim.analysis.table_formats import SUFFIXES, TableFormat, formatted
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
+from desim.config.trust import write_whole
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
+from desim.study.results.crossover import Crossover
 from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
@@ -128,15 +130,31 @@ class SweepResult(SweepRuns):
             raise ValueError(f"a figure of phase has no option {unfit[0]!r}: it is one of means")
         return figures.phase(self, y, **common)
 
-    def table(self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None) -> str:
-        """Return the table of means, the table of paired differences and the notes (failed runs, warnings) as text.
+    def table(
+        self,
+        metrics: Sequence[str] = SHOWN,
+        *,
+        against: Mapping[str, Any] | None = None,
+        format: TableFormat = "text",  # noqa: A002 - the word of users
+    ) -> str:
+        """Return the table of means, the table of paired differences and the notes (failed runs, warnings).
+
+            print(swept.table(["active_time"], format="latex"))
 
         The reference of a difference is the configuration that has the first value of the first key with several values
-        and is otherwise equal, or that has the values `against`, such as {"protocol": "sap"}. If seeds are independent,
-        there is no table of differences.
+        and is otherwise equal, or that has the values `against`, such as {"protocol": "sap"}. If seeds are independent, there is no table of differences.
+
+        Args:
+            metrics: the names of the metrics.
+            against: values of some keys, which the references have; None = the first value of the first key.
+            format: text: aligned, for terminals; latex: tabulars with the rules of booktabs, without a caption;
+                markdown: tables of GitHub's Markdown. Names are escaped.
+
+        Raises:
+            ValueError: if the sweep has no such metric, or there is no such format.
         """
-        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics, against=against)]
-        return "\n\n".join([*parts, *sweep_tables.notes(self, each_name(metrics))])
+        notes = sweep_tables.notes(self, each_name(metrics))
+        return formatted(self.tables(metrics, against=against), notes, format, right_from=len(self.keys))
 
     def tables(
         self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
@@ -147,6 +165,38 @@ class SweepResult(SweepRuns):
     def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
         """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
         return sweep_tables.document(self, each_name(metrics))
+
+    def crossover(
+        self,
+        metric: str,
+        key: str,
+        a: Mapping[str, Any],
+        b: Mapping[str, Any],
+        *,
+        where: Mapping[str, Any] | None = None,
+        confidence: float = 0.95,
+    ) -> Crossover:
+        """Return from which value of a key on one of two curves is better than the other, with an interval.
+
+            swept.crossover("active_time", "network.latency.value", {"protocol": "sap"}, {"protocol": "cbba"})
+
+        The curves are the means over the finite values of the key, joined by straight lines, so the values should lie
+        close together where the curves cross. The interval is Fieller's, for runs paired by seed: it holds the points
+        at which a paired t test does not tell the curves apart; see `desim.study.results.crossover`.
+
+        Args:
+            metric: the name of the metric.
+            key: a key of the grid that takes numbers.
+            a: the values of other keys on the first curve.
+            b: the values of these keys on the second curve.
+            where: the values of the other keys that take several.
+            confidence: the probability that the interval covers the crossing.
+
+        Raises:
+            ValueError: if the sweep has no such metric, key or value, a curve is not one, fewer than two values of the
+                key or two seeds are common to both curves, or seeds are independent.
+        """
+        return Crossover.of(self, metric, key, a, b, where, confidence)
 
     def __str__(self) -> str:
         return self.table()
@@ -172,12 +222,19 @@ class SweepResult(SweepRuns):
         """
         return export.data_frame(self)
 
-    def write(self, file: str | Path) -> None:
-        """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`).
+    def write(self, file: str | Path, metrics: Sequence[str] = SHOWN) -> None:
+        """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`); or its tables: .tex or .md.
+
+        Args:
+            file: the file; its suffix sets the format.
+            metrics: the metrics in the tables of a .tex or .md; the other files have all.
 
         Raises:
-            ValueError: if the file has another suffix.
+            ValueError: if the file has another suffix, or the sweep has no such metric.
             ImportError: if a package for Parquet is not installed.
             OSError: if the file cannot be written.
         """
-        export.write(self, Path(file))
+        if (path := Path(file)).suffix in SUFFIXES:
+            write_whole(path, f"{self.table(metrics, format=SUFFIXES[path.suffix])}\n".encode())
+        else:
+            export.write(self, path)

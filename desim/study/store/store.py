@@ -150,6 +150,12 @@ class Store(SweepProperties, RunRows):
         rows = self.rows("configurations", "ORDER BY place")
         return [(row[0], self.read(adapter_of(SETTINGS), "configurations", row, 2)) for row in rows]
 
+    @property
+    @naming_the_file
+    def failed_runs(self) -> int:
+        """The number of runs that failed."""
+        return int(self.database.execute("SELECT count(*) FROM runs WHERE status != 'ok'").fetchone()[0])
+
     @naming_the_file
     def __len__(self) -> int:
         """Return the number of runs."""

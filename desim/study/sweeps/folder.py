@@ -1,15 +1,20 @@
 """Reading the results in a folder: a run or a sweep."""
 
+import json
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from desim.config.arguments import Argument
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
 from desim.simulation.run import Result
+from desim.study.results.comparison import Comparison
 from desim.study.results.result import SweepResult
+from desim.study.results.runs import SHOWN
+from desim.study.store.properties import flat
 from desim.study.store.store import Store
 
 PATH = Argument("the path of a folder with results", (str, Path), MappingProxyType({}))
@@ -41,6 +46,70 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
         return run_folder.read(path.parent, allow_import=allow_import)
     with Store(path, read_only=True) as store:
         return SweepResult.of(store)
+
+
+def compare(
+    first: SweepResult | str | Path,
+    second: SweepResult | str | Path,
+    metrics: Sequence[str] = SHOWN,
+) -> Comparison:
+    """Compare two sweeps: the second minus the first, for each configuration that both have.
+
+    Use it for two versions of a protocol, or two scenarios that differ in what is not swept. Configurations are matched
+    by their values of the keys of the grid. Runs with the same seed are paired; if the two sweeps have no seeds in
+    common, their runs are compared as independent ones.
+
+        print(desim.compare("out/before", "out/after", ["active_time"]))
+
+    Args:
+        first: a sweep, or a folder or store of one.
+        second: another one.
+        metrics: the names of the metrics.
+
+    Raises:
+        ValueError: if a sweep has no numeric metric of a name, the two have no configuration in common, one varies a
+            key that the other does not have, or a path is that of no sweep.
+        TypeError: if one is neither a sweep nor a path.
+        OSError: if a store cannot be read.
+    """
+    sweeps = [_sweep_of(value) for value in (first, second)]
+    paths = [None if isinstance(value, SweepResult) else str(value) for value in (first, second)]
+    names = [path or sweep.name for path, sweep in zip(paths, sweeps, strict=True)]
+    if names[0] == names[1]:
+        names = [f"{name} ({place})" for name, place in zip(names, ("first", "second"), strict=True)]
+    bases = [None if path is None else _base(Path(path), sweep) for path, sweep in zip(paths, sweeps, strict=True)]
+    changes = {} if bases[0] is None or bases[1] is None else _changes(bases[0], bases[1])
+    return Comparison.of(sweeps[0], sweeps[1], metrics, (names[0], names[1]), changes)
+
+
+def _sweep_of(value: SweepResult | str | Path) -> SweepResult:
+    """Return a sweep, read from its folder if a path is given.
+
+    Raises:
+        ValueError: if the path is that of no sweep.
+        TypeError: if it is neither a sweep nor a path.
+    """
+    if isinstance(value, SweepResult):
+        return value
+    if not isinstance(value, str | Path):
+        raise TypeError(f"compare takes two sweeps, or the folders of two sweeps, got {type(value).__name__}")
+    if not isinstance(result := open(value), SweepResult):
+        raise ValueError(f"{value}: is a run, and sweeps are compared; `desim replay A B` shows two runs side by side")
+    return result
+
+
+def _base(path: Path, sweep: SweepResult) -> dict[str, str]:
+    """Return the values, as JSON text by dotted key, that all configurations of a sweep share."""
+    with Store(_file_in(path) if path.is_dir() else path, read_only=True) as store:
+        base = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
+    left_out = tuple(f"{key}." for key in (*sweep.keys, "sweep", "seed"))
+    return {key: json.dumps(value) for key, value in flat(base).items() if not f"{key}.".startswith(left_out)}
+
+
+def _changes(first: dict[str, str], second: dict[str, str]) -> dict[str, tuple[str, str]]:
+    keys = [*first, *(key for key in second if key not in first)]
+    pairs = {key: (first.get(key, "not there"), second.get(key, "not there")) for key in keys}
+    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def _file_in(folder: Path) -> Path:

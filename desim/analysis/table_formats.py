@@ -1,0 +1,120 @@
+"""Tables for terminals, papers and pages: aligned text, LaTeX (booktabs), and Markdown."""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Literal, get_args
+
+from desim.analysis.tables import aligned
+from desim.config.suggestion import close_to
+from desim.config.trust import escaped
+
+TableFormat = Literal["text", "latex", "markdown"]
+"""The format of a table: aligned text, a tabular with the rules of booktabs, or a table of GitHub's Markdown."""
+Table = tuple[str, Sequence[Sequence[str]]]
+"""The title of a table, and its rows of text; the first row is the header."""
+SUFFIXES: dict[str, TableFormat] = {".tex": "latex", ".md": "markdown"}
+"""The formats of files, by suffix."""
+LATEX = {
+    **{"\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_"},
+    **{"^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}"},
+    **{"|": r"\textbar{}", '"': r"\textquotedbl{}"},
+}
+"""The commands for the characters that LaTeX reads as commands, or prints as others."""
+MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$])")
+"""Matches the characters that Markdown, or mathematics in it, reads as commands."""
+NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?"
+MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<rest>| .*)")
+"""Matches a number, perhaps with a half width and a remark."""
+
+
+def check_format(format: str) -> None:  # noqa: A002 - as the argument that it checks
+    """Check the name of a format.
+
+    Raises:
+        ValueError: if there is no such format.
+    """
+    if format not in get_args(TableFormat):
+        near = close_to(str(format), get_args(TableFormat))
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise ValueError(f"format should be {', '.join(get_args(TableFormat))}, got {format!r}{hint}")
+
+
+def formatted(
+    tables: Iterable[Table],
+    notes: Iterable[str],
+    format: TableFormat,  # noqa: A002
+    right_from: int = 1,
+) -> str:
+    """Return tables and the notes below them as text.
+
+    Args:
+        tables: the tables.
+        notes: the notes.
+        format: the format.
+        right_from: the first column that is aligned to the right.
+
+    Raises:
+        ValueError: if there is no such format.
+    """
+    check_format(format)
+    if format == "text":
+        return "\n\n".join([*(f"{title}\n{aligned(rows, right_from)}" for title, rows in tables), *notes])
+    parts = [(_latex if format == "latex" else _markdown)(title, rows, right_from) for title, rows in tables]
+    if format == "latex":
+        return "\n\n".join(["% needs \\usepackage{booktabs}", *parts, *(f"% {_line(note)}" for note in notes)])
+    return "\n\n".join([*parts, *(markdown_text(note) for note in notes)])
+
+
+def _latex(title: str, rows: Sequence[Sequence[str]], right_from: int) -> str:
+    """Return a table as a tabular; its title, which belongs into a caption, is a comment."""
+    head, *body = rows
+    columns = "".join("r" if k >= right_from else "l" for k in range(len(head)))
+    lines = [
+        " & ".join(latex_text(cell) for cell in head),
+        *(" & ".join(_latex_cell(cell) for cell in row) for row in body),
+    ]
+    first, *others = (f"{line} \\\\" for line in lines)
+    rules = [r"\toprule", first, r"\midrule", *others, r"\bottomrule"]
+    return "\n".join([f"% {_line(title)}", rf"\begin{{tabular}}{{{columns}}}", *rules, r"\end{tabular}"])
+
+
+def latex_text(text: str) -> str:
+    """Return a text such that LaTeX prints it as it is."""
+    return "".join(LATEX.get(letter, letter) for letter in _line(text))
+
+
+def _latex_cell(cell: str) -> str:
+    """Return a cell for LaTeX: a number, with its half width if it has one, is mathematics."""
+    match = MEASURED.fullmatch(cell)
+    if match is None:
+        return latex_text(cell).replace(" .. ", "--")
+    mean, width = (_latex_number(match[name] or "") for name in ("mean", "width"))
+    middle = rf" \pm {width}" if width not in {"", "-"} else ""
+    return f"${mean}{middle}${latex_text(match['rest'])}"
+
+
+def _latex_number(number: str) -> str:
+    mantissa, e, exponent = number.replace(",", "{,}").partition("e")
+    return rf"{mantissa} \times 10^{{{int(exponent)}}}" if e else mantissa
+
+
+def _markdown(title: str, rows: Sequence[Sequence[str]], right_from: int) -> str:
+    """Return a table as a Markdown table below its title."""
+    head, *body = ([_markdown_cell(cell) for cell in row] for row in rows)
+    rule = ["---:" if k >= right_from else ":---" for k in range(len(head))]
+    lines = [f"| {' | '.join(row)} |" for row in (head, rule, *body)]
+    return "\n".join([markdown_text(title), "", *lines])
+
+
+def markdown_text(text: str) -> str:
+    """Return a text such that Markdown shows it as it is."""
+    return MARKDOWN.sub(r"\\\1", _line(text)).replace("+-", "±")
+
+
+def _markdown_cell(cell: str) -> str:
+    return markdown_text(cell) or " "
+
+
+def _line(text: str) -> str:
+    """Return a text in one line, with the characters that a terminal would not print escaped."""
+    return escaped(" ".join(text.split())) if "\n" in text else escaped(text)

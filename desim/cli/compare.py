@@ -1,0 +1,100 @@
+"""What is known of several results: `desim ls`, `desim compare` and `desim crossover`."""
+
+import json
+from pathlib import Path
+
+import click
+
+from desim.cli.options import JSON, echo, fail, storing
+from desim.cli.plot import Pair
+
+FORMAT = click.option(
+    "--format",
+    "table_format",
+    type=click.Choice(["text", "latex", "markdown"]),
+    default="text",
+    show_default=True,
+    help="The format of the table; latex needs the package booktabs.",
+)
+
+
+@click.command()
+@click.argument("folder", metavar="[DIR]", default="out", type=click.Path(path_type=Path))
+@JSON
+def ls(folder: Path, as_json: bool) -> None:
+    """List the runs, sweeps and explanations in a folder and its subfolders; default: out."""
+    from desim.study.sweeps.listing import ls as listing_of
+
+    try:
+        listing = listing_of(folder)
+    except NotADirectoryError:
+        fail(f"{folder}: is not a folder: give one that has results, such as the --out of a run or a sweep")
+    echo(json.dumps([entry.document() for entry in listing], indent=2) if as_json else listing.table())
+
+
+@click.command()
+@click.argument("first", metavar="A", type=click.Path(path_type=Path))
+@click.argument("second", metavar="B", type=click.Path(path_type=Path))
+@click.option("-y", "--y", "metrics", multiple=True, metavar="METRIC", help="A metric to compare; can be repeated.")
+@FORMAT
+@JSON
+def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: str, as_json: bool) -> None:
+    """Compare two sweeps: B minus A for each configuration that both have.
+
+    A and B are folders or stores. Runs with the same seed are paired; without common seeds, the runs are independent
+    ones. A sentence says where the two differ, corrected for the number of comparisons.
+    """
+    from desim.study.results.runs import SHOWN
+    from desim.study.sweeps.folder import compare as compared
+
+    try:
+        with storing():
+            comparison = compared(first, second, metrics or SHOWN)
+    except (OSError, TypeError, ValueError) as error:
+        fail(str(error))
+    if as_json:
+        echo(json.dumps(comparison.document(), indent=2))
+    else:
+        echo(comparison.table(format=table_format))  # type: ignore[arg-type]  # one of its formats
+
+
+@click.command()
+@click.argument("source", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("key", metavar="KEY")
+@click.argument("a", metavar="A", type=Pair())
+@click.argument("b", metavar="B", type=Pair())
+@click.option("-y", "--y", "metric", metavar="METRIC", default="active_time", show_default=True, help="The metric.")
+@click.option(
+    "--where",
+    multiple=True,
+    type=Pair(),
+    metavar="KEY=VALUE",
+    help="The value of another key that takes several; can be repeated.",
+)
+@JSON
+def crossover(
+    source: Path,
+    key: str,
+    a: tuple[str, str],
+    b: tuple[str, str],
+    metric: str,
+    where: tuple[tuple[str, str], ...],
+    as_json: bool,
+) -> None:
+    """Say from which value of KEY on A is better than B in a sweep, with a 95 % interval.
+
+    A and B are values of another key, for instance: desim crossover out/relay network.latency.value protocol=sap
+    protocol=cbba
+    """
+    from desim.study.results.result import SweepResult
+    from desim.study.sweeps.folder import open as open_results
+
+    try:
+        with storing():
+            result = open_results(source)
+        if not isinstance(result, SweepResult):
+            fail(f"{source}: is a run, and a crossover is of a sweep")
+        crossing = result.crossover(metric, key, dict([a]), dict([b]), where=dict(where))
+    except (OSError, ValueError) as error:
+        fail(str(error))
+    echo(json.dumps(crossing.document(), indent=2) if as_json else str(crossing))

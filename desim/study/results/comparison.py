@@ -1,0 +1,261 @@
+"""Two sweeps side by side: the difference of each metric for each configuration that both have."""
+
+import html
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from desim.analysis.metrics import METRICS, check_numeric, title, words
+from desim.analysis.statistics import Estimate, independent, mean, paired
+from desim.analysis.table_formats import Table, TableFormat, formatted
+from desim.analysis.tables import as_json, digits_of, with_half_width
+from desim.config.html import html_table
+from desim.config.json_numbers import json_number
+from desim.study.plan.configurations import in_words
+from desim.study.results.runs import SHOWN, Group, SweepRuns, counted, each_name, text
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One metric in one configuration of two sweeps."""
+
+    first: Estimate
+    """The mean in the first sweep."""
+    second: Estimate
+    """The mean in the second sweep."""
+    difference: Estimate
+    """The second minus the first: over pairs of runs with equal seeds, or between independent runs."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A configuration that two sweeps have."""
+
+    settings: Mapping[str, Any]
+    pairs: int
+    """The number of seeds that both sweeps have; 0 if the runs are compared as independent ones."""
+    metrics: Mapping[str, Difference]
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Two sweeps side by side; see `desim.compare`."""
+
+    names: tuple[str, str]
+    """The names of the two sweeps, first and second."""
+    keys: tuple[str, ...]
+    """The keys of the grid that tell the configurations apart."""
+    configurations: tuple[Compared, ...]
+    unmatched: tuple[int, int]
+    """The number of configurations that only the first sweep has, and that only the second has."""
+    units: Mapping[str, str]
+    """The unit of each metric that is not built in."""
+    changes: Mapping[str, tuple[str, str]]
+    """The keys that have one value in each of the two sweeps, which differ, with both values as text."""
+
+    @classmethod
+    def of(
+        cls,
+        first: SweepRuns,
+        second: SweepRuns,
+        metrics: Sequence[str] = SHOWN,
+        names: tuple[str, str] = ("A", "B"),
+        changes: Mapping[str, tuple[str, str]] | None = None,
+    ) -> Self:
+        """Compare two sweeps.
+
+        Args:
+            first: a sweep.
+            second: another one.
+            metrics: the names of the metrics.
+            names: the names of the two.
+            changes: further keys in which the scenarios of the two differ, with both values.
+
+        Raises:
+            ValueError: if a sweep has no numeric metric of a name, or the two have no configuration in common.
+        """
+        metrics = each_name(metrics)
+        for sweep in (first, second):
+            for metric in metrics:
+                check_numeric(metric, sweep.units)
+        keys, fixed = _common_keys(first, second)
+        there = {_place(group, keys): group for group in second.groups}
+        pairs = [(group, there.get(_place(group, keys))) for group in first.groups]
+        compared = tuple(_compared(group, other, keys, metrics) for group, other in pairs if other is not None)
+        if not compared:
+            raise ValueError(
+                f"no configuration is in both sweeps: {names[0]} has {first.groups[0].in_words()}, ..., {names[1]} has"
+                f" {second.groups[0].in_words()}, ..."
+            )
+        unmatched = len(first.groups) - len(compared), len(second.groups) - len(compared)
+        units = {**first.units, **second.units}
+        return cls(names, keys, compared, unmatched, units, {**(changes or {}), **fixed})
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The names of the metrics."""
+        return tuple(self.configurations[0].metrics)
+
+    def sentences(self) -> list[str]:
+        """Return a sentence for each metric: where the two differ, and the greatest difference.
+
+        A difference counts if a t test excludes 0 at a level of 5 % for all differences of the table together
+        (Bonferroni); its interval in the table is for it alone.
+        """
+        return [self._sentence(metric) for metric in self.metrics]
+
+    def _sentence(self, metric: str) -> str:
+        first, second = self.names
+        differences = [(compared, compared.metrics[metric].difference) for compared in self.configurations]
+        judged = [(compared, estimate) for compared, estimate in differences if estimate.count > 1]
+        if not judged:
+            return f"{words(metric)}: no configuration has two runs of both to compare"
+        count = len(self.configurations) * len(self.metrics)
+        at_once = f" at a level of 5 % for all {count} comparisons together (Bonferroni)" if count > 1 else ""
+        significant = [pair for pair in judged if abs(pair[1].mean) > pair[1].half_width_at(1.0 - 0.05 / count)]
+        compared, estimate = max(significant or judged, key=lambda pair: abs(pair[1].mean))
+        unit = METRICS[metric].unit if metric in METRICS else self.units[metric]
+        runs = f"{compared.pairs} pairs of runs with the same seed" if compared.pairs else "independent runs"
+        alone = " of it alone" * (count > 1)
+        size = f"{with_half_width(estimate, estimate.count, '+', unit)} (95 % interval{alone}, {runs})"
+        where = f", for {in_words(compared.settings)}" if compared.settings else ""
+        if not significant:
+            return f"{words(metric)}: no difference is distinguishable from 0{at_once}; the greatest is {size}{where}"
+        less = all(estimate.mean < 0.0 for _, estimate in significant)
+        more = all(estimate.mean > 0.0 for _, estimate in significant)
+        relation = "is less than" if less else "is greater than" if more else "differs from"
+        share = f" in {len(significant)} of {counted(len(self.configurations), 'configuration')}" if where else ""
+        return f"{words(metric)}: {second} {relation} {first}{share}{at_once}; the greatest difference is {size}{where}"
+
+    def notes(self) -> Iterator[str]:
+        """Yield the sentences, and what the two sweeps do not share."""
+        yield from self.sentences()
+        first, second = self.names
+        for key, (old, new) in self.changes.items():
+            yield f"{key}: {old} in {first}, {new} in {second}"
+        if not any(compared.pairs for compared in self.configurations):
+            yield "no seeds in common: the runs of the two are compared as independent ones (Welch's t interval)"
+        for name, count in zip(self.names, self.unmatched, strict=True):
+            if count:
+                yield f"{counted(count, 'configuration')} of {name} left out: the other sweep does not have it"
+
+    def tables(self) -> list[Table]:
+        """Return the table as its title and rows of text; the first row is the header."""
+        first, second = self.names
+        heading = f"{second} minus {first}, run by run with the same seed; +- is half a 95 % t interval"
+        if not any(compared.pairs for compared in self.configurations):
+            heading = f"{second} minus {first}, independent runs; +- is half a 95 % t interval"
+        units = self.units
+        heads = [f"{title(metric, units)}: {part}" for metric in self.metrics for part in (first, second, "difference")]
+        rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *heads)]
+        columns: list[list[str]] = []
+        for metric in self.metrics:
+            cells = [compared.metrics[metric] for compared in self.configurations]
+            digits = digits_of([estimate for cell in cells for estimate in (cell.first, cell.second, cell.difference)])
+            columns += [
+                [with_half_width(cell.first, cell.first.count, digits=digits) for cell in cells],
+                [with_half_width(cell.second, cell.second.count, digits=digits) for cell in cells],
+                [
+                    with_half_width(cell.difference, compared.pairs or cell.difference.count, "+", digits=digits)
+                    for compared, cell in zip(self.configurations, cells, strict=True)
+                ],
+            ]
+        for compared, *texts in zip(self.configurations, *columns, strict=True):
+            rows.append((*map(text, compared.settings.values()), str(compared.pairs or "-"), *texts))
+        return [(heading, rows)]
+
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+        """Return the table, the sentences and the notes: text, latex (booktabs) or markdown.
+
+        Raises:
+            ValueError: if there is no such format.
+        """
+        return formatted(self.tables(), self.notes(), format, right_from=len(self.keys))
+
+    def document(self) -> dict[str, Any]:
+        """Return the comparison as JSON-compatible values; None where undefined."""
+        return {
+            "names": list(self.names),
+            "changes": {key: list(values) for key, values in self.changes.items()},
+            "unmatched": list(self.unmatched),
+            "sentences": self.sentences(),
+            "configurations": [
+                {
+                    "settings": {key: json_number(value) for key, value in compared.settings.items()},
+                    "pairs": compared.pairs,
+                    "metrics": {
+                        name: {
+                            "first": as_json(cell.first),
+                            "second": as_json(cell.second),
+                            "difference": as_json(cell.difference),
+                        }
+                        for name, cell in compared.metrics.items()
+                    },
+                }
+                for compared in self.configurations
+            ],
+        }
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def __repr__(self) -> str:
+        first, second = self.names
+        return f"<Comparison of {first} and {second}: {counted(len(self.configurations), 'configuration')}>"
+
+    def _repr_html_(self) -> str:
+        """Return the table as HTML, for notebooks."""
+        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes())
+        return "".join(html_table(heading, rows) for heading, rows in self.tables()) + notes
+
+
+def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], dict[str, tuple[str, str]]]:
+    """Return the keys by which configurations are matched, and those with one value in each sweep, which differ.
+
+    Raises:
+        ValueError: if one sweep varies a key that the other does not have.
+    """
+    for sweep, other, name in ((first, second, "first"), (second, first, "second")):
+        for key in sweep.keys:
+            if key not in other.keys and len(sweep.values(key)) > 1:
+                raise ValueError(
+                    f"the {name} sweep varies {key}, and the other one does not have it in its grid: compare it within"
+                    " the sweep, with `plot --against` or SweepResult.differences"
+                )
+    keys, fixed = [], {}
+    for key in first.keys:
+        if key not in second.keys:
+            continue
+        old, new = ([text(value) for value in sweep.values(key)] for sweep in (first, second))
+        if len(old) == len(new) == 1 and old != new:
+            fixed[key] = old[0], new[0]
+        else:
+            keys.append(key)
+    return tuple(keys), fixed
+
+
+def _place(group: Group, keys: Sequence[str]) -> tuple[str, ...]:
+    return tuple(text(group.settings[key]) for key in keys)
+
+
+def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequence[str]) -> Compared:
+    """Return a configuration of two sweeps: paired by seed if they share two seeds, else as independent runs."""
+    seeds = [[row.seed for row in group.rows if row.ok] for group in (first, second)]
+    shared = sorted(set(seeds[0]) & set(seeds[1]))
+    is_paired = len(shared) > 1
+    differences = {}
+    for metric in metrics:
+        values = [group.numbers(metric) for group in (first, second)]
+        if is_paired:
+            by_seed = [
+                dict(zip(seed_list, numbers.tolist(), strict=True))
+                for seed_list, numbers in zip(seeds, values, strict=True)
+            ]
+            aligned = [np.array([numbers[seed] for seed in shared]) for numbers in by_seed]
+            difference = paired(aligned[1], aligned[0])
+        else:
+            difference = independent(second.present(metric), first.present(metric))
+        differences[metric] = Difference(mean(first.present(metric)), mean(second.present(metric)), difference)
+    return Compared({key: first.settings[key] for key in keys}, len(shared) if is_paired else 0, differences)

@@ -1,0 +1,246 @@
+"""Where two curves of a sweep cross, with a confidence interval: from which latency on is A better than B?
+
+The curves are the means of a metric over the values of a key, joined by straight lines. The interval is that of Fieller
+1954, "Some Problems in Interval Estimation": it holds the points at which a paired t test does not tell the two curves
+apart. The difference at a point between two values of the key is interpolated run by run, so that common random
+numbers count. If the differences are normal, the interval covers the crossing of the interpolated true means with the
+stated probability, for any number of runs, also where the two curves nearly touch. It then has no end on one side or
+both, which says that the values of the key do not determine the crossing. A bootstrap would need random numbers, and
+its percentiles have no such ends. `tests/study/test_crossover.py` measures the coverage.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, isfinite, nan, sqrt
+from typing import Any, Self
+
+import numpy as np
+
+from desim.analysis.metrics import METRICS, check_numeric, words
+from desim.config.arrays import Floats
+from desim.config.json_numbers import json_number
+from desim.scenario.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
+from desim.study.plan.configurations import in_words
+from desim.study.results.runs import Group, SweepRuns, text
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Crossover:
+    """The value of a key from which on one of two curves lies below the other."""
+
+    metric: str
+    key: str
+    names: tuple[str, str]
+    """The names of the two curves, a and b."""
+    at: float | None
+    """The last value at which the interpolated means are equal and change their order; None = they never do."""
+    low: float
+    """The lower end of the confidence interval of `at`; -inf = below the least value of the key."""
+    high: float
+    """The upper end; inf = above the greatest value of the key."""
+    crossings: tuple[float, ...]
+    """All values at which the means change their order."""
+    least: str
+    """The name of the curve that is the lower one beyond `at`, or everywhere if they do not cross."""
+    more_is: str | None
+    """Whether more of the metric is better or worse; None if unknown."""
+    pairs: int
+    """The number of seeds for which all runs have a value."""
+    span: Interval
+    """The least and the greatest value of the key."""
+    is_apart: bool
+    """Whether the two curves can be told apart at each value of the key, if they do not cross."""
+    confidence: float
+
+    def __str__(self) -> str:
+        unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
+        other = next((name for name in self.names if name != self.least), self.least)
+        better, worse = (other, self.least) if self.more_is == "better" else (self.least, other)
+        relation = f"{better} beats {worse}" if self.more_is else f"{self.least} is less than {other}"
+        low, high = self.span
+        tail = f"{self.pairs} pairs of runs with the same seed"
+        if self.at is None:
+            doubt = "" if self.is_apart else ", not at every value distinguishable from 0"
+            return (
+                f"{words(self.metric)}: no crossing for {self.key} from {low:g} to {high:g}{unit}: {relation}"
+                f" throughout{doubt} ({tail})"
+            )
+        ends = (
+            f"below {low:g}" if self.low == -inf else f"{self.low:.3g}",
+            (f"beyond {high:g}" if self.high == inf else f"{self.high:.3g}"),
+        )
+        several = f"; the means cross {len(self.crossings)} times, and this is the last" * (len(self.crossings) > 1)
+        return (
+            f"{words(self.metric)}: {relation} from {self.key} = {self.at:.3g}{unit} on ({100 * self.confidence:g} %"
+            f" interval {ends[0]} to {ends[1]}{unit}, Fieller, {tail}{several})"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the crossover as JSON-compatible values."""
+        return {
+            "metric": self.metric,
+            "key": self.key,
+            "curves": list(self.names),
+            "at": self.at,
+            "interval": None if self.at is None else [json_number(self.low), json_number(self.high)],
+            "confidence": self.confidence,
+            "crossings": list(self.crossings),
+            "least_beyond": self.least,
+            "pairs": self.pairs,
+            "sentence": str(self),
+        }
+
+    @classmethod
+    def of(
+        cls,
+        result: SweepRuns,
+        metric: str,
+        key: str,
+        a: Mapping[str, Any],
+        b: Mapping[str, Any],
+        where: Mapping[str, Any] | None = None,
+        confidence: float = 0.95,
+    ) -> Self:
+        """Return where two curves of a sweep cross; see `SweepResult.crossover`."""
+        check_numeric(metric, result.units)
+        if not 0.0 < confidence < 1.0:
+            raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
+        if not result.common:
+            raise ValueError("runs with independent seeds cannot be paired: a crossover needs sweep.seeds = common")
+        lines = [_line(result, key, {**(where or {}), **chosen}) for chosen in (a, b)]
+        x = sorted(lines[0].keys() & lines[1].keys())
+        if len(x) < 2:
+            raise ValueError(f"{key}: a crossover needs two or more finite numbers that both curves have, got {len(x)}")
+        names = in_words(a), in_words(b)
+        if names[0] == names[1]:
+            raise ValueError(f"a crossover needs two curves, got {names[0]} twice")
+        differences = _differences([[line[value] for value in x] for line in lines], metric)
+        if len(differences) < 2:
+            raise ValueError(f"{metric}: a crossover needs two seeds with a value at all {len(x)} values of {key}")
+        means = differences.mean(axis=0)
+        crossings = _crossings(x, means.tolist())
+        undecided = _undecided(x, differences, confidence)
+        beyond = next((value for value in reversed(means.tolist()) if value), 0.0)
+        at = crossings[-1] if crossings else None
+        low, high = nan, nan
+        if at is not None:  # the interval around it; rounding may leave a crossing without scatter outside
+            near = 1e-9 * (x[-1] - x[0])
+            low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
+        more = METRICS[metric].more_is if metric in METRICS else None
+        return cls(
+            metric,
+            key,
+            names,
+            at,
+            -inf if low <= x[0] else low,
+            inf if high >= x[-1] else high,
+            crossings,
+            names[0] if beyond < 0.0 else names[1],
+            more,
+            len(differences),
+            (x[0], x[-1]),
+            not undecided,
+            confidence,
+        )
+
+
+def _line(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float, Group]:
+    """Return the configurations of a curve by their finite value of the key.
+
+    Raises:
+        ValueError: if the grid lacks a key or a value, a value is no number, or the curve is not one.
+    """
+    values = result.values(key)
+    if key in chosen:
+        raise ValueError(f"{key} is the key along which curves cross: a and b should not fix it")
+    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        raise ValueError(f"{key}: curves cross along numbers, and it takes {', '.join(map(text, values))}")
+    wanted = {name: text(result.setting(name, value)) for name, value in chosen.items()}
+    groups = [group for group in result.groups if all(text(group.settings[name]) == wanted[name] for name in wanted)]
+    for name in result.keys:
+        if name != key and len(open_values := {text(group.settings[name]) for group in groups}) > 1:
+            raise ValueError(
+                f"{name} takes {', '.join(sorted(open_values))} on the curve {in_words(wanted) or 'of all'}: choose one"
+                f' with where={{"{name}": ...}}, or --where {name}=...'
+            )
+    return {float(value): group for group in groups if isfinite(value := group.settings[key])}
+
+
+def _differences(lines: Sequence[Sequence[Group]], metric: str) -> Floats:
+    """Return the (seeds, values of the key) differences of the first from the second curve, without missing values."""
+    groups = [group for line in lines for group in line]
+    by_seed = [
+        dict(zip((row.seed for row in group.rows if row.ok), group.numbers(metric).tolist(), strict=True))
+        for group in groups
+    ]
+    shared = sorted(set.intersection(*map(set, by_seed)))
+    table = np.array([[numbers[seed] for numbers in by_seed] for seed in shared]).reshape(len(shared), len(groups))
+    table = table[np.isfinite(table).all(axis=1)]
+    count = len(lines[0])
+    differences: Floats = table[:, :count] - table[:, count:]
+    return differences
+
+
+def _crossings(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
+    """Return where the polyline through the means changes its sign; a stretch of zeros changes it in its middle."""
+    nonzero = [k for k, value in enumerate(means) if value]
+    crossings = []
+    for before, after in pairwise(nonzero):
+        if means[before] * means[after] < 0.0:
+            if after == before + 1:
+                share = means[before] / (means[before] - means[after])
+                crossings.append(x[before] + share * (x[after] - x[before]))
+            else:
+                crossings.append((x[before + 1] + x[after - 1]) / 2.0)
+    return tuple(crossings)
+
+
+def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> list[Interval]:
+    """Return the intervals of points at which the paired t interval of the interpolated difference includes 0.
+
+    On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
+    m + u (n - m) and the variance v + 2 u c + u^2 w. The t interval includes 0 where the quadratic
+    (m + u (n - m))^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
+    """
+    from scipy.special import stdtrit
+
+    runs = len(differences)
+    q = float(stdtrit(runs - 1, 0.5 + confidence / 2)) ** 2 / runs
+    parts: list[Interval] = []
+    for k in range(len(x) - 1):
+        start, rise = differences[:, k], differences[:, k + 1] - differences[:, k]
+        (v, c), (_, w) = np.cov(start, rise).tolist()
+        m, slope = float(start.mean()), float(rise.mean())
+        shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
+        parts += [(x[k] + low * (x[k + 1] - x[k]), x[k] + high * (x[k + 1] - x[k])) for low, high in shares]
+    merged: list[Interval] = []
+    for low, high in sorted(parts):
+        if merged and low <= merged[-1][1] + 1e-12 * (x[-1] - x[0]):
+            merged[-1] = merged[-1][0], max(merged[-1][1], high)
+        else:
+            merged.append((low, high))
+    return merged
+
+
+def _not_positive(a: float, b: float, c: float) -> list[Interval]:
+    """Return the intervals in [0, 1] on which a u^2 + b u + c <= 0."""
+    discriminant = b * b - 4.0 * a * c
+    if a == 0.0:
+        roots = [-c / b] if b else []
+    elif discriminant <= 0.0:
+        roots = []
+    else:  # without cancellation
+        large = -(b + (sqrt(discriminant) if b >= 0.0 else -sqrt(discriminant))) / 2.0
+        roots = sorted({large / a, c / large if large else 0.0})
+    ends = [0.0, *(root for root in roots if 0.0 < root < 1.0), 1.0]
+    inside = [(low, high) for low, high in pairwise(ends) if _at(a, b, c, (low + high) / 2.0) <= 0.0]
+    touching = [(end, end) for end in (0.0, 1.0) if _at(a, b, c, end) <= 0.0]
+    return inside or touching
+
+
+def _at(a: float, b: float, c: float, u: float) -> float:
+    return (a * u + b) * u + c

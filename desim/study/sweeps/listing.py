@@ -1,0 +1,152 @@
+"""What a folder of results holds: its runs, sweeps and explanations, with scenario, date, number of runs and state."""
+
+import html
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from desim.analysis.tables import aligned
+from desim.config.file_names import STORE, STORE_PARTS, TRACE
+from desim.config.html import html_table
+from desim.config.trust import escaped
+from desim.results import provenance
+from desim.study.store.store import Store
+
+HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
+TAIL = 4096
+"""The number of bytes at the end of a trace in which its last event is looked for."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A result in a folder."""
+
+    folder: Path
+    kind: str
+    """run, sweep, explain, merge, or the name of a study."""
+    scenario: str
+    """The name of the scenario; "" if it is unknown."""
+    modified: float
+    """The time at which the newest of its files was written, s since 1970."""
+    runs: int | None
+    """The number of runs that it holds; None if it cannot be read."""
+    state: str
+    """complete; unfinished, with the number of planned runs; the number of failed runs; or what cannot be read."""
+
+    @property
+    def date(self) -> str:
+        """The local date and time at which the newest of its files was written."""
+        return f"{datetime.fromtimestamp(self.modified).astimezone():%Y-%m-%d %H:%M}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the entry as JSON-compatible values."""
+        return {**vars(self), "folder": str(self.folder), "modified": self.date}
+
+
+class Listing(list[Entry]):
+    """The results in a folder and its subfolders, by folder."""
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return the results as rows of text; the first row is the header."""
+        return [
+            HEAD,
+            *(
+                (
+                    *(escaped(text) for text in (str(entry.folder), entry.kind, entry.scenario or "-")),
+                    *(entry.date, "-" if entry.runs is None else f"{entry.runs:,}", escaped(entry.state)),
+                )
+                for entry in self
+            ),
+        ]
+
+    def table(self) -> str:
+        """Return the results as text."""
+        return aligned(self.rows(), right_from=len(HEAD)) if self else "no results"
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def _repr_html_(self) -> str:
+        """Return the results as HTML, for notebooks."""
+        return html_table("results", self.rows()) if self else html.escape(self.table())
+
+
+def ls(folder: str | Path = "out") -> Listing:
+    """List the runs, sweeps and explanations in a folder and its subfolders.
+
+    Hidden folders and links are not followed, and no code of a result is run.
+
+    Raises:
+        NotADirectoryError: if it is no folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise NotADirectoryError(20, "is not a folder", str(folder))
+    return Listing(_entries(folder))
+
+
+def _entries(folder: Path) -> Iterator[Entry]:
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        here = Path(place)
+        stores = [here / STORE] if STORE in names else sorted(here.glob(STORE_PARTS))
+        files = [*stores, *(here / name for name in (TRACE, provenance.FILE) if name in names)]
+        if TRACE in names or stores or (provenance.FILE in names and not _is_batch(here, folders)):
+            yield _entry(here, stores, TRACE in names, max(file.stat().st_mtime for file in files))
+
+
+def _is_batch(folder: Path, folders: list[str]) -> bool:
+    """Return whether a folder has only the folders of several runs, each of which has an entry."""
+    return any((folder / name / TRACE).exists() for name in folders)
+
+
+def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -> Entry:
+    """Return the entry of a folder that has a result."""
+    kind, scenario, planned = ("sweep" if stores else "run" if has_trace else "?"), "", None
+    problems = []
+    try:
+        made = provenance.read(folder / provenance.FILE)
+        kind, planned = str(made["what"]), int(made["runs"])
+        scenario = str((made["scenario"] or {}).get("name", ""))
+    except FileNotFoundError:
+        problems.append(f"no {provenance.FILE}")
+    except (OSError, ValueError) as error:
+        problems.append(_first_line(error))
+    if not stores:
+        if has_trace:
+            is_ended = b'"event": "Ended"' in _tail(folder / TRACE)
+            return Entry(
+                folder, kind, scenario, modified, 1, "; ".join([*problems, "complete" if is_ended else "unfinished"])
+            )
+        return Entry(folder, kind, scenario, modified, planned, "; ".join([*problems, "no runs recorded"]))
+    runs: int | None = 0
+    failed = 0
+    try:
+        for path in stores:
+            with Store(path, read_only=True) as store:
+                runs = (runs or 0) + len(store)
+                failed += store.failed_runs
+                scenario = scenario or (store.read_property("name", str) if "name" in store.about else "")
+    except (OSError, ValueError) as error:
+        return Entry(folder, kind, scenario, modified, None, _first_line(error))
+    parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
+    if kind == "explain" or planned is None or not runs:
+        parts += [] if runs else ["empty"]
+    elif runs < planned:
+        parts.append(f"unfinished: {runs:,} of {planned:,}")
+    parts += [f"{failed:,} failed"] if failed else []
+    return Entry(folder, kind, scenario, modified, runs, "; ".join([*problems, *(parts or ["complete"])]))
+
+
+def _tail(path: Path) -> bytes:
+    """Return the last bytes of a file."""
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - TAIL))
+        return stream.read()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
