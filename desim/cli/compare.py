@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import JSON, echo, fail, storing
-from desim.cli.plot import Pair
+from desim.cli.options import JSON, Pair, echo, fail, storing
 
 FORMAT = click.option(
     "--format",

@@ -61,14 +61,14 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
     # Recorded sources come first: if one is invalid, the program ends before a scenario is run.
     recorded_first = sorted(dict.fromkeys(sources), key=is_recorded, reverse=True)
     with making("replay"), progress(len(recorded_first) + PARTS * len(sources), path.name, "part") as bar:
-        found = {}
-        for each in recorded_first:
-            found[each] = result_of(each, seed, overrides)
+        by_source = {}
+        for source in recorded_first:
+            by_source[source] = result_of(source, seed, overrides)
             bar.update()
-        results = [found[each] for each in sources]
+        results = [by_source[source] for source in sources]
         for source, result in zip(sources, results, strict=True):
-            for each in single.missing_recordings(result):
-                echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{each}", err=True)
+            for missing in single.missing_recordings(result):
+                echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{missing}", err=True)
         page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results, on_part=bar.update).encode()
     write(page, path)
     runs = "; ".join(f"{run_name(each)}: {_size(each)}" for each in results)

@@ -9,7 +9,7 @@ from desim.config.model import MAX_TIME
 from desim.config.number_files import number_of
 from desim.config.python_numbers import real
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.measured.csv_tables import cells_of, header_of, select, text_of
+from desim.kernel.measured.csv_tables import cells_of, csv_header, csv_text, select
 from desim.kernel.models.links import Links
 from desim.kernel.stepped_network import SteppedNetwork
 
@@ -136,8 +136,8 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
     Raises:
         ValueError: if the file is not such a table, with the line.
     """
-    text, name = text_of(file, COLUMNS), str(file)
-    header_of(text, name)
+    text, name = csv_text(file, COLUMNS), str(file)
+    csv_header(text, name)
     cells = cells_of(select(text, COLUMNS, name), name)
     senders, sizes = cells.numbers("src", node_of), cells.numbers("size", int)
     receivers = cells.numbers("dst", lambda cell: None if cell.strip() in ALL else node_of(cell))

@@ -20,7 +20,7 @@ import numpy as np
 from desim.analysis.metrics import METRICS, check_numeric, words
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
-from desim.scenario.key_index import unit_of_key
+from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import Group, SweepRuns, text

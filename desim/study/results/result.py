@@ -142,7 +142,8 @@ class SweepResult(SweepRuns):
             print(swept.table(["active_time"], format="latex"))
 
         The reference of a difference is the configuration that has the first value of the first key with several values
-        and is otherwise equal, or that has the values `against`, such as {"protocol": "sap"}. If seeds are independent, there is no table of differences.
+        and is otherwise equal, or that has the values `against`. If seeds are independent, there
+        is no table of differences.
 
         Args:
             metrics: the names of the metrics.

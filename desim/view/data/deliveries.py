@@ -8,7 +8,7 @@ diagram a collision is an asterisk instead. For the cross in a space-time diagra
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 from typing import Any, NamedTuple
 
@@ -69,8 +69,8 @@ class DeliveryTable:
         """Return some rows, in their order."""
         if len(rows) == len(self.dst) and (np.diff(rows) > 0).all():
             return self
-        columns = (self.transmission, self.src, self.dst, self.created, self.left, self.until, self.cause, self.event)
-        return DeliveryTable(*(column[rows] for column in columns), self.causes, self.events)
+        columns = ("transmission", "src", "dst", "created", "left", "until", "cause", "event")
+        return replace(self, **{column: getattr(self, column)[rows] for column in columns})
 
     def in_order_of(self, time: Integers) -> "DeliveryTable":
         """Return the table in order of a column of times, then of transmission and receiver."""
@@ -119,7 +119,7 @@ def delivery_table(result: Result) -> DeliveryTable:
     transmission, src, created, left = (np.repeat(column, counts) for column in shared)
     dst = np.fromiter(chain.from_iterable(receivers), np.int64, total)
     until = np.fromiter(chain.from_iterable(arrivals), np.int64, total)
-    cause, event = np.full(total, -1), np.repeat(np.arange(len(events)), counts)
+    cause, begun_by = np.full(total, -1), np.repeat(np.arange(len(events)), counts)
     causes = tuple(sorted({loss.cause for loss in losses}))
     key = transmission * size + dst
     order = np.arange(total)
@@ -131,7 +131,7 @@ def delivery_table(result: Result) -> DeliveryTable:
     row = order[np.searchsorted(key[order], lost[:, 0])]
     np.minimum.at(left, row, lost[:, 1])
     until[row], cause[row] = lost[:, 1], [causes.index(loss.cause) for loss in losses]
-    table = DeliveryTable(transmission, src, dst, created, left, until, cause, event, causes, events).take(order)
+    table = DeliveryTable(transmission, src, dst, created, left, until, cause, begun_by, causes, events).take(order)
     return table.in_order_of(table.created)
 
 
@@ -144,10 +144,12 @@ def deliveries(result: Result) -> list[Delivery]:
     table = delivery_table(result)
     table = table.in_order_of(table.left)
     columns = (table.transmission, table.src, table.dst, table.created, table.left, table.until)
-    rows = zip(*(column.tolist() for column in columns), table.cause.tolist(), table.event.tolist(), strict=True)
+    places = zip(*(column.tolist() for column in columns), strict=True)
+    causes = [None if cause < 0 else table.causes[cause] for cause in table.cause.tolist()]
+    events = [table.events[event] for event in table.event.tolist()]
     return [
-        Delivery(*row, None if cause < 0 else table.causes[cause], table.events[event].size, _body(table.events[event]))
-        for *row, cause, event in rows
+        Delivery._make((*place, cause, event.size, _body(event)))
+        for place, cause, event in zip(places, causes, events, strict=True)
     ]
 
 

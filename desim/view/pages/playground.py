@@ -96,9 +96,9 @@ class Playground:
         try:
             scenario = self.scenario(now)
         except ScenarioError as error:
-            shown = self.controls(now)
-            help_of = {control["key"]: control["help"] for control in shown}
-            return json_answer({"errors": _by_key(error, now, help_of), "controls": shown})
+            controls_shown = self.controls(now)
+            help_of = {control["key"]: control["help"] for control in controls_shown}
+            return json_answer({"errors": _by_key(error, now, help_of), "controls": controls_shown})
         shown = {"controls": [asdict(control) for control in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)

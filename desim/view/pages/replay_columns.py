@@ -91,7 +91,7 @@ def unpacked(column: str, kind: str) -> Integers:
     content = np.frombuffer(b64decode(column), "u1")
     form, groups = int(content[0]), content[1:].astype(np.int64)
     last = groups < 128
-    number = np.cumsum(last) - last  # to which each byte belongs
+    number: Integers = np.cumsum(last) - last  # to which each byte belongs
     first = np.flatnonzero(np.append(True, last[:-1]))[: last.sum()]
     codes = np.zeros(len(first), np.int64)
     np.add.at(codes, number, (groups & 127) << 7 * (np.arange(len(groups)) - first[number]))
@@ -103,7 +103,10 @@ def unpacked(column: str, kind: str) -> Integers:
 
 def _widths(codes: Integers) -> Integers:
     """Return the number of bytes of each number in groups of 7 bits."""
-    return 1 + sum((codes >= 1 << bits).astype(np.int64) for bits in (7, 14, 21, 28, 35, 42))
+    widths: Integers = np.ones_like(codes)
+    for bits in (7, 14, 21, 28, 35, 42):
+        widths += codes >= 1 << bits
+    return widths
 
 
 def _varints(codes: Integers) -> bytes:
