@@ -1,7 +1,8 @@
 """An evader in a run: its body, its controller and its delayed perception."""
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import repeat
 from math import inf
 
 import numpy as np
@@ -263,10 +264,17 @@ class EvaderBody:
         courses = None if self._dynamics.is_simple else self._players.courses(range(self._size))
         return tuple(self._planar_times(place, pursuers, distances, courses, self._speeds).tolist())
 
-    def capture_time_from(self, pursuer: int, motion: MotionState, place: complex, distance: float) -> float:
-        """Return the capture time, s, of one pursuer with an assumed motion; see `capture_times_at`."""
+    def capture_times_from(
+        self, pursuers: Sequence[int], motions: Sequence[MotionState], place: complex, distances: Sequence[float]
+    ) -> list[float]:
+        """Return the capture times, s, of k pursuers with assumed motions; see `capture_times_at`."""
+        if self.is_radial:
+            return list(map(self._radial_time.of, pursuers, distances))
+        return list(map(self._capture_time_from, pursuers, motions, repeat(place), distances))
+
+    def _capture_time_from(self, pursuer: int, motion: MotionState, place: complex, distance: float) -> float:
         course = motion.course
-        if self.is_radial or (course is None and not self._dynamics.is_simple):
+        if course is None and not self._dynamics.is_simple:
             return self._radial_time.of(pursuer, distance)
         courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
         places, distances = np.array([motion.position]), np.array([distance])

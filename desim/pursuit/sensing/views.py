@@ -137,10 +137,7 @@ class View:
             if estimate is None:
                 return [inf] * len(pursuers)
             place, distances = estimate.position, [estimate.distance(motion.position) for motion in motions]
-        return [
-            body.capture_time_from(pursuer, motion, place, distance)
-            for pursuer, motion, distance in zip(pursuers, motions, distances, strict=True)
-        ]
+        return body.capture_times_from(pursuers, motions, place, distances)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader.

@@ -266,18 +266,16 @@ class Beliefs(Knowledge):
         Kept equal to an extrapolation by each pursuer by
         `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
         """
-        body = record.body
-        if not isinstance(body, Located):
-            return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
-        ordered = orders.get(record.src, ())
-        now = self._clock.stamp
-        if ordered or not self._view.unlimited:
-            return self._reckoned(record, ordered, now)
-        reckonings = self._view.reckonings
+        now, ordered, reckonings = self._clock.stamp, orders.get(record.src, ()), self._view.reckonings
         reckoning = reckonings.get(record.src)
-        if reckoning is None or reckoning[0] is not record or reckoning[1] != now:
-            reckonings[record.src] = reckoning = record, now, self._reckoned(record, ordered, now)
-        return reckoning[2]
+        if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not ordered:
+            return reckoning[2]
+        if not isinstance(record.body, Located):
+            return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
+        motion = self._reckoned(record, ordered, now)
+        if self._view.unlimited and not ordered:
+            reckonings[record.src] = record, now, motion
+        return motion
 
     def _reckoned(self, record: Record, ordered: Sequence[tuple[int, int]], now: int) -> MotionState:
         """Return the motion of a teammate at `now` (ns, local clock), extrapolated from its record; see `_motion`."""
