@@ -74,14 +74,14 @@ class Page:
         self._session = None
         self.send("Target.closeTarget", targetId=self._target)
 
-    def open(self, path, width=1200, height=850, theme="light"):
+    def open(self, path, width=1200, height=850, theme="light", motion="reduce"):
         """Open a file, in a window of a size (px)."""
-        self.visit(path.resolve().as_uri(), width, height, theme)
+        self.visit(path.resolve().as_uri(), width, height, theme, motion)
 
-    def visit(self, address, width=1280, height=800, theme="light"):
+    def visit(self, address, width=1280, height=800, theme="light", motion="reduce"):
         """Open an address, in a window of a size (px)."""
         self.to_front()
-        self.resize(width, height, theme)
+        self.resize(width, height, theme, motion)
         self.errors.clear()
         self.requests.clear()
         self.send("Page.navigate", url=address)

@@ -132,3 +132,35 @@ def test_metrics_that_a_scenario_names_have_one_control():
     found = by_key(Scenario(record={"metrics": [closest]}))
     assert found["record.metrics"].value == f'["{__name__}:closest"]'
     assert not any(key.startswith("record.metrics.") for key in found)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("typed", ["0,5", "", "abc", "[1, 2]", "{a = 1}", "true"])
+def test_a_page_draws_its_controls_whatever_was_typed_into_one(typed):
+    """A value that is not valid is one of any TOML type."""
+    base = read(SCENARIOS / "relay.toml")
+    for control in controls(load(SCENARIOS / "relay.toml")):
+        if control.form in {"integer", "number", "flag"} and control.first is not None:
+            source = base.copy()
+            source.override(f"{control.key}={typed}")
+            assert control.key in {each.key for each in controls(source.tables)}
+
+
+def test_kinds_that_need_a_file_are_marked_unless_they_are_in_use():
+    found = by_key(load(SCENARIOS / "relay.toml"))
+    assert {"trace", "matrix"} <= set(found["network.latency"].needs_file)
+    assert {"trace", "signal_trace"} == set(found["network.loss"].needs_file)
+    assert found["evader.strategy"].needs_file == ("recorded",)
+    assert found["protocol"].needs_file == ()
+    assert by_key(load(SCENARIOS / "recorded.toml"))["evader.strategy"].needs_file == ()
+
+
+def test_a_pair_has_an_example_that_is_valid():
+    found = by_key({"evader": {"strategy": {"kind": "voronoi_vertex"}}})
+    example = found["evader.strategy.arena"].example
+    source = read(SCENARIOS / "relay.toml")
+    source.override("evader.strategy.kind=voronoi_vertex")
+    source.override(f"evader.strategy.arena={example}")
+    assert validate(source).evader.strategy.arena == (0.0, 20.0)
+    assert found["team.positions"].example == "[[0, 0], [10, 5]]"
+    assert found["network.range"].example == found["name"].example == ""

@@ -5,6 +5,8 @@ from collections import Counter
 import pytest
 
 from desim import summary
+from desim.analysis.trace_index import ended
+from desim.kernel.core.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.core.events import Decided
@@ -29,6 +31,34 @@ RUNS = [("soak.toml", *SHORT), *(pytest.param(each, marks=pytest.mark.slow) for 
 @pytest.fixture(params=RUNS, ids=lambda asked: asked[0])
 def ran(request, run_of):
     return run_of(*request.param)
+
+
+def in_a_loop(result):
+    """Return the deliveries as one event after the other makes them."""
+    found, never = {}, ended(result).t + 1
+    for event in result.trace:
+        if isinstance(event, Queued):
+            for dst in event.dst:
+                begun = (event.transmission, event.src, dst, event.t, never, never, None, event.size, None)
+                found[event.transmission, dst] = Delivery(*begun)
+        elif isinstance(event, Broadcast | Sent):
+            for dst, arrival in event.fates():
+                begun = (event.transmission, event.src, dst, event.created, event.t, arrival, None)
+                found[event.transmission, dst] = Delivery(*begun, event.size, event.body)
+        elif isinstance(event, Lost):
+            lost = found[event.transmission, event.dst]
+            left = min(lost.left, event.t)
+            found[event.transmission, event.dst] = lost._replace(left=left, until=event.t, cause=event.cause)
+    return sorted(found.values(), key=lambda each: (each.left, each.transmission, each.dst))
+
+
+@pytest.mark.parametrize("by_hand", [history, pair])
+def test_the_table_of_deliveries_equals_a_loop_over_the_events_by_hand(by_hand):
+    assert deliveries(by_hand()) == in_a_loop(by_hand())
+
+
+def test_the_table_of_deliveries_equals_a_loop_over_the_events(ran):
+    assert deliveries(ran) == in_a_loop(ran)
 
 
 def test_each_message_to_each_receiver_is_one_delivery_in_order_of_transmission():

@@ -105,6 +105,26 @@ def test_a_wrong_value_is_reported_at_its_key_and_the_controls_stay(small, chang
     assert any(each["key"] == "team.count" for each in found["controls"])
 
 
+NUMBERS = ("network.latency.value", "network.loss.p", "network.range", "team.count", "announce.heartbeat", "seed")
+
+
+@pytest.mark.parametrize(
+    ("typed", "why"),
+    [
+        ("0,5", "should be a number with a decimal point: 0.5 (got 0,5)"),
+        ("", "is empty: type a value, or undo the change"),
+        ("abc", "(got 'abc')"),
+        ("[1, 2]", "(got [1, 2])"),
+    ],
+)
+@pytest.mark.parametrize("key", NUMBERS)
+def test_what_is_typed_instead_of_a_number_is_told_without_the_help_of_the_key(small, key, typed, why):
+    found = small.answer([*SMALL, f"{key}={typed}"], SMALL)
+    (control,) = (each for each in found["controls"] if each["key"] == key)
+    assert why in found["errors"][key]
+    assert control["help"].rstrip(".") not in found["errors"][key]
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # raised where Python drops exceptions
 def test_a_run_that_takes_too_long_is_ended_and_says_where_it_was():
@@ -611,6 +631,126 @@ def test_a_bad_value_is_told_beside_its_control_and_the_picture_stays(played):
     assert played.value("""document.querySelector('[data-key="network.loss.p"] .error').textContent""") == ""
 
 
+WHY_NOT = "[...document.querySelectorAll('header button')].find(each => each.textContent === '30 seeds').reason"
+"""Why the comparison cannot begin; null if it can."""
+CLICK = "[...document.querySelectorAll('.play button')].find(each => each.textContent === {!r}).click()"
+
+
+def type_into(page, key, text):
+    page.value(
+        f"""(() => {{
+          const input = document.querySelector('[data-key="{key}"] input:not([type=range])');
+          input.focus();
+          input.value = {json.dumps(text)};
+          input.dispatchEvent(new Event("change"));
+        }})()"""
+    )
+
+
+@in_chromium
+@pytest.mark.slow
+def test_while_a_value_is_not_valid_the_last_run_is_marked_as_such(played):
+    marked = "getComputedStyle(document.querySelector('.{}')).opacity < 1"
+    assert not played.value(marked.format("numbers"))
+    type_into(played, "network.latency.value", "0,5")
+    played.until("document.querySelector('.old').checkVisibility()")
+    assert "the last valid run" in played.value("document.querySelector('.old').textContent")
+    assert played.value(marked.format("numbers"))
+    assert played.value(marked.format("stage"))
+    at = """document.querySelector('[data-key="network.latency.value"] {}')"""
+    assert played.value(f"{at.format('.number')}.value") == "0,5"
+    assert not played.value(f"{at.format('.help')}.checkVisibility()")
+    type_into(played, "network.latency.value", "0.5")
+    played.until("play.runs === 2")
+    assert not played.value("document.querySelector('.old').checkVisibility()")
+    assert not played.value(marked.format("numbers"))
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_kind_that_needs_a_file_cannot_be_chosen_and_says_why(played):
+    options = """[...document.querySelector('[data-key="network.latency"] select').options]"""
+    shown = played.value(f"{options}.filter(each => each.disabled).map(each => each.textContent)")
+    assert "trace (needs a file)" in shown
+    assert not any("constant" in each for each in shown)
+
+
+@in_chromium
+@pytest.mark.slow
+def test_keys_are_searched_above_all_controls(played):
+    place = "(name => document.querySelector(name).getBoundingClientRect().top)('{}')"
+    assert played.value(place.format(".search")) < 120
+    played.value("document.querySelector('.search').value = 'capture radius'")
+    played.value("document.querySelector('.search').dispatchEvent(new Event('input'))")
+    assert played.value(place.format('[data-key="capture.radius"]')) < played.value(
+        place.format('[data-key="network.latency"]')
+    )
+
+
+@in_chromium
+@pytest.mark.slow
+def test_all_metrics_show_that_they_scroll(played):
+    played.value(CLICK.format("All metrics"))
+    box = "document.querySelector('dialog .scroll')"
+    count = played.value(f"{box}.querySelectorAll('tr').length")
+    assert f"All {count} metrics" in played.value("document.querySelector('dialog strong').textContent")
+    assert played.value(f"{box}.scrollHeight > {box}.clientHeight && {box}.clientHeight > 300")
+    assert played.value(f"getComputedStyle({box}).overflowY") == "scroll"
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["reduce", "no-preference"])
+def test_a_run_begins_to_play_unless_the_system_wishes_for_little_motion(browser, address, motion):
+    browser.visit("about:blank")
+    browser.visit(address, motion=motion)
+    browser.until("window.play && play.runs === 1")
+    assert browser.value("play.replay.playing || play.replay.time === play.replay.end") is (motion == "no-preference")
+
+
+@in_chromium
+@pytest.mark.slow
+def test_on_a_phone_only_the_page_scrolls(played):
+    played.resize(420, 900)
+    fits = "(({ scrollHeight, clientHeight }) => scrollHeight <= clientHeight + 1)"
+    played.until(f"{fits}(document.querySelector('iframe').contentDocument.documentElement)")
+    assert not played.value("document.querySelector('.keys').checkVisibility()")
+    for _ in range(2):
+        inner = f"[...document.querySelectorAll('.play *')].filter(each => each.clientHeight && !{fits}(each)"
+        scrolls = f"{inner} && /auto|scroll/.test(getComputedStyle(each).overflowY)).map(each => each.className)"
+        assert played.value(scrolls) == []
+        played.value(CLICK.format("Keys"))
+        assert played.value("document.querySelector('.keys').checkVisibility()")
+    assert played.value("document.documentElement.scrollHeight > innerHeight")
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 1920])
+def test_the_comparison_leaves_the_plane_in_sight(played, width):
+    played.resize(width, 800)
+    played.value("play.change('network.latency.value', '0.7')")
+    played.until("play.runs === 2")
+    before = played.value("document.querySelector('.stage').clientHeight")
+    played.value(CLICK.format("30 seeds"))
+    assert "less than" in played.value("document.querySelector('.seeds h2').textContent")
+    played.until("/about .* left/.test(document.querySelector('.seeds h2').textContent)")
+    assert played.value("document.querySelector('.stage').clientHeight") == before
+    plane = "document.querySelector('iframe').contentDocument.getElementById('stage').getBoundingClientRect()"
+    inside = f"document.querySelector('iframe').getBoundingClientRect().left + {plane}.right"
+    assert played.value(f"{inside} <= document.querySelector('.seeds').getBoundingClientRect().left")
+    played.value(CLICK.format("Cancel"))
+    assert "left" not in played.value("document.querySelector('.seeds h2').textContent")
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_comparison_that_cannot_begin_says_why(played):
+    played.value(CLICK.format("30 seeds"))
+    assert "change a key first" in played.value("document.querySelector('.status').textContent")
+    assert not played.value("document.querySelector('.seeds').checkVisibility()")
+
+
 @in_chromium
 @pytest.mark.slow
 def test_a_kind_without_defaults_asks_for_what_it_needs(played):
@@ -620,11 +760,6 @@ def test_a_kind_without_defaults_asks_for_what_it_needs(played):
     played.value("play.change('network.medium.bitrate', '1e6')")
     played.until("play.runs === 2")
     assert "network.medium.bitrate=1e6" in played.value("play.changes")
-
-
-WHY_NOT = "[...document.querySelectorAll('header button')].find(each => each.textContent === '30 seeds').reason"
-"""Why the comparison cannot begin; null if it can."""
-CLICK = "[...document.querySelectorAll('.play button')].find(each => each.textContent === {!r}).click()"
 
 
 @in_chromium

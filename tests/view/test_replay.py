@@ -41,7 +41,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from desim.view.data.headings import Headings
 from desim.view.pages.headline import conditions
-from desim.view.pages.replay import missing_recordings, replay, replay_page, with_recordings
+from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
 from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed, unpacked
 from desim.view.pages.replay_data import replay_data
 from protocols.sap import SpatialAdaptivePlay
@@ -1495,3 +1495,87 @@ def test_a_page_with_errors_or_external_requests_would_be_detected(browser, tmp_
     browser.until("document.readyState === 'complete'")
     assert len(browser.errors) >= 2
     assert "http://127.0.0.1:9/x.png" in browser.requests
+
+
+CROWD = Scenario(
+    name="crowd",
+    horizon=0.3,
+    team=Team(count=90, speeds=0.95),
+    evader=Evader(position=(30.0, 22.0)),
+    protocol=SpatialAdaptivePlay(schedule=Poisson(rate=1.0)),
+    network=Links(latency=Constant(value=0.1), loss=Bernoulli(p=0.05)),
+    record=ALL,
+)
+
+
+def test_messages_that_arrive_alike_take_less_than_a_byte_each():
+    data = replay_data(run(CROWD))
+    assert len(json.dumps([data["messages"], data["beliefs"]])) / messages(run(CROWD)).sent < 1.0
+
+
+@pytest.mark.parametrize(("count", "is_large"), [(999, False), (1000, True)])
+def test_a_replay_of_a_thousand_pursuers_is_announced_as_large(count, is_large):
+    warning = size_warning(Scenario(team=Team(count=count)))
+    assert ("999 messages" in warning) if is_large else warning is None
+
+
+def test_the_command_warns_of_a_large_replay_before_the_run(monkeypatch, tmp_path):
+    def stop(*_):
+        raise ValueError("the run has begun")
+
+    monkeypatch.setattr("desim.cli.pages.result_of", stop)
+    command = ["replay", str(SCENARIOS / "relay.toml"), "--set", "team.count=1000", "-o", str(tmp_path / "r.html")]
+    lines = CliRunner().invoke(main, command).stderr.splitlines()
+    assert lines[0].startswith(f"warning: {SCENARIOS / 'relay.toml'}: 1,000 pursuers")
+    assert "the run has begun" in lines[-1]
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize(("scenario", "few"), [(CROWD, True), (COLD, False)], ids=["90 pursuers", "8 pursuers"])
+def test_labels_of_a_crowd_are_those_of_the_selected_and_of_few_active_ones(scenario, few, shown):
+    opened = shown(run(scenario))
+    opened.value("replay.seek(0.05); 0")
+    labels = opened.value("replay.drawn.labels")
+    assert labels == 0 if few else labels > 4
+    opened.value("replay.choose(3)")
+    assert opened.value("replay.drawn.labels") == (1 if few else labels)
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_state_of_a_crowd_is_that_of_the_trace_forwards_and_backwards(shown):
+    result = run(CROWD)
+    opened = shown(result)
+    for t in (0.25, 0.05, 0.0, 0.15, 0.3):
+        opened.value(f"replay.seek({t}); 0")
+        wrong = int(opened.value("wrong.textContent").split()[0].replace(",", ""))
+        assert wrong == wrong_now(result, round(t * SECOND))
+        assert opened.value("replay.drawn.flying") == in_flight(result, round(t * SECOND))
+
+
+@in_chromium
+@pytest.mark.slow
+def test_thousands_of_messages_are_set_as_pixels_in_their_colour(shown):
+    opened = shown(run(CROWD))
+    opened.value("replay.seek(0.05); 0")
+    assert opened.value("replay.drawn.flying") > 1500
+    assert opened.value(AMBER) > 1500
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["reduce", "no-preference"])
+def test_a_replay_begins_to_play_unless_the_system_wishes_for_little_motion(motion, shown):
+    opened = shown(run(COLD), motion=motion)
+    assert opened.value("replay.playing") is (motion == "no-preference")
+    if motion == "no-preference":
+        opened.until("replay.time > 0")
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height", "open_"), [(962, 640, True), (880, 1200, False), (1280, 800, True)])
+def test_the_key_is_open_where_the_height_limits_the_plane_anyway(width, height, open_, shown):
+    opened = shown(run(COLD), width=width, height=height)
+    assert opened.value("!document.getElementById('key').hidden") is open_

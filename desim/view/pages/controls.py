@@ -135,8 +135,8 @@ def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[
         yield _control(place, "kind", kind, field, options=kinds, needs_file=needs_file)
         if not isinstance(value, BaseModel | dict) and choice.number is not None and not isinstance(value, str):
             value = {choice.number[1]: value}
-    elif not isinstance(value, BaseModel | dict):
-        yield _scalar(place, field, value)
+    elif not isinstance(value, BaseModel | dict) or {*_types(field.annotation)} <= {bool, int, float, str, NoneType}:
+        yield _scalar(place, field, value)  # also of a table, if one was typed where a number belongs
         return
     if inner is not None:
         yield from _controls(inner, dict(value) if isinstance(value, BaseModel | dict) else {}, place)

@@ -10,7 +10,7 @@ const make = (tag, attributes = {}, ...inner) => {
   return element;
 };
 const words = key => key.replaceAll("_", " ").replaceAll('"', "");
-const BEFORE = "Before the last change: ";
+const BEFORE = "Before the last change: ", LEFT = /, about [^,]* left/;
 let count = 0;  // for the ids of controls
 
 /**
@@ -233,7 +233,8 @@ export function start(root, transport, options) {
       found.replaceChildren(...drawn.filter(each => each.first === null).map(each => rows.get(each.key).whole));
       if (place !== null && isAt !== document.activeElement) (keys.contains(isAt) ? isAt : rows.get(place)?.inputs[0])?.focus({ preventScroll: true });
     }
-    for (const each of drawn) rows.get(each.key).update(each.value);
+    // What was typed stays as it was typed while it is wrong.
+    for (const each of drawn) rows.get(each.key).update(wrongKeys.has(each.key) ? now.get(each.key) ?? each.value : each.value);
   }
   function showErrors(errors) {
     for (const { error, inputs } of rows.values()) {
@@ -373,7 +374,7 @@ export function start(root, transport, options) {
   function endComparison() {  // what is shown is of a scenario that has changed
     stopComparing();
     const title = seeds.querySelector("h2"), cancel = seeds.querySelector(".cancel");
-    if (title && !title.textContent.startsWith(BEFORE)) title.textContent = BEFORE + title.textContent;
+    if (title && !title.textContent.startsWith(BEFORE)) title.textContent = BEFORE + title.textContent.replace(LEFT, "");
     if (cancel) cancel.hidden = true;
   }
   async function compare() {
@@ -381,7 +382,7 @@ export function start(root, transport, options) {
     const own = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30, page };
     const title = make("h2", {}, "30 seeds"), bar = make("progress", { max: 30, value: 0 }), table = make("table");
     bar.setAttribute("aria-label", "Pairs of runs that are done");
-    const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent += ", cancelled"; cancel.hidden = true; });
+    const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent = `${title.textContent.replace(LEFT, "")}, cancelled`; cancel.hidden = true; });
     cancel.className = "cancel";
     begunAt = performance.now();
     title.textContent = lastTime === null ? "30 seeds" : `30 seeds: less than ${duration(60 * lastTime)}`;  // with one worker

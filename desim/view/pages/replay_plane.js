@@ -586,6 +586,7 @@ const SLOTS = [[1, -1], [1, 1], [-1, -1], [-1, 1], [1, 0], [-1, 0]], slot = new 
 const FEW = 12;  // with more pursuers than `MANY`, the active ones are labelled while they are at most so many
 /** Labels beside the players, without overlaps; if there is no room, only that of the selected pursuer. */
 function drawNames(c, size, isLettered) {
+  drawn.labels = 0;
   const from = focus(), pad = from >= 0 ? 10 : 4, high = isLettered ? size + 17 : size;
   const half = i => i < N || M === 1 ? size : 11, above = i => i < N ? high : half(i);
   if (N > MANY && from < 0 && N - crowd[0] > FEW) return;
@@ -607,6 +608,7 @@ function drawNames(c, size, isLettered) {
     slot[i] = free ?? slot[i];
     const place = box(slot[i]);
     taken.push(place);
+    drawn.labels++;
     label(c, i, place[0], place[1] + 5, truth[i] ? colour.ink : colour.soft);
   }
 }
