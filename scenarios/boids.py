@@ -13,6 +13,7 @@ import numpy as np
 from desim import Links, SteppedNetwork
 from desim.analysis.statistics import mean
 from desim.analysis.tables import aligned
+from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import stream
 from desim.study.workers.batch import seeds_from
 from scenarios.studies.study import Options, study
@@ -59,7 +60,7 @@ def flight(links: Links, seed: int) -> "Iterator[tuple[NDArray[np.float64], NDAr
 def _mean_heard(network: SteppedNetwork, boid: int, own: complex) -> complex:
     """Return the mean of the headings that a boid has heard of late; its own if there are none."""
     told = [told.body for told in network.latest(boid).values() if network.now - told.sent <= MEMORY]
-    return sum(told) / len(told) if told else own
+    return portable_sum(told) / len(told) if told else own
 
 
 def _normalised(headings: "NDArray[np.complex128]") -> "NDArray[np.complex128]":

@@ -26,8 +26,8 @@ class Problem(NamedTuple):
         return self._replace(key=f"{above}.{self.key}" if self.key else above)
 
 
-Wording = Callable[[Any, type, Mapping[str, Any]], tuple[Problem, ...]]
-WORDINGS: dict[str, Wording] = {}
+WordingOf = Callable[[Any, type, Mapping[str, Any]], tuple[Problem, ...]]
+WORDINGS: dict[str, WordingOf] = {}
 """By what is constructed, the function that returns the problems, given an error of pydantic, the class and the values.
 
 `desim` hands it in, because what words an error is above the models, whose kinds it lists."""

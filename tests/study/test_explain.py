@@ -37,7 +37,8 @@ from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read_source, validate
 from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
-from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
+from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, Cost, Saving
+from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.results.figures import draw_waterfall, waterfall
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row

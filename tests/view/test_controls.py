@@ -138,7 +138,7 @@ def test_metrics_that_a_scenario_names_have_one_control():
 @pytest.mark.parametrize("typed", ["0,5", "", "abc", "[1, 2]", "{a = 1}", "true"])
 def test_a_page_draws_its_controls_whatever_was_typed_into_one(typed):
     """A value that is not valid is one of any TOML type."""
-    base = read(SCENARIOS / "relay.toml")
+    base = read_source(SCENARIOS / "relay.toml")
     for control in controls(load(SCENARIOS / "relay.toml")):
         if control.form in {"integer", "number", "flag"} and control.first is not None:
             source = base.copy()
@@ -158,7 +158,7 @@ def test_kinds_that_need_a_file_are_marked_unless_they_are_in_use():
 def test_a_pair_has_an_example_that_is_valid():
     found = by_key({"evader": {"strategy": {"kind": "voronoi_vertex"}}})
     example = found["evader.strategy.arena"].example
-    source = read(SCENARIOS / "relay.toml")
+    source = read_source(SCENARIOS / "relay.toml")
     source.override("evader.strategy.kind=voronoi_vertex")
     source.override(f"evader.strategy.arena={example}")
     assert validate(source).evader.strategy.arena == (0.0, 20.0)

@@ -42,7 +42,7 @@ from desim.scenario.scenario import Motion, Recording
 from desim.view.data.headings import Headings
 from desim.view.pages.headline import conditions
 from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
-from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed, unpacked
+from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column, unpacked_column
 from desim.view.pages.replay_data import replay_data
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
@@ -117,7 +117,7 @@ SEEING = Scenario(
 
 
 def column(text, kind):
-    return np.frombuffer(b64decode(text), kind) if "f" in kind else unpacked(text, kind)
+    return np.frombuffer(b64decode(text), kind) if "f" in kind else unpacked_column(text, kind)
 
 
 def spans(result):
@@ -284,9 +284,9 @@ def page_text(result):
     for part, value in replay_data(result).items():
         is_table = isinstance(value, dict) and part != "reception"
         for name, each in value.items() if is_table else [("", value)]:
-            packed = is_table and isinstance(each, str)
+            packed_column = is_table and isinstance(each, str)
             lines.append(
-                f"{part} {name}: {json.dumps(column(each, KINDS.get(name, 'u1')).tolist() if packed else each)}"
+                f"{part} {name}: {json.dumps(column(each, KINDS.get(name, 'u1')).tolist() if packed_column else each)}"
             )
     return "\n".join(lines)
 
@@ -413,13 +413,13 @@ def test_places_far_away_are_in_a_coarser_unit_and_none_is_wrong(far, per_metre)
 
 def test_a_column_has_no_number_that_it_does_not_hold():
     with pytest.raises(ValueError, match="cannot store 65536"):
-        packed([1, 65536], "<u2")
+        packed_column([1, 65536], "<u2")
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1) | st.integers(-2, 2), max_size=40), st.integers(1, 300))
 def test_a_column_holds_the_numbers_that_were_packed(numbers, times):
     numbers = np.repeat(numbers, times)
-    assert unpacked(packed(numbers, "<i4"), "<i4").tolist() == numbers.tolist()
+    assert unpacked_column(packed_column(numbers, "<i4"), "<i4").tolist() == numbers.tolist()
 
 
 @pytest.mark.parametrize(
@@ -432,7 +432,7 @@ def test_a_column_holds_the_numbers_that_were_packed(numbers, times):
     ],
 )
 def test_a_column_has_the_shortest_form(numbers, form, size):
-    content = b64decode(packed(numbers, "<i4"))
+    content = b64decode(packed_column(numbers, "<i4"))
     assert (content[0], len(content)) == (form, size)
 
 

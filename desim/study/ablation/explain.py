@@ -25,7 +25,8 @@ from desim.kernel.core.seeds import seed_of
 from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.plan.configurations import Configuration, without_metrics
-from desim.study.results.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
+from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, Cost, Saving
+from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out

@@ -18,7 +18,7 @@ from desim.study.results.runs import SHOWN, Group, SweepRuns, counted, each_name
 
 
 @dataclass(frozen=True)
-class Difference:
+class MetricDifference:
     """One metric in one configuration of two sweeps."""
 
     first: Estimate
@@ -36,7 +36,7 @@ class Compared:
     settings: Mapping[str, Any]
     pairs: int
     """The number of seeds that both sweeps have; 0 if the runs are compared as independent ones."""
-    metrics: Mapping[str, Difference]
+    metrics: Mapping[str, MetricDifference]
 
 
 @dataclass(frozen=True, repr=False)
@@ -257,5 +257,5 @@ def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequenc
             difference = paired(aligned[1], aligned[0])
         else:
             difference = independent(second.present(metric), first.present(metric))
-        differences[metric] = Difference(mean(first.present(metric)), mean(second.present(metric)), difference)
+        differences[metric] = MetricDifference(mean(first.present(metric)), mean(second.present(metric)), difference)
     return Compared({key: first.settings[key] for key in keys}, len(shared) if is_paired else 0, differences)

@@ -21,11 +21,12 @@ from desim.analysis.metrics import METRICS, check_numeric, words
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
+from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import Group, SweepRuns, text
 
-Interval = tuple[float, float]
+CrossoverInterval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Crossover:
     """Whether more of the metric is better or worse; None if unknown."""
     pairs: int
     """The number of seeds for which all runs have a value."""
-    span: Interval
+    span: CrossoverInterval
     """The least and the greatest value of the key."""
     is_apart: bool
     """Whether the two curves can be told apart at each value of the key, if they do not cross."""
@@ -199,7 +200,7 @@ def _crossings(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
     return tuple(crossings)
 
 
-def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> list[Interval]:
+def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> list[CrossoverInterval]:
     """Return the intervals of points at which the paired t interval of the interpolated difference includes 0.
 
     On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
@@ -210,14 +211,14 @@ def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> li
 
     runs = len(differences)
     q = float(stdtrit(runs - 1, 0.5 + confidence / 2)) ** 2 / runs
-    parts: list[Interval] = []
+    parts: list[CrossoverInterval] = []
     for k in range(len(x) - 1):
         start, rise = differences[:, k], differences[:, k + 1] - differences[:, k]
-        (v, c), (_, w) = np.cov(start, rise).tolist()
+        v, c, w = _covariance(start, start), _covariance(start, rise), _covariance(rise, rise)
         m, slope = float(start.mean()), float(rise.mean())
         shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
         parts += [(x[k] + low * (x[k + 1] - x[k]), x[k] + high * (x[k + 1] - x[k])) for low, high in shares]
-    merged: list[Interval] = []
+    merged: list[CrossoverInterval] = []
     for low, high in sorted(parts):
         if merged and low <= merged[-1][1] + 1e-12 * (x[-1] - x[0]):
             merged[-1] = merged[-1][0], max(merged[-1][1], high)
@@ -226,7 +227,7 @@ def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> li
     return merged
 
 
-def _not_positive(a: float, b: float, c: float) -> list[Interval]:
+def _not_positive(a: float, b: float, c: float) -> list[CrossoverInterval]:
     """Return the intervals in [0, 1] on which a u^2 + b u + c <= 0."""
     discriminant = b * b - 4.0 * a * c
     if a == 0.0:
@@ -244,3 +245,9 @@ def _not_positive(a: float, b: float, c: float) -> list[Interval]:
 
 def _at(a: float, b: float, c: float, u: float) -> float:
     return (a * u + b) * u + c
+
+
+def _covariance(first: Floats, second: Floats) -> float:
+    """Return the covariance of two samples of equal size; its last digit is the same on all processors."""
+    products: list[float] = ((first - first.mean()) * (second - second.mean())).tolist()
+    return portable_sum(products) / (len(products) - 1)

@@ -8,14 +8,15 @@ import html
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import with_unit, words
-from desim.analysis.statistics import Estimate, mean, wilson
+from desim.analysis.statistics import Estimate, wilson
 from desim.analysis.table_formats import TableFormat, formatted
-from desim.analysis.tables import aligned, as_json, digits_of, from_json, number, with_half_width
+from desim.analysis.tables import aligned, as_json, number, with_half_width
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
+from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, Saving
 
 if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Axes, Figure, Style
@@ -24,115 +25,6 @@ EXPLAINED: Mapping[str, str] = MappingProxyType(
     {"active_time": "sum of active times", "end_time": "capture time, or horizon"}
 )
 """The metrics in which costs are measured by default, and their titles in tables."""
-NOTHING = 1e-9
-"""The largest difference that is attributed to rounding."""
-INTERACTION_RISK = 0.01
-"""The largest probability that an interaction is declared in one metric or more although there is none.
-
-By Bonferroni's inequality, this bound holds if each of m metrics is judged by an interval with confidence 1 - 0.01 / m
-and the differences are normal. For skewed differences the probability is greater. For example, for exponential
-differences in two metrics it is 1.9 % (s.e. 0.1 %) with 100 runs, and 3.7 % with 30. The 95 % intervals of tables are
-too narrow: by them, an interaction would be declared in one of 20 metrics that have none.
-"""
-AS_IT_IS, IDEAL = "as it is", "ideal"
-
-
-@dataclass(frozen=True)
-class Saving:
-    """The decrease of a metric when imperfections are removed: the mean difference of runs paired by seed."""
-
-    mean: Estimate
-    differing: int
-    """The number of pairs that differ."""
-
-    @classmethod
-    def of(cls, differences: list[float]) -> Self:
-        """Return the saving, given the difference of each pair of runs."""
-        return cls(mean(differences), sum(abs(difference) > NOTHING for difference in differences))
-
-    def excludes_0(self, confidence: float = 0.95) -> bool:
-        """Return whether the t interval with a given confidence excludes 0, that is, whether the saving is significant.
-
-        A true saving as large as the half width of the interval is detected in half of all studies with as many runs, a
-        much smaller one rarely.
-        """
-        return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
-
-    def text(self, runs: int, digits: int) -> str:
-        """Return the saving as the text of a table cell, with a number of decimals."""
-        is_0 = self.mean.count and not self.differing
-        return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+", digits=digits)
-
-    def document(self) -> dict[str, Any]:
-        """Return the saving as JSON-compatible values."""
-        return as_json(self.mean) | {"differing": self.differing, "excludes_0": self.excludes_0()}
-
-
-@dataclass(frozen=True)
-class Cost:
-    """The cost of the imperfections of a scenario in one metric."""
-
-    label: str
-    """The label of the metric in tables and figures."""
-    unit: str
-    as_it_is: Estimate
-    ideal: Estimate
-    """The metric in the scenario without any imperfection."""
-    parts: Mapping[str, Saving]
-    """For each imperfection of the scenario: the metric with all imperfections minus the metric without this one."""
-    together: Saving
-    """The metric with all imperfections minus the metric without any."""
-    interaction: Saving
-    """`together` minus the sum of the parts."""
-    more_is: Literal["better", "worse"] | None = None
-    """Whether more of the metric is better or worse, and so whether a positive cost is good or bad; None if unknown."""
-    confidence: float = 1.0 - INTERACTION_RISK
-    """The confidence of the interval by which an interaction is judged; see `INTERACTION_RISK`."""
-
-    @classmethod
-    def of(cls, made: Mapping[str, Any]) -> Self:
-        """Return the cost that a part of a document describes; see `Explanation.document`."""
-
-        def saving(part: Mapping[str, Any]) -> Saving:
-            return Saving(from_json(part), int(part["differing"]))
-
-        return cls(
-            str(made["label"]),
-            str(made["unit"]),
-            from_json(made["as_it_is"]),
-            from_json(made["ideal"]),
-            {str(name): saving(part) for name, part in made["parts"].items()},
-            saving(made["together"]),
-            saving(made["interaction"]),
-            made["more_is"],
-            float(made["confidence"]),
-        )
-
-    @property
-    def digits(self) -> int:
-        """The number of decimals of the cost in a table."""
-        savings = (*self.parts.values(), self.together, self.interaction)
-        return digits_of([self.as_it_is, self.ideal, *(saving.mean for saving in savings)])
-
-    @property
-    def interacts(self) -> bool:
-        """Whether the parts do not add up to `together`: the Bonferroni interval of the interaction excludes 0."""
-        return self.interaction.excludes_0(self.confidence)
-
-    @property
-    def undetected(self) -> dict[str, float]:
-        """The parts that differ from 0 in some run but are not significant, each with the half width of its t interval.
-
-        This half width is the size of an effect that half of all studies with as many runs would find.
-        """
-        return {
-            name: part.mean.half_width for name, part in self.parts.items() if part.differing and not part.excludes_0()
-        }
-
-    @property
-    def unchanging(self) -> tuple[str, ...]:
-        """The parts that are 0 in every run."""
-        return tuple(name for name, part in self.parts.items() if part.mean.count and not part.differing)
 
 
 @dataclass(frozen=True)

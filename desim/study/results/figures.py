@@ -32,7 +32,7 @@ from desim.config.key_index import unit_of_key
 from desim.config.trust import escaped
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
-from desim.study.results.explanation import AS_IT_IS, IDEAL, Cost, Explanation
+from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, CostByMetric
 from desim.study.results.runs import SHOWN, Group, SweepRuns, kind_of, text
 
 APART = 0.012
@@ -645,7 +645,7 @@ def _literal(name: str) -> str:
 
 
 def waterfall(
-    explanation: Explanation, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+    explanation: CostByMetric, *, size: str | None = None, style: Style = None, ax: Axes | None = None
 ) -> Figure:
     """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals.
 

@@ -13,7 +13,7 @@ MAX_REPLAY_TIME = 2**32 - 1
 ReplayData = dict[str, Any]
 """A JSON object."""
 DIFFERENCES, RUNS = 1, 2
-"""The bits of the first byte of a column; see `unpacked`."""
+"""The bits of the first byte of a column; see `unpacked_column`."""
 
 
 class Ticks(NamedTuple):
@@ -46,7 +46,7 @@ class Ticks(NamedTuple):
         instants = np.asarray(times, np.int64)
         ticks = (instants + self.length // 2) // self.length
         ticks = np.where(instants > self.end, np.maximum(ticks, self.last + 1), ticks)
-        return packed(np.minimum(ticks, MAX_REPLAY_TIME), "<u4")
+        return packed_column(np.minimum(ticks, MAX_REPLAY_TIME), "<u4")
 
 
 def raw(values: ArrayLike, kind: str) -> str:
@@ -54,8 +54,8 @@ def raw(values: ArrayLike, kind: str) -> str:
     return b64encode(np.asarray(values).astype(kind).tobytes()).decode()
 
 
-def packed(values: ArrayLike, kind: str) -> str:
-    """Return integers as a column in base64, short where neighbours are alike; see `unpacked` for the format.
+def packed_column(values: ArrayLike, kind: str) -> str:
+    """Return integers as a column in base64, short where neighbours are alike; see `unpacked_column` for the format.
 
     Args:
         values: the integers, of any shape.
@@ -81,8 +81,8 @@ def packed(values: ArrayLike, kind: str) -> str:
     return b64encode(bytes([form]) + _varints(codes)).decode()
 
 
-def unpacked(column: str, kind: str) -> Integers:
-    """Return the integers of a column that `packed` has made, as the page decodes them.
+def unpacked_column(column: str, kind: str) -> Integers:
+    """Return the integers of a column that `packed_column` has made, as the page decodes them.
 
     The first byte is the sum of `DIFFERENCES`, if each number is the difference from the one before, and of `RUNS`, if
     each number is followed by how often it is repeated. Then come the numbers, each in groups of 7 bits, the lowest

@@ -14,7 +14,7 @@ from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
 from desim.simulation.run import Result
 from desim.view.data.deliveries import delivery_table, handover_events, outages
 from desim.view.pages.headline import outcome, run_name
-from desim.view.pages.replay_columns import ReplayData, Ticks, packed
+from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column
 from desim.view.pages.replay_plane import arcs_data, estimates_data, flow_data, headings_data, path_data, reception_data
 
 PARTS = 3
@@ -68,9 +68,9 @@ def _decisions(result: Result, ticks: Ticks) -> ReplayData:
     why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
         "t": ticks([event.t for event in events]),
-        "who": packed([event.pursuer for event in events], "<u2"),
-        "active": packed([action(event) for event in events], _kind(result)),
-        "cause": packed([why[type(event)] for event in events], "u1"),
+        "who": packed_column([event.pursuer for event in events], "<u2"),
+        "active": packed_column([action(event) for event in events], _kind(result)),
+        "cause": packed_column([why[type(event)] for event in events], "u1"),
     }
 
 
@@ -97,8 +97,8 @@ def _relays(result: Result, ticks: Ticks) -> ReplayData:
     handovers = handover_events(result)
     return {
         "t": ticks([handover.t for handover in handovers]),
-        "who": packed([handover.pursuer for handover in handovers], "<u2"),
-        "evader": packed([handover.evader for handover in handovers], "<u2"),
+        "who": packed_column([handover.pursuer for handover in handovers], "<u2"),
+        "evader": packed_column([handover.evader for handover in handovers], "<u2"),
     }
 
 
@@ -124,11 +124,11 @@ def _messages(result: Result, ticks: Ticks) -> ReplayData:
     return {
         "begin": ticks(table.created[first]),
         "left": ticks(table.left[first]),
-        "src": packed(table.src[first], "<u2"),
-        "count": packed(np.diff(first, append=len(table.dst)), "<u2"),
-        "dst": packed(table.dst, "<u2"),
+        "src": packed_column(table.src[first], "<u2"),
+        "count": packed_column(np.diff(first, append=len(table.dst)), "<u2"),
+        "dst": packed_column(table.dst, "<u2"),
         "end": ticks(table.until),
-        "fate": packed(table.cause + 1, "u1"),
+        "fate": packed_column(table.cause + 1, "u1"),
         "causes": [cause.replace("_", " ") for cause in table.causes],
     }
 
@@ -152,9 +152,9 @@ def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
     order = order[np.argsort(begin[order], kind="stable")]
     return {
         "t": ticks(begin[order]),
-        "reader": packed(reader[order], "<u2"),
-        "source": packed(source[order], "<u2"),
-        "value": packed(value[order], _kind(result)),
+        "reader": packed_column(reader[order], "<u2"),
+        "source": packed_column(source[order], "<u2"),
+        "value": packed_column(value[order], _kind(result)),
     }
 
 
@@ -165,9 +165,9 @@ def _distrust(result: Result, ticks: Ticks) -> ReplayData | None:
         return None
     return {
         "t": ticks([change.t for change in changes]),
-        "who": packed([change.pursuer for change in changes], "<u2"),
-        "suspect": packed([change.suspect for change in changes], "<u2"),
-        "begins": packed([change.distrusted for change in changes], "u1"),
+        "who": packed_column([change.pursuer for change in changes], "<u2"),
+        "suspect": packed_column([change.suspect for change in changes], "<u2"),
+        "begins": packed_column([change.distrusted for change in changes], "u1"),
     }
 
 
@@ -185,5 +185,5 @@ def _ghost(result: Result, ticks: Ticks) -> ReplayData:
         "pursuers": len(started(result).active),
         "evaders": len(started(result).evaders),
         "path": path_data(result, ticks),
-        "active": {"t": ticks(times), "count": packed(counts, "<u4")},
+        "active": {"t": ticks(times), "count": packed_column(counts, "<u4")},
     }

@@ -20,7 +20,7 @@ from desim.pursuit.core.events import Estimated
 from desim.pursuit.core.state import coordinates
 from desim.simulation.run import Result
 from desim.view.data.headings import Headings
-from desim.view.pages.replay_columns import ReplayData, Ticks, packed, raw
+from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column, raw
 
 TURN = 256
 """Number of units of an angle in a full turn."""
@@ -36,7 +36,7 @@ def arcs_data(result: Result) -> str | None:
     """Return the edges (sender, receiver) of the communication graph as a column; None if the graph is complete."""
     size = len(started(result).active)
     graph = result.scenario.network.make_graph(size)
-    return None if is_complete(graph) else packed(sorted(graph.to_directed().edges), "<u2")
+    return None if is_complete(graph) else packed_column(sorted(graph.to_directed().edges), "<u2")
 
 
 def reception_data(result: Result) -> ReplayData:
@@ -113,8 +113,8 @@ def path_data(result: Result, ticks: Ticks) -> ReplayData:
     return {
         "t": ticks([sample.t for sample in samples(result)]),
         "per_metre": per_metre,
-        "start": packed(units[0], "<i4"),
-        "shifts": packed(shifts, "<i4"),
+        "start": packed_column(units[0], "<i4"),
+        "shifts": packed_column(shifts, "<i4"),
     }
 
 
@@ -128,7 +128,7 @@ def headings_data(result: Result) -> ReplayData | None:
         return None
     angles = np.array([[*map(phase, headings.at(sample))] for sample in samples(result)])
     turns = np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN
-    return {"players": list(headings.players), "turn": TURN, "values": packed(turns, "u1")}
+    return {"players": list(headings.players), "turn": TURN, "values": packed_column(turns, "u1")}
 
 
 def estimates_data(result: Result, ticks: Ticks) -> ReplayData | None:
@@ -154,12 +154,12 @@ def estimates_data(result: Result, ticks: Ticks) -> ReplayData | None:
     )
     return {
         "t": ticks([estimate.t for estimate in estimates]),
-        "pursuer": packed([estimate.pursuer for estimate in estimates], "<u2"),
-        "evader": packed([estimate.evader for estimate in estimates], "<u2"),
-        "centres": packed(np.rint(centres), "<i4"),
-        "semi_axes": packed(np.rint(semi_axes), "<i4"),
+        "pursuer": packed_column([estimate.pursuer for estimate in estimates], "<u2"),
+        "evader": packed_column([estimate.evader for estimate in estimates], "<u2"),
+        "centres": packed_column(np.rint(centres), "<i4"),
+        "semi_axes": packed_column(np.rint(semi_axes), "<i4"),
         "turn": TURN,
-        "angles": packed(np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN, "u1"),
+        "angles": packed_column(np.rint(angles * (TURN / (2.0 * np.pi))).astype(int) % TURN, "u1"),
     }
 
 
