@@ -91,7 +91,11 @@ def keys(key: str | None) -> None:
         else:
             echo("\n".join(described_at(key.split("."), Scenario)))
     except ValueError as error:
-        fail(str(error))
+        from desim.config.key_index import homes_of
+
+        homes = list(dict.fromkeys(home.dotted for home in homes_of(str(key).split(".")[-1], Scenario)))
+        hint = f"; did you mean {' or '.join(homes[:3])}?" if homes else ""
+        fail(f"{error}{hint}")
 
 
 @click.command()

@@ -120,6 +120,9 @@ class Wording:
         if kind == "union_tag_invalid":
             return f"there is no {context['tag']!r}{suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
         if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
+            if self.is_call:
+                what = f"a kind, {kinds[0]!r} for instance, a built-in model or an object that can be called"
+                return f"should be {what}; allowed: {', '.join(kinds)}"
             return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
         if kind == "import_refused":
             return str(error["msg"])
@@ -169,7 +172,8 @@ def value_at(tables: Any, place: KeyPath) -> Any:
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model class of the value of a field, or of its items; None if there is none."""
     for one_of in choices_of(info):
-        return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
+        table = one_of.as_table(value)  # of a bare number or text
+        return one_of.choice(str(table.get("kind"))) if isinstance(table, dict) else None
     return next(models_in(info.annotation), None)
 
 

@@ -209,14 +209,14 @@ def _syntax_error(file: str | Path, message: str, text: str) -> str:
         return f"{file}:{unread}: not TOML that can be read: {message}"
     line = min(int(match[1]), last) if match and match[1] else last
     problem = message[: match.start()] if match else message
-    if problem == UNCLOSED:
+    if problem in UNCLOSED:
         return f"{file}:{line}: not TOML: a text is not closed by a quote{_opened(text, line)}"
     column = f" (column {match[2]})" if match and match[2] else ""
     return f"{file}:{line}: not TOML: {problem}{column}"
 
 
-UNCLOSED = r"Illegal character '\n'"
-"""The message of `tomllib` for a text without a closing quote."""
+UNCLOSED = {r"Illegal character '\n'", "Unterminated string", """Expected "'\"""", "Expected '\"'"}
+"""The messages of `tomllib` for a text without a closing quote."""
 
 
 def _opened(text: str, line: int) -> str:

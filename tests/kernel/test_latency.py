@@ -354,7 +354,7 @@ def test_a_file_of_other_things_is_refused_with_its_name_and_the_line(tmp_path, 
     with pytest.raises(KeyedError, match=complaint):
         read(tmp_path, text)
     if "less than" not in complaint:
-        with pytest.raises(KeyedError, match=r"measured\.txt"):
+        with pytest.raises(ValidationError, match=r"measured\.txt"):
             read(tmp_path, text)
 
 

@@ -1,0 +1,248 @@
+"""Natural mistakes, in Python, in files and in commands: each is told its place, the reason and a way out."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+import desim
+from desim import Constant, Gamma, Lognormal, Scenario, Team, load
+from desim.cli import main
+from desim.config.errors import KeyedError
+
+SHORT = Scenario(horizon=0.01, team=Team(count=2))
+NAMES = {name: getattr(desim, name) for name in dir(desim)} | {
+    "desim": desim,
+    "Path": Path,
+    "SHORT": SHORT,
+    "GRID": {"team.count": [2]},
+}
+"""What a script of a newcomer has imported."""
+
+CALLS: dict[str, tuple[Any, ...]] = {
+    # a mistake, and what its message has
+    "Team(cout=8)": ("Team: cout", "did you mean 'count'?", "allowed: active_at_start"),
+    "Team(8)": ("Team(count=...)", "others: positions"),
+    "Team(count='8')": ("count: should be a number: 8 instead of the text '8'", "Number of pursuers"),
+    "Team(count='eight')": ("count: should be an integer", "got 'eight'"),
+    "Team(count=8.0)": ("count: should be an integer", "got 8.0"),
+    "Team(count=0)": ("count: should be greater than or equal to 1", "got 0"),
+    "Team(count=True)": ("count: should be an integer", "got True"),
+    "Team(positions=5)": ("positions: ", "list"),
+    "Team(count=3, speeds=[1.0, 2.0])": ("speeds", "one per pursuer"),
+    "Team(box=[5.0, 1.0])": ("box: should be [lower, upper]",),
+    "Scenario(netwrk=Links())": ("netwrk: unknown key, did you mean 'network'?",),
+    "Scenario(latency=0.1)": ("latency: unknown key, did you mean network.latency?",),
+    "Scenario(team=dict(count='x'))": ("team.count: should be an integer", "got 'x'"),
+    "Scenario(team=5)": ("team: should be a Team or a table of its keys", "got 5"),
+    "Scenario(team=Team)": ("team: should be a Team, not a class: Team()",),
+    "Scenario(team=Links())": ("team: should be a Team", "got Links()"),
+    "Scenario(protocol='SAP')": ("protocol.kind: there is no 'SAP', did you mean 'sap'?", "allowed: argmin"),
+    "Scenario(protocol='auction')": ("did you mean 'cbaa' or 'cbba'?",),
+    "Scenario(protocol='cbbaa')": ("did you mean 'cbba'?",),
+    "Scenario(protocol=5)": ("protocol: should be a kind", "allowed: argmin"),
+    "Scenario(protocol=lambda: 3)": ("protocol: should accept a call with (me)",),
+    "Scenario(horizon='30s')": ("horizon: should be a number, in s: 30 instead of the text '30s'",),
+    "Scenario(horizon=-1)": ("horizon: should be greater than", "got -1"),
+    "Scenario(seed=1.5)": ("seed: should be an integer", "got 1.5"),
+    "Scenario(prune='yes')": ("prune: should be 'none', 'inf' or 'infeasible'", "got 'yes'"),
+    "Scenario(horizon=-1, sed=3, team=dict(cout=3))": ("horizon: ", "sed: unknown key", "team.cout: unknown key"),
+    "Scenario('relay.toml')": ("load('relay.toml')",),
+    "Scenario(**{'team.count': 3})": ("team={'count': ...}", "with_"),
+    "Scenario(fault=[dict(kind='crash', node=25, start=1.0)])": ("fault.0.node: there is no pursuer 25", "0 .. 19"),
+    "Scenario(fault=[dict(kind='crash')])": ("fault.0.start: is missing",),
+    "Scenario(fault=dict(kind='crash', node=1, start=1.0))": ("fault: should be a list",),
+    "Links(latency=-1)": ("latency.value: should be greater than or equal to 0", "One-way latency, s", "got -1"),
+    "Links(latency='0.1')": ("latency: should be a number: 0.1",),
+    "Links(latency='100 ms')": ("latency: should be a number, in s: 0.1",),
+    "Links(latency='lognorml')": ("latency.kind: there is no 'lognorml', did you mean 'lognormal'?",),
+    "Links(latency=Constant)": ("should be an instance: Constant() instead of Constant",),
+    "Links(latency=lambda x: 3)": ("latency: should accept a call with (context, rng)",),
+    "Links(loss=5)": ("loss.p: should be less than or equal to 1", "got 5"),
+    "Links(loss='5 %')": ("loss: should be a number from 0 to 1: 0.05",),
+    "Links(range='10 m')": ("range: should be", "10"),
+    "Links(packet_loss=0.1)": ("packet_loss: unknown key, did you mean 'loss'?",),
+    "Links(delay=0.1)": ("delay: unknown key, did you mean 'latency'?",),
+    "Constant(0.1)": ("Constant(value=...)",),
+    "Constant(mean=0.1)": ("mean: unknown key", "Lognormal", "allowed: kind, value"),
+    "Lognormal(mean=0.1, std=0.01)": ("std: unknown key, did you mean 'cv'?",),
+    "Gamma(scal=0.1)": ("scal: unknown key, did you mean 'scale'?",),
+    "SHORT.model_copy(update={'netwrk': Links()})": ("netwrk: unknown key, did you mean 'network'?",),
+    "SHORT.model_copy(update={'protocol': 'cba'})": ("protocol.kind: there is no 'cba', did you mean 'cbba'?",),
+    "SHORT.with_({'network.latncy': 0.1})": ("network.latncy: unknown key, did you mean 'latency'?",),
+    "SHORT.with_({'network.latency': 'x'})": ("network.latency.kind: there is no 'x'", "allowed: constant"),
+    "SHORT.with_('team.count=3')": ("with_ takes values by key", "{'network.latency.value': 0.5}"),
+    "SHORT.with_({3: 4})": ("a dotted key is for instance network.latency.value",),
+    "setattr(SHORT, 'horizon', 3.0)": ("horizon: cannot be set", "with_({'horizon': ...})"),
+    "setattr(SHORT, 'horizn', 3.0)": ("did you mean 'horizon'?",),
+    "run('relay.toml')": ("run takes a scenario, not a path: run(load('relay.toml'))",),
+    "run(Path('relay.toml'))": ("run(load('relay.toml'))",),
+    "run(Scenario)": ("not the class Scenario: run(Scenario(...))",),
+    "run({'team': 3})": ("run(Scenario(**keys))",),
+    "run(run(SHORT))": ("run(result.scenario)",),
+    "run([SHORT])": ("[run(scenario) for scenario in scenarios]",),
+    "run(None)": ("run takes a scenario", "got None"),
+    "run(SHORT, seed='x')": ("the seed should be an integer", "got 'x'"),
+    "run(SHORT, 1.5)": ("the seed should be an integer", "got 1.5"),
+    "run(SHORT, -1)": ("the seed should be at least 0",),
+    "run(SHORT, 1, 'x')": ("a watcher should",),
+    "sweep('relay.toml', GRID)": ("sweep(load('relay.toml'))",),
+    "sweep(SHORT)": ("sweep.grid", '"network.latency.value" = [0.0, 0.1] for instance'),
+    "sweep(SHORT, ['team.count'])": ("the grid should be lists of values by key", "{'network.latency.value'"),
+    "sweep(SHORT, {'team.count': 3})": ("team.count: should be a list", "got 3"),
+    "sweep(SHORT, {'team.cont': [3]})": ("team.cont: unknown key, did you mean 'count'?",),
+    "sweep(SHORT, GRID, metrics=['active_time'])": ("functions by name", "always measured"),
+    "sweep(SHORT, GRID, reps=0)": ("at least one run",),
+    "sweep(SHORT, GRID, until='active_time')": ("a metric and a half width", "('active_time', 0.1)"),
+    "sweep(SHORT, GRID, until=('activetime', 0.1))": ("did you mean 'active_time'?",),
+    "sweep(SHORT, GRID, executor='4')": ("the number 4 instead of the text '4'",),
+    "sweep(SHORT, {'network.latency.value': '0:1:0'})": ("step",),
+    "summary(SHORT)": ("summary(run(scenario))",),
+    "summary('out')": ("summary(desim.open('out'))",),
+    "plot(SHORT)": ("plot(run(scenario))",),
+    "plot(run(SHORT), 'traj')": ("trajectory or spacetime",),
+    "replay('out')": ("replay(desim.open('out'))",),
+    "replay(SHORT)": ("replay(run(scenario))",),
+    "export(SHORT, 'x.csv')": ("export(run(scenario))",),
+    "export(run(SHORT), 'x.foo')": (".csv",),
+    "explain(run(SHORT))": ("explain(result.scenario)",),
+    "explain(SHORT, runs=1)": ("at least 2 runs",),
+    "explain(SHORT, shown=['activetime'])": ("did you mean 'active_time'?",),
+    "load(SHORT)": ("not a Scenario: use it as it is",),
+    "load({'team': 3})": ("Scenario(**keys)",),
+    "load('relay.toml')": ("load(examples()['relay'])",),
+    "desim.open(SHORT)": ("the path of a folder",),
+}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_a_wrong_call_says_what_to_write(call, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((ValueError, TypeError, OSError)) as refused:
+        eval(call, dict(NAMES))
+    message = str(refused.value)
+    for part in CALLS[call]:
+        assert part in message
+    assert "pydantic" not in message
+    assert "[type=" not in message
+    assert refused.value.__suppress_context__ or refused.value.__context__ is None
+
+
+FILES: dict[str, tuple[str, ...]] = {
+    "[team]\ncout = 3": ("f.toml:2: team.cout: unknown key, did you mean 'count'?",),
+    "[netwrok]\nlatency = 0.1": ("f.toml:1: netwrok: unknown key, did you mean 'network'?",),
+    "network.latency = '0.1'": ("f.toml:1: network.latency: should be a number: 0.1 instead of the text '0.1'",),
+    "network.latency = '100ms'": ("f.toml:1: network.latency: should be a number, in s: 0.1",),
+    "network.latency = '100 ms'": ("should be a number, in s: 0.1",),
+    "network.loss = 5": ("network.loss.p: should be less than or equal to 1",),
+    "protocol.kind = 'SAP'": ("f.toml:1: protocol.kind: there is no 'SAP', did you mean 'sap'?",),
+    "protocol = 'Auction'": ("did you mean 'cbaa' or 'cbba'?",),
+    "team.count = 8.0": ("team.count: should be an integer", "got 8.0"),
+    "network.latency = { kind = 'gamma', mean = 0.1 }": ("mean",),
+    "network.latency = { kind = 'lognormal', std = 0.1 }": ("std: unknown key, did you mean 'cv'?",),
+    "name = 'x": ("f.toml:1: not TOML: a text is not closed by a quote (opened in column 8)",),
+    "seed 3": ("f.toml:1: not TOML: Expected '='", "column 6"),
+    "horizon = '30 s'": ("horizon: should be a number, in s: 30",),
+    "network.range = 'inf'": ("network.range",),
+    "[sweep.grid]\n'team.count' = 3": ("f.toml:2: sweep.grid.team.count: should be a list",),
+    "[sweep.grid]\n'network.latency.value' = '0:1:0'": ("step should lead from 0 to 1",),
+    "protocol = 'mine:rule'": ("'mine:rule' names code to be run; ", "--allow-import"),
+    "seed = -1": ("f.toml:1: seed: should be greater than or equal to 0",),
+    "team.count = true": ("team.count: should be an integer", "got true"),
+    "[[fault]]\nkind = 'crash'\nnode = 25\nstart = 1.0": ("fault.0.node: there is no pursuer 25",),
+    "team.speeds = [1.0, 2.0]": ("one per pursuer",),
+    "horizon = -1\nsed = 3\n[team]\ncout = 3": ("f.toml:1: horizon", "f.toml:2: sed", "f.toml:4: team.cout"),
+    "motion = 3": ("f.toml:1: motion: should be a table",),
+    "evader.strategy = 'pure-evasion'": ("did you mean 'pure_evasion'?",),
+}
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_a_wrong_file_says_where_and_why(text, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text(text)
+    done = CliRunner().invoke(main, ["check", "f.toml"])
+    assert done.exit_code == 2
+    for part in FILES[text]:
+        assert part in done.stderr
+
+
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "rnu f.toml": ("Did you mean",),
+    "draw f.toml": ("Did you mean 'plot'?",),
+    "run relay": ("desim examples relay",),
+    "run relay.toml": ("desim examples relay",),
+    "run .": (": cannot be read: Is a directory; a file in it is f.toml",),
+    "run f": ("did you mean f.toml?",),
+    "run g.toml": ("did you mean 'f.toml'?",),
+    "run x.yaml": ("scenario files are TOML; convert it: python -c",),
+    "run x.json": ("scenario files are TOML; convert it: python -c",),
+    "run f.toml --seed -1": ("-1",),
+    "run f.toml -n 0": ("0",),
+    "run f.toml --set latency=0.3": ("did you mean network.latency?",),
+    "run f.toml --set network.latency=100ms": (
+        "--set network.latency=100ms: network.latency: should be a number, in s: 0.1",
+    ),
+    "run f.toml --set network.latency.value": ("KEY=VALUE",),
+    "run f.toml --metric activetime": ("did you mean 'active_time'?",),
+    "sweep f.toml": ("should have at least one key of the scenario",),
+    "sweep f.toml -g protocol.kind=sap,cbbba": ("there is no 'cbbba', did you mean 'cbba'?",),
+    "sweep f.toml -g team.count=1:5:0 --dry-run": ("the range 1:5:0 has no end",),
+    "sweep f.toml -g team.count=2,3 --against team.count=4": (
+        "--against: team.count does not take the value 4: it takes 2, 3",
+    ),
+    "sweep f.toml -g team.count=2,3 --against team.cout=2": ("did you mean team.count?",),
+    "sweep f.toml -g team.count=2,3 --against 3": ("should be two texts with = between them",),
+    "plot f.toml -o foo.jpg": (".svg",),
+    "plot f.toml --kind phase": ("desim sweep f.toml -o DIR",),
+    "report f.toml": ("is a scenario file", "desim sweep f.toml -o DIR"),
+    "protocols sapp": ("did you mean 'sap'?",),
+    "protocols SAP": ("did you mean 'sap'?",),
+    "keys latency": ("network.latency",),
+    "keys network.latncy": ("latency",),
+    "examples realy": ("did you mean 'relay'?",),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text("horizon = 0.01\n")
+    Path("x.yaml").write_text("horizon: 3\n")
+    Path("x.json").write_text('{"horizon": 3}')
+    done = CliRunner().invoke(main, command.split())
+    assert done.exit_code == 2
+    for part in COMMANDS[command]:
+        assert part in done.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"f.toml", "x.yaml", "x.json"}
+
+
+def test_a_traceback_of_a_wrong_call_is_short():
+    with pytest.raises(KeyedError) as refused:
+        Team(cout=8)
+    assert len(refused.traceback) == 2
+    assert refused.value.__cause__ is None
+
+
+def test_a_model_of_a_user_is_told_as_a_built_in_one_is():
+    class Own(Constant):
+        gain: float = 1.0
+
+    with pytest.raises(KeyedError, match="Own: gian: unknown key, did you mean 'gain'"):
+        Own(gian=2.0)
+
+
+def test_tab_completion_shows_none_of_the_deprecated_methods_of_pydantic():
+    for shown in (dir(SHORT), dir(Scenario), dir(Gamma()), dir(Lognormal)):
+        assert not {"copy", "dict", "json", "parse_obj", "from_orm", "schema"} & set(shown)
+        assert {"model_copy", "model_dump"} <= set(shown)
+
+
+def test_a_file_that_is_valid_is_said_to_be(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("f.toml").write_text("horizon = 3.0\n")
+    done = CliRunner().invoke(main, ["check", "f.toml"])
+    assert done.stderr == "f.toml is valid\n"
+    Path("all.toml").write_text(done.stdout)
+    assert load("all.toml") == load("f.toml")
