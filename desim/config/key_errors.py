@@ -172,7 +172,7 @@ def value_at(tables: Any, place: KeyPath) -> Any:
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model class of the value of a field, or of its items; None if there is none."""
     for one_of in choices_of(info):
-        table = one_of.as_table(value)  # of a bare number or text
+        table = one_of.as_table(value) if type(value) in {int, float, str} else value
         return one_of.choice(str(table.get("kind"))) if isinstance(table, dict) else None
     return next(models_in(info.annotation), None)
 
