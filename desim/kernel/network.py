@@ -77,7 +77,8 @@ class ReceivingNodes:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
-            self._records.relay(node, record._replace(body=self._own(record.body)))
+            body = self._own(record.body)
+            self._records.relay(node, record if body is record.body else record._replace(body=body))
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""

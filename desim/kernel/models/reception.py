@@ -54,7 +54,9 @@ class QuasiUnitDisk(Value):
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= q R, p where q R < d <= R, else 0."""
-        return np.where(distances <= self.certain * range, 1.0, np.where(distances <= range, self.p, 0.0))
+        probabilities = np.where(distances <= range, self.p, 0.0)
+        probabilities[distances <= self.certain * range] = 1.0
+        return probabilities
 
     def bound(self, range: float) -> float:  # noqa: A002
         """Return R."""

@@ -99,11 +99,13 @@ class OwnTables:
         still_in_flight: list[Any] = []
         table, matching = self.tables[node], self.matching[node]
         for arrival, record in pending:
-            both = table.get(record.src), self._shared(node, record.src)
-            stored = [received for received in both if received is not None]
             if arrival > now:
                 still_in_flight += arrival, record
-            elif all((other.seq, -when) < (record.seq, -arrival) for when, other in stored):
+                continue
+            stored, shared = table.get(record.src), self._shared(node, record.src)
+            if (stored is None or (stored[1].seq, -stored[0]) < (record.seq, -arrival)) and (
+                shared is None or (shared[1].seq, -shared[0]) < (record.seq, -arrival)
+            ):
                 _store((arrival, record), table, matching, self._predicate)
         return still_in_flight
 
