@@ -214,12 +214,13 @@ def _by_key(error: ScenarioError, changes: Changes, help_of: Mapping[str, str]) 
     A reason does not repeat the help of its key, `help_of`, which a page shows beneath the control. A decimal comma is
     not read as a point, as 1,000 may be a thousand.
     """
-    values = {key: value for key, _, value in (change.partition("=") for change in changes)}
+    values = {key: value for key, sign, value in (change.partition("=") for change in changes) if sign}
     keys = {f"--set {change}": change.partition("=")[0] for change in changes}
     reasons: dict[str, list[str]] = {}
     for problem in error.problems:
         key = problem.key or keys.get(problem.where, "")
-        reason = problem.reason.replace(f"; {help_of.get(key, '').rstrip('.')}", "", 1)
+        about = help_of.get(key, "").rstrip(".")
+        reason = problem.reason.replace(f"; {about}", "", 1) if about else problem.reason
         value = values.get(key, "").strip()
         if WITH_COMMA.fullmatch(value):
             reason = f"should be a number with a decimal point: {value.replace(',', '.')} (got {value})"
