@@ -20,6 +20,7 @@ from desim.study.workers.batch import seeds_from
 from protocols.local_min import LocalMin
 from scenarios import (
     bodies,
+    boids,
     contention,
     delay,
     evaders,
@@ -53,6 +54,7 @@ from tests.summaries import changed
 STUDIES = (
     benchmarks,
     bodies,
+    boids,
     contention,
     delay,
     evaders,
@@ -523,3 +525,16 @@ def test_the_study_of_the_start_prints_what_it_measured(study, shortened):
     law, table, _ = study(start.main, "--runs", "2", "--law")
     assert [extra["expected"] for extra in law["law"]] == 2 * [0.0, 0.95, 3.8, 15.2]
     assert law["law"][0]["difference"]["mean"] == 0.0
+
+
+@pytest.mark.slow
+def test_boids_that_hear_each_other_fly_alike_and_others_do_not(tmp_path, monkeypatch):
+    """Of N random headings, the mean has the length sqrt(pi / (4 N)) in the mean, here 0.20."""
+    bounds = {name: boids.NETWORKS[name] for name in ("everything at once", "nothing ever")}
+    monkeypatch.setattr(boids, "NETWORKS", bounds)
+    done = CliRunner().invoke(boids.main, ["--runs", "3", "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 0, done.output
+    order = json.loads(done.stdout)["order"]
+    assert order["everything at once"][-1] > 0.8
+    assert order["nothing ever"][-1] < 0.4
+    assert (tmp_path / "boids.svg").exists()
