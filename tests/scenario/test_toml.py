@@ -764,7 +764,7 @@ WRONG_PARAMETERS = {
     "several": (
         'protocol = { kind = "own_models:Rule", inertai = 0.5, inertia = "1" }',
         "protocol.inertai: unknown key, did you mean 'inertia'?; allowed: inertia, schedule, slow, utility",
-        X,
+        "protocol.inertia: should be a number: 1 instead of the text '1'; Probability of no change, in [0, 1]",
     ),
     "built-in model in one's own": (
         'protocol = { kind = "own_models:Rule", schedule = { kind = "poisson", rat = 3.0 } }',

@@ -158,8 +158,8 @@ def test_the_key_of_the_greatest_difference_is_named(tmp_path):
     """8, 9, 10 s more: 9 +- 4.303 / sqrt(3) s; the interval for the greatest of 4 is twice as wide."""
     assert found_in(tmp_path, [[1, 2, 3], [1, 2, 3], [2, 3, 4], [9, 11, 13]]) == [
         "horizon matters most: 0.1 instead of 0.05 (with prune = none) changes the active time by +9.000 +- 2.484 s "
-        "(95 % interval, 3 pairs of runs with the same seed). Of 4 paired differences, this is the greatest that is "
-        "distinguishable from 0."
+        "(95 % interval of this one alone, 3 pairs of runs with the same seed). Of 4 paired differences, this is the "
+        "greatest that is distinguishable from 0 at a level of 5 % for all 4 together (Bonferroni)."
     ]
 
 
@@ -170,8 +170,10 @@ def test_no_key_is_named_if_no_difference_can_be_told_from_0(tmp_path):
     """
     said = found_in(tmp_path, [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.7, 3.0, 4.3]])
     assert said == [
-        "No paired difference in active time is distinguishable from 0; the greatest of 4 is +1.000 +- 0.745 s "
-        "(95 % interval, 3 pairs of runs with the same seed), for horizon = 0.1 instead of 0.05 (with prune = none)."
+        "No paired difference in active time is distinguishable from 0 at a level of 5 % for all 4 together "
+        "(Bonferroni); "
+        "the greatest of 4 is +1.000 +- 0.745 s (95 % interval of this one alone, 3 pairs of runs with the same "
+        "seed), for horizon = 0.1 instead of 0.05 (with prune = none)."
     ]
 
 
@@ -233,10 +235,10 @@ def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full)
     """96 px to the inch; a width of 72 in the view box is an inch."""
     widths = [int(each) for each in re.findall(r'style="--width: (\d+)px"', full.text)]
     boxes = [float(each) for each in re.findall(r'viewBox="0 0 ([\d.]+) ', full.text)]
-    assert len(widths) == len(boxes) == 8
+    assert len(widths) == len(boxes) == 9
     assert widths == [pytest.approx(each * 96 / 72, abs=1) for each in boxes]
     heads = re.findall(r"<svg [^>]*>", full.text)
-    assert len(heads) == 8
+    assert len(heads) == 9
     assert not any(re.search(r"\s(height|version)=", head) for head in heads)  # the height follows from the width
 
 
@@ -255,7 +257,7 @@ def test_some_of_many_failures_are_shown_and_a_missing_run_json_is_reported(tmp_
 def test_there_is_no_phase_diagram_if_one_number_is_swept(tmp_path):
     elements = Elements(report(Study.read(swept(tmp_path, {"horizon": [0.05, 0.1], "prune": ["inf", "none"]}, 2))))
     assert [each for each in elements.ids if each.endswith("-title")] == ["multiples-title"]
-    assert elements.tags.count("svg") == 5
+    assert elements.tags.count("svg") == 6
 
 
 def test_all_ids_differ_and_all_references_lead_somewhere(full):

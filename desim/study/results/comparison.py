@@ -144,11 +144,10 @@ class Comparison:
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
         first, second = self.names
-        heading = f"{second} minus {first}, run by run with the same seed; +- is half a 95 % t interval"
-        if not any(compared.pairs for compared in self.configurations):
-            heading = f"{second} minus {first}, independent runs; +- is half a 95 % t interval"
-        units = self.units
-        heads = [f"{title(metric, units)}: {part}" for metric in self.metrics for part in (first, second, "difference")]
+        is_paired = any(compared.pairs for compared in self.configurations)
+        how = "run by run with the same seed" if is_paired else "independent runs"
+        heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval"
+        heads = [f"{title(metric, self.units)}: {part}" for metric in self.metrics for part in ("A", "B", "B - A")]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *heads)]
         columns: list[list[str]] = []
         for metric in self.metrics:

@@ -27,6 +27,8 @@ from desim.study.plan.configurations import in_words
 from desim.study.results.runs import Group, SweepRuns, text
 
 CrossoverInterval = tuple[float, float]
+ROUNDING = 1e-12
+"""The relative size of a discriminant that is attributed to rounding."""
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,9 @@ def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> li
 def _not_positive(a: float, b: float, c: float) -> list[CrossoverInterval]:
     """Return the intervals in [0, 1] on which a u^2 + b u + c <= 0."""
     discriminant = b * b - 4.0 * a * c
+    if a > 0.0 and discriminant <= ROUNDING * b * b:  # no root, or one: without scatter, the crossing itself
+        root = -b / (2.0 * a)
+        return [(root, root)] if 0.0 <= root <= 1.0 and discriminant >= -ROUNDING * b * b else []
     if a == 0.0:
         roots = [-c / b] if b else []
     elif discriminant <= 0.0:

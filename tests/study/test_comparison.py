@@ -1,0 +1,173 @@
+"""Two sweeps side by side: pairs by seed, independent runs, and what is matched."""
+
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+import pytest
+from scipy.stats import t, ttest_ind, ttest_rel
+
+import desim
+from desim.analysis.metrics import summary
+from desim.analysis.statistics import independent
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import run
+from desim.study.results.comparison import Comparison
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import Group
+from desim.study.store.run_table import Row
+from desim.study.sweeps.folder import compare
+from tests.command import accepted, refused, strict_json
+from tests.summaries import changed
+
+RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
+
+
+def sweep_of(times, *, first_seed=10, settings=None, failed=(), name="relay"):
+    """Return a sweep whose configuration x = k has the active times `times[k]`; its first run has `first_seed`."""
+    groups = []
+    for k, values in enumerate(times):
+        rows = [
+            Row(r, first_seed + r, "error", None, "no")
+            if (k, r) in failed
+            else Row(r, first_seed + r, "ok", changed(RUN, active_time=value))
+            for r, value in enumerate(values)
+        ]
+        groups.append(Group({"x": float(k), **(settings or {})}, tuple(rows)))
+    return SweepResult(name, tuple(groups[0].settings), tuple(groups))
+
+
+RNG = np.random.default_rng(5)
+BEFORE = RNG.normal(5.0, 1.0, (2, 12)).tolist()
+AFTER = [[value + 0.5 + 0.1 * RNG.normal() for value in BEFORE[0]], RNG.normal(5.0, 1.0, 12).tolist()]
+
+
+def test_runs_with_the_same_seed_are_paired():
+    comparison = compare(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"])
+    for compared, old, new in zip(comparison.configurations, BEFORE, AFTER, strict=True):
+        cell = compared.metrics["active_time"]
+        low, high = ttest_rel(new, old).confidence_interval(0.95)
+        assert compared.pairs == 12
+        assert cell.difference.mean == pytest.approx(np.mean(new) - np.mean(old))
+        assert cell.difference.half_width == pytest.approx((high - low) / 2.0)
+        assert (cell.first.mean, cell.second.mean) == (pytest.approx(np.mean(old)), pytest.approx(np.mean(new)))
+
+
+def test_only_seeds_of_both_are_paired_and_a_failed_run_has_no_pair():
+    later = sweep_of([row[2:] for row in AFTER], first_seed=12, failed={(0, 0)})
+    comparison = compare(sweep_of(BEFORE, failed={(0, 11)}), later, ["active_time"])
+    assert [compared.pairs for compared in comparison.configurations] == [8, 10]
+    expected = np.mean(np.subtract(AFTER[0][3:11], BEFORE[0][3:11]))
+    assert comparison.configurations[0].metrics["active_time"].difference.mean == pytest.approx(expected)
+
+
+def test_without_common_seeds_the_interval_is_that_of_welch():
+    comparison = compare(sweep_of(BEFORE), sweep_of(AFTER, first_seed=99), ["active_time"])
+    for compared, old, new in zip(comparison.configurations, BEFORE, AFTER, strict=True):
+        difference = compared.metrics["active_time"].difference
+        low, high = ttest_ind(new, old, equal_var=False).confidence_interval(0.95)
+        assert compared.pairs == 0
+        assert difference.half_width == pytest.approx((high - low) / 2.0)
+    assert "no seeds in common" in comparison.table()
+    paired = compare(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"])
+    here, there = (each.configurations[0].metrics["active_time"].difference.half_width for each in (paired, comparison))
+    assert here < 0.2 * there, "a control: pairs are worth it where runs of a seed are alike"
+
+
+def test_the_difference_of_constants_has_no_width_and_says_nothing_about_others():
+    difference = independent([2.0, 2.0, 2.0], [1.0, 1.0])
+    assert (difference.mean, difference.half_width, difference.others) == (1.0, 0.0, None)
+    assert independent([1.0, 2.0], [1.0]).half_width != independent([1.0, 2.0], [1.0]).half_width  # nan
+
+
+def test_a_sentence_is_corrected_for_all_comparisons():
+    """B is 1 s more in every run but one with x = 0; with 20 configurations the same difference says nothing."""
+    old = [[0.0, 0.0, 0.0, 0.0]] * 20
+    new = [[1.0, 1.2, 0.8, 1.4], *([[0.1, -0.1, 0.1, -0.1]] * 19)]
+    few = compare(sweep_of(old[:1]), sweep_of(new[:1]), ["active_time"])
+    many = compare(sweep_of(old), sweep_of(new), ["active_time"])
+    width = float(t.ppf(1 - 0.025 / 20, 3)) * np.std(new[0], ddof=1) / sqrt(4)
+    assert width > 1.1
+    (sentence,) = few.sentences()
+    assert "is greater than relay (first)" in sentence
+    assert "Bonferroni" not in sentence
+    (sentence,) = many.sentences()
+    assert "no difference is distinguishable from 0 at a level of 5 % for all 20 comparisons together (Bonf" in sentence
+    assert "the greatest is +1.100 +- 0.411 s (95 % interval of it alone, 4 pairs of runs" in sentence
+
+
+def test_configurations_are_matched_by_their_settings():
+    reordered = sweep_of(AFTER)
+    reordered = replace(reordered, groups=reordered.groups[::-1])
+    third = sweep_of([*BEFORE, BEFORE[0]])
+    comparison = compare(third, reordered, "active_time")
+    assert [compared.settings for compared in comparison.configurations] == [{"x": 0.0}, {"x": 1.0}]
+    assert comparison.unmatched == (1, 0)
+    assert "1 configuration of relay (first) left out" in comparison.table()
+    assert comparison.configurations[0].metrics["active_time"].difference.mean == pytest.approx(
+        np.mean(AFTER[0]) - np.mean(BEFORE[0])
+    )
+
+
+def test_a_key_with_one_value_in_each_is_what_differs():
+    comparison = compare(
+        sweep_of(BEFORE, settings={"protocol": "sap"}), sweep_of(AFTER, settings={"protocol": "cbba"}), ["active_time"]
+    )
+    assert comparison.keys == ("x",)
+    assert comparison.changes == {"protocol": ("sap", "cbba")}
+    assert "protocol: sap in relay (first), cbba in relay (second)" in comparison.table()
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path):
+    plain, more = sweep_of(BEFORE), sweep_of(BEFORE)
+    more = replace(
+        more,
+        keys=("x", "y"),
+        groups=tuple(replace(g, settings={**g.settings, "y": k}) for k, g in enumerate(more.groups)),
+    )
+    with pytest.raises(ValueError, match=r"the second sweep varies y, .* within the sweep, with `plot --against`"):
+        compare(plain, more)
+    with pytest.raises(ValueError, match="no configuration is in both sweeps"):
+        compare(plain, replace(plain, groups=(Group({"x": 9.0}, plain.groups[0].rows),)))
+    with pytest.raises(ValueError, match="did you mean 'active_time'"):
+        compare(plain, plain, ["activetime"])
+    with pytest.raises(TypeError, match="two sweeps, or the folders of two sweeps, got int"):
+        compare(plain, 3)
+    with pytest.raises(ValueError, match="format should be text, latex, markdown, got 'html'"):
+        compare(plain, plain).table(format="html")
+    assert "there is no such store" in refused("compare", tmp_path / "a.sqlite", tmp_path / "b.sqlite")
+
+
+FILE = """\
+name = "relay"
+horizon = 0.2
+team.count = 3
+sweep.reps = 3
+sweep.grid."network.loss.p" = [0.0, 0.3]
+network.loss = { kind = "bernoulli", p = 0.0 }
+"""
+
+
+@pytest.mark.slow
+def test_the_command_compares_two_folders_and_says_what_differs(tmp_path):
+    file = tmp_path / "relay.toml"
+    file.write_text(FILE)
+    folders = [tmp_path / name for name in ("near", "far")]
+    for folder, size in zip(folders, (2.0, 3.0), strict=True):
+        accepted("sweep", file, "-o", folder, "--set", f"network.range={size}")
+    made = strict_json(accepted("compare", *folders, "-y", "active_time", "--json").stdout)
+    assert made["changes"] == {"network.range": ["2.0", "3.0"]}
+    assert [part["pairs"] for part in made["configurations"]] == [3, 3]
+    assert made == desim.compare(*folders, ["active_time"]).document()
+    assert "\\toprule" in accepted("compare", *folders, "--format", "latex").stdout
+    assert "network.range: 2.0 in" in accepted("compare", *folders).stdout
+    accepted("run", file, "-o", tmp_path / "run")
+    assert "is a run, and sweeps are compared" in refused("compare", folders[0], tmp_path / "run")
+
+
+def test_a_notebook_shows_it_with_its_names_escaped():
+    comparison = Comparison.of(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"], ("<b>", "&"))
+    assert "<b>" not in comparison._repr_html_()
+    assert "&lt;b&gt;" in comparison._repr_html_()
+    assert repr(comparison) == "<Comparison of <b> and &: 2 configurations>"

@@ -1,0 +1,214 @@
+"""Where two curves of a sweep cross, against a closed form and a loop over t tests, and how often intervals cover."""
+
+from dataclasses import replace
+from math import inf, isnan, sqrt
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_1samp
+
+from desim.analysis.metrics import summary
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import run
+from desim.study.results.crossover import _crossings, _undecided
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import Group
+from desim.study.store.run_table import Row
+from tests.command import accepted, refused
+from tests.summaries import changed
+
+RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
+X = [0.0, 0.1, 0.2, 0.4]
+KEY = "network.latency.value"
+A, B = {"protocol": "sap"}, {"protocol": "cbba"}
+
+
+def sweep_of(sap, cbba, x=X, metric="active_time", **more):
+    """Return a sweep with (runs, values of x) metrics of two protocols."""
+    groups = []
+    for k, value in enumerate(x):
+        for name, table in (("sap", sap), ("cbba", cbba)):
+            rows = tuple(Row(r, 7 + r, "ok", changed(RUN, **{metric: line[k]})) for r, line in enumerate(table))
+            groups.append(Group({KEY: value, "protocol": name}, rows))
+    return SweepResult("relay", (KEY, "protocol"), tuple(groups), **more)
+
+
+def random_tables(rng, runs, x=X, slope=2.0, at=0.15, noise=0.3):
+    """Return two (runs, x) tables whose mean difference is slope (x - at), with noise common to the points of a run."""
+    base = 10.0 + rng.normal(0.0, 2.0, (runs, 1)) + np.zeros(len(x))
+    scatter = rng.normal(0.0, noise, (runs, 1)) + rng.normal(0.0, noise, (runs, len(x)))
+    return base + slope * (np.array(x) - at) + scatter, base
+
+
+def test_curves_without_scatter_cross_where_their_lines_do():
+    """2 (x - 0.15) is 0 at 0.15, with runs that differ by a seed only."""
+    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    crossing = sweep_of(base + 2.0 * (np.array(X) - 0.15), base).crossover("active_time", KEY, A, B)
+    assert crossing.at == pytest.approx(0.15)
+    assert (crossing.low, crossing.high) == (pytest.approx(0.15), pytest.approx(0.15))
+    assert crossing.least == "protocol = cbba"
+    assert crossing.more_is == "worse"
+    assert "protocol = cbba beats protocol = sap from network.latency.value = 0.15 s on" in str(crossing)
+
+
+def test_the_interval_of_two_points_is_fiellers_closed_form():
+    """For d at 0 and e at 1, x = m / (m - n); the ends are the roots of (m + x s)^2 = q (v + 2 x c + x^2 w)."""
+    rng = np.random.default_rng(2)
+    differences = np.column_stack([rng.normal(-1.0, 0.5, 20), rng.normal(1.0, 0.5, 20)])
+    (interval,) = _undecided([0.0, 1.0], differences, 0.95)
+    ratio = -differences[:, 0].mean() / (differences[:, 1] - differences[:, 0]).mean()
+    q = 2.093024054408263**2 / 20  # t(19), 97.5 %
+    covariance = np.cov(differences[:, 0], differences[:, 1] - differences[:, 0])
+    slope = (differences[:, 1] - differences[:, 0]).mean()
+    g = q * covariance[1, 1] / slope**2
+    middle = ratio + g / (1 - g) * (ratio + covariance[0, 1] / covariance[1, 1])
+    spread = covariance[0, 0] + 2 * ratio * covariance[0, 1] + ratio**2 * covariance[1, 1]
+    rest = g * (covariance[0, 0] - covariance[0, 1] ** 2 / covariance[1, 1])
+    half = sqrt(q) / abs(slope) / (1 - g) * sqrt(spread - rest)
+    assert interval == (pytest.approx(middle - half), pytest.approx(middle + half))
+    assert _crossings([0.0, 1.0], differences.mean(axis=0).tolist()) == (pytest.approx(ratio),)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("seed", range(8))
+def test_the_interval_holds_the_points_at_which_a_t_test_does_not_decide(seed):
+    """A loop over a fine grid, with scipy's t test of the differences that are interpolated run by run."""
+    rng = np.random.default_rng(seed)
+    sap, cbba = random_tables(rng, 12, noise=0.1 + 0.1 * seed)
+    intervals = _undecided(X, sap - cbba, 0.9)
+    for point in np.linspace(0.0, 0.4, 401):
+        values = [np.interp(point, X, line) for line in sap - cbba]
+        inside = any(low - 1e-12 <= point <= high + 1e-12 for low, high in intervals)
+        p = ttest_1samp(values, 0.0).pvalue
+        assert inside == (p >= 0.1) or abs(p - 0.1) < 1e-9
+
+
+def test_an_interval_that_the_values_do_not_bound_has_no_end():
+    sap, cbba = random_tables(np.random.default_rng(1), 10, slope=0.2, at=0.3, noise=0.2)
+    crossing = sweep_of(sap, cbba).crossover("active_time", KEY, A, B)
+    assert crossing.high == inf
+    assert "beyond 0.4 s" in str(crossing)
+    assert crossing.document()["interval"][1] == "Infinity" or crossing.document()["interval"][1] is None
+
+
+def test_curves_that_do_not_cross_have_no_crossing():
+    base = np.array([[1.0], [2.0], [3.5]]) + np.zeros(4)
+    crossing = sweep_of(base + 1.0, base).crossover("active_time", KEY, A, B)
+    assert crossing.at is None
+    assert isnan(crossing.low)
+    assert str(crossing).startswith(
+        "active time: no crossing for network.latency.value from 0 to 0.4 s: protocol = cbba beats protocol = sap"
+    )
+    assert crossing.document()["interval"] is None
+
+
+def test_the_last_of_several_crossings_counts_and_touching_is_none():
+    assert _crossings([0, 1, 2, 3], [1.0, -1.0, 1.0, -3.0]) == (0.5, 1.5, 2.25)
+    assert _crossings([0, 1, 2], [1.0, 0.0, 1.0]) == ()
+    assert _crossings([0, 1, 2], [0.0, 1.0, 2.0]) == ()
+    assert _crossings([0, 1, 2, 3], [1.0, 0.0, 0.0, -1.0]) == (1.5,)
+    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    crossing = sweep_of(base + np.array([1.0, -1.0, 1.0, -3.0]), base).crossover("active_time", KEY, A, B)
+    assert crossing.least == "protocol = sap"
+    assert "the means cross 3 times, and this is the last" in str(crossing)
+
+
+def test_more_may_be_better_and_infinite_values_are_left_out():
+    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    sap = base + np.array([-1.0, 1.0, 1.0, 9.0])
+    swept = sweep_of(sap, base, x=[0.0, 0.1, 0.2, inf])
+    crossing = swept.crossover("active_time", KEY, A, B)
+    assert crossing.span == (0.0, 0.2)
+    assert crossing.least == "protocol = cbba"
+
+
+def test_a_seed_without_a_value_is_left_out():
+    sap, cbba = random_tables(np.random.default_rng(4), 10)
+    table = sap.tolist()
+    table[3][1] = None
+    with_gap = sweep_of(table, cbba, metric="capture_time")
+    keep = [k for k in range(10) if k != 3]
+    assert with_gap.crossover("capture_time", KEY, A, B).pairs == 9
+    assert with_gap.crossover("capture_time", KEY, A, B).at == pytest.approx(
+        sweep_of(sap[keep], cbba[keep]).crossover("active_time", KEY, A, B).at
+    )
+
+
+def test_what_has_no_crossover_is_refused(tmp_path):
+    sap, cbba = random_tables(np.random.default_rng(4), 4)
+    swept = sweep_of(sap, cbba)
+    three = replace(
+        swept,
+        keys=(*swept.keys, "network.range"),
+        groups=tuple(replace(g, settings={**g.settings, "network.range": r}) for g in swept.groups for r in (6.0, 9.0)),
+    )
+    cases = [
+        (swept, ("activetime", KEY, A, B), "did you mean 'active_time'"),
+        (swept, ("active_time", "network.latncy.value", A, B), "the grid has no key"),
+        (swept, ("active_time", "protocol", {KEY: 0.0}, {KEY: 0.1}), "cross along numbers, and it takes sap, cbba"),
+        (swept, ("active_time", KEY, A, A), "got protocol = sap twice"),
+        (swept, ("active_time", KEY, {"protocol": "cbaa"}, B), "does not take the value cbaa"),
+        (swept, ("active_time", KEY, {KEY: 0.1}, B), "a and b should not fix it"),
+        (three, ("active_time", KEY, A, B), r"network.range takes 6, 9 on the curve .* where=\{"),
+        (sweep_of(sap, cbba, common=False), ("active_time", KEY, A, B), "independent seeds cannot be paired"),
+        (sweep_of(sap[:1], cbba[:1]), ("active_time", KEY, A, B), "needs two seeds"),
+        (sweep_of(sap[:, :1], cbba[:, :1], x=[0.1]), ("active_time", KEY, A, B), "needs two or more finite numbers"),
+    ]
+    for result, arguments, message in cases:
+        with pytest.raises(ValueError, match=message):
+            result.crossover(*arguments)
+    with pytest.raises(ValueError, match="confidence should be between 0 and 1"):
+        swept.crossover("active_time", KEY, A, B, confidence=95)
+    assert three.crossover("active_time", KEY, A, B, where={"network.range": 6}).pairs == 4
+    assert "should be two texts with =" in refused("crossover", tmp_path, KEY, "sap", "protocol=cbba")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("confidence", [0.95, 0.5])
+def test_the_interval_covers_as_often_as_it_says(confidence):
+    """2,000 studies of 10 seeds; s.e. 0.5 % and 1.1 %. Half of the intervals of 50 % do not cover: a control."""
+    rng = np.random.default_rng(3)
+    studies, covered = 2000, 0
+    for _ in range(studies):
+        sap, cbba = random_tables(rng, 10, noise=0.1)
+        differences = sap - cbba
+        at = _crossings(X, differences.mean(axis=0).tolist())
+        intervals = _undecided(X, differences, confidence)
+        low, high = next((ends for ends in intervals if at and ends[0] <= at[-1] <= ends[1]), (inf, -inf))
+        covered += (low <= X[0] or low <= 0.15) and (high >= X[-1] or high >= 0.15)
+    error = sqrt(confidence * (1.0 - confidence) / studies)
+    assert abs(covered / studies - confidence) < 4.0 * error
+
+
+@pytest.mark.slow
+def test_an_interval_for_independent_runs_would_cover_too_often():
+    """A control of the pairs: runs that are paired with those of other seeds scatter by the seeds, too."""
+    rng = np.random.default_rng(3)
+    widths = []
+    for shuffled in (False, True):
+        sap, cbba = random_tables(rng, 30)
+        other = cbba[rng.permutation(30)] if shuffled else cbba
+        low, high = max(_undecided(X, sap - other, 0.95), key=lambda ends: ends[1] - ends[0])
+        widths.append(high - low)
+    assert widths[0] < 0.5 * widths[1]
+
+
+FILE = """\
+name = "relay"
+horizon = 0.5
+team.count = 3
+sweep.reps = 3
+sweep.grid."network.latency.value" = [0.0, 0.3]
+sweep.grid."protocol" = [{ kind = "sap" }, { kind = "cbba" }]
+"""
+
+
+@pytest.mark.slow
+def test_the_command_finds_the_same(tmp_path):
+    file = tmp_path / "relay.toml"
+    file.write_text(FILE)
+    accepted("sweep", file, "-o", tmp_path / "out")
+    words = "crossover", tmp_path / "out", KEY, "protocol=sap", "protocol=cbba"
+    assert accepted(*words).stdout.startswith("active time: ")
+    assert '"metric": "messages_sent"' in accepted(*words, "-y", "messages_sent", "--json").stdout

@@ -1,0 +1,80 @@
+"""A folder of results as a list."""
+
+import json
+import os
+
+import pytest
+
+import desim
+from desim.study.sweeps.listing import ls
+from tests.command import accepted, refused, strict_json
+
+FILE = """\
+name = "relay"
+horizon = 0.2
+team.count = 2
+sweep.reps = 2
+sweep.grid."network.loss.p" = [0.0, 0.3]
+network.loss = { kind = "bernoulli", p = 0.0 }
+"""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Return a folder with a run, three runs, a sweep, a sweep with a shard only, and what is no result."""
+    folder = tmp_path_factory.mktemp("results")
+    file = folder / "relay.toml"
+    file.write_text(FILE)
+    accepted("run", file, "-o", folder / "one")
+    accepted("run", file, "-n", 2, "-o", folder / "two")
+    accepted("sweep", file, "-o", folder / "swept")
+    accepted("sweep", file, "-o", folder / "parts", "--shard", "1/2")
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "trace.jsonl").write_text("")
+    (folder / "empty").mkdir()
+    return folder
+
+
+def states(folder):
+    return {str(entry.folder.relative_to(folder)): (entry.kind, entry.runs, entry.state) for entry in ls(folder)}
+
+
+def test_each_result_has_a_line_with_its_state(results):
+    found = states(results)
+    assert found["one"] == ("run", 1, "complete")
+    assert found["swept"] == ("sweep", 4, "complete")
+    assert found["parts"][1:] == (2, "parts of a sweep: merge them; unfinished: 2 of 4")
+    assert [name for name in found if name.startswith("two")] == ["two/seed-0", "two/seed-1"]
+    assert set(found) == {"one", "swept", "parts", "two/seed-0", "two/seed-1"}
+    assert {entry.scenario for entry in ls(results)} == {"relay"}
+
+
+def test_the_date_is_that_of_the_newest_file(results):
+    os.utime(results / "one" / "trace.jsonl", (1e9, 1e9))
+    os.utime(results / "one" / "run.json", (1e9, 1e9))
+    (entry,) = (entry for entry in ls(results) if entry.folder.name == "one")
+    assert entry.modified == 1e9
+    assert entry.date.startswith("2001-09-0")
+
+
+def test_what_is_unfinished_or_damaged_says_so(results, tmp_path):
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "trace.jsonl").write_text('{"event": "Started"}\n')
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "sweep.sqlite").write_text("no database at all" * 100)
+    (tmp_path / "broken" / "run.json").write_text("{")
+    found = states(tmp_path)
+    assert found["cut"] == ("run", 1, "no run.json; unfinished")
+    assert found["broken"][1] is None
+    assert "file is not a database" in found["broken"][2]
+
+
+def test_the_command_prints_it(results, tmp_path):
+    lines = accepted("ls", results).stdout.splitlines()
+    assert lines[0].split() == ["folder", "kind", "scenario", "date", "runs", "state"]
+    assert len(lines) == 6
+    made = strict_json(accepted("ls", results, "--json").stdout)
+    assert made == json.loads(json.dumps([entry.document() for entry in desim.ls(results)]))
+    assert accepted("ls", tmp_path).stdout == "no results\n"
+    assert "is not a folder" in refused("ls", results / "relay.toml")
+    assert "<table>" in desim.ls(results)._repr_html_()
