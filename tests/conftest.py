@@ -151,7 +151,7 @@ def _undrawn(request, monkeypatch):
 def undraw(patch):
     """Let a run and a sweep draw and write no pictures, and a report have none, which takes a second each."""
     for name in ("analysis.drawing.plots.save", "analysis.drawing.plots.trajectory", "study.results.figures.means"):
-        patch.setattr(f"desim.{name}", lambda *_: [])
-    for name in ("multiples", "phase", "waterfall"):
-        patch.setattr(f"desim.study.results.figures.{name}", lambda *_: None)
+        patch.setattr(f"desim.{name}", lambda *_, **__: [])
+    for name in ("legend", "multiples", "phase", "waterfall"):
+        patch.setattr(f"desim.study.results.figures.{name}", lambda *_, **__: None)
     patch.setattr("desim.view.pages.report._inline", lambda *_: "")
