@@ -66,9 +66,9 @@ def schema() -> None:
     from desim.scenario.toml import BASE_DESCRIPTION
     from desim.scenario.toml_errors import BASE
 
-    found = Scenario.model_json_schema()
-    found["properties"][BASE] = {"type": "string", "title": "Base", "description": BASE_DESCRIPTION}
-    echo(json.dumps(to_json(found), indent=2))
+    json_schema = Scenario.model_json_schema()
+    json_schema["properties"][BASE] = {"type": "string", "title": "Base", "description": BASE_DESCRIPTION}
+    echo(json.dumps(to_json(json_schema), indent=2))
 
 
 @click.command()
@@ -129,9 +129,9 @@ def protocols(only: str | None) -> None:
 
     choices = PROTOCOLS.choices()
     if only is None:
-        known: set[type[BaseModel]] = set()  # models shared by several protocols are described once
+        described_models: set[type[BaseModel]] = set()  # models shared by several protocols are described once
         for kind, model in choices.items():
-            echo("\n".join(described(model, kind, known=known)) + "\n")
+            echo("\n".join(described(model, kind, described_models=described_models)) + "\n")
         return
     if only not in choices and ":" not in only:
         allowed = f"allowed: {', '.join(choices)}, and module:name"

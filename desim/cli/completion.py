@@ -32,11 +32,11 @@ def all_completions() -> list[str]:
     from desim.config.key_index import all_keys
     from desim.scenario.scenario import Scenario
 
-    found = set[str]()
+    completions = set[str]()
     for key in all_keys(Scenario):
         table = "fault.0" if key.dotted == "fault" else key.dotted
-        found |= {f"{key.dotted}=", *(f"{table}.kind={kind}" for kind in key.kinds)}
-    return sorted(found)
+        completions |= {f"{key.dotted}=", *(f"{table}.kind={kind}" for kind in key.kinds)}
+    return sorted(completions)
 
 
 def _cache_folder() -> Path:

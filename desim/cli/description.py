@@ -16,21 +16,21 @@ from desim.config.traits import Traits
 
 
 def described(
-    model: type[BaseModel], title: str, indent: str = "", known: set[type[BaseModel]] | None = None
+    model: type[BaseModel], title: str, indent: str = "", described_models: set[type[BaseModel]] | None = None
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively, the models that these may hold.
 
     For a model in `known` only the first line is yielded; the models described are added to `known`.
     """
-    known = set() if known is None else known
+    described_models = set() if described_models is None else described_models
     yield f"{indent}{title}: {summary(model)}"
-    if model in known:
+    if model in described_models:
         return
-    known.add(model)
+    described_models.add(model)
     for name, field in fields_of(model).items():
         if name == "kind":
             continue
-        yield from _described_field(name, field, indent + "    ", known)
+        yield from _described_field(name, field, indent + "    ", described_models)
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
@@ -59,7 +59,7 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     """
     (name, *rest), fields = place, fields_of(model)
     if name == "kind" or name not in fields:
-        allowed = ", ".join(each for each in fields if each != "kind") or "nothing"
+        allowed = ", ".join(key for key in fields if key != "kind") or "nothing"
         raise ValueError(f"there is no {name!r}; allowed: {allowed}")
     inner = {kind: chosen for choice in choices_of(fields[name]) for kind, chosen in choice.choices().items()}
     plain = next(models_in(fields[name].annotation), None)
@@ -68,7 +68,9 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     elif rest[0] in inner:
         chosen = inner[rest[0]]
         yield from described_at(rest[1:], chosen) if rest[1:] else described(chosen, rest[0])
-    elif rest[0] != "kind" and (having := [kind for kind, each in inner.items() if rest[0] in each.model_fields]):
+    elif rest[0] != "kind" and (
+        having := [kind for kind, chosen_model in inner.items() if rest[0] in chosen_model.model_fields]
+    ):
         ways = ", ".join(f"{name}.{kind}.{rest[0]}" for kind in having)
         raise ValueError(f"{rest[0]!r} in {name!r} depends on the kind: {ways}")
     elif inner or plain is None:
@@ -77,19 +79,19 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
         yield from described_at(rest, plain)
 
 
-def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[BaseModel]]) -> Iterator[str]:
+def _described_field(name: str, field: FieldInfo, indent: str, described_models: set[type[BaseModel]]) -> Iterator[str]:
     plain = next(models_in(field.annotation), None)
     text = field.description or (summary(plain) if plain is not None else "")
     yield f"{indent}{name}{default_of(field)}: {' '.join(text.split())}"
     for choice in choices_of(field):
         choices = choice.choices()
-        if known.issuperset(choices.values()):
+        if described_models.issuperset(choices.values()):
             yield f"{indent}    {', '.join(choices)}: as above"
             continue
         for kind, chosen in choices.items():
-            yield from described(chosen, kind, indent + "    ", known)
+            yield from described(chosen, kind, indent + "    ", described_models)
     for model in models_in(field.annotation):
-        yield from list(described(model, name, indent, known))[1:]
+        yield from list(described(model, name, indent, described_models))[1:]
 
 
 def summary(model: Any) -> str:

@@ -81,17 +81,17 @@ def explain(
         provenance.write(folder, made)
         store.note_command(str(Path.cwd()), sys.argv)
         with working(jobs, cluster, store, variants.plan.runs) as workers:
-            found = variants.carry_out(store, workers, shown, timeout=timeout)
-        text = json.dumps(found.document(), indent=2)
+            explanation = variants.carry_out(store, workers, shown, timeout=timeout)
+        text = json.dumps(explanation.document(), indent=2)
         write_whole(folder / "explain.json", f"{text}\n".encode())
-        write_whole(folder / "explain.txt", f"{found.table()}\n".encode())
+        write_whole(folder / "explain.txt", f"{explanation.table()}\n".encode())
         if can_plot():
             from desim.analysis.drawing.plots import save
             from desim.study.results.figures import waterfall
 
-            for each in save(waterfall(found), folder / "explain"):
-                echo(f"wrote {each}", err=True)
-    echo(text if as_json else found.table())
-    if found.failed:
-        echo(f"for {found.failed} seeds a run failed; the same command retries them", err=True)
+            for picture in save(waterfall(explanation), folder / "explain"):
+                echo(f"wrote {picture}", err=True)
+    echo(text if as_json else explanation.table())
+    if explanation.failed:
+        echo(f"for {explanation.failed} seeds a run failed; the same command retries them", err=True)
         sys.exit(FAILED)

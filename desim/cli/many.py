@@ -133,8 +133,8 @@ def sweep(
     from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
     if until and ":" in until[0]:
-        given, width = until
-        metrics, until = tuple(dict.fromkeys((*metrics, given))), (given.rpartition(":")[2], width)
+        chosen_metric, width = until
+        metrics, until = tuple(dict.fromkeys((*metrics, chosen_metric))), (chosen_metric.rpartition(":")[2], width)
     source, scenario = source_of(file, overrides, metrics, grid)
     shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:
@@ -174,7 +174,7 @@ def sweep(
             provenance.write(folder, made)
 
         with working(jobs, cluster, store, plan.runs) as workers:
-            found = carry_out(
+            result = carry_out(
                 plan,
                 store,
                 workers,
@@ -186,19 +186,19 @@ def sweep(
                 on_start=note,
             )
         done = store.added
-    table = found.table(shown, against=reference)
-    echo(json.dumps(found.document(shown), indent=2) if as_json else table)
-    for each in found.warnings(shown) if as_json else ():
-        echo(f"warning: {each}", err=True)
+    table = result.table(shown, against=reference)
+    echo(json.dumps(result.document(shown), indent=2) if as_json else table)
+    for warning in result.warnings(shown) if as_json else ():
+        echo(f"warning: {warning}", err=True)
     took = time.perf_counter() - start
     echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} already stored; store: {path}", err=True)
     if not shard:
         with storing(folder):
-            _write_summary(found, shown[0], folder, table)
-    if found.failed:
+            _write_summary(result, shown[0], folder, table)
+    if result.failed:
         echo(
-            f"{len(found.failed)} runs failed; the same command retries them; `desim report {shlex.quote(str(folder))}`"
-            " shows their tracebacks",
+            f"{len(result.failed)} runs failed; the same command retries them;"
+            f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
             err=True,
         )
         sys.exit(FAILED)
@@ -231,18 +231,18 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
 
 def store_files(stores: tuple[Path, ...]) -> list[Path]:
     """Return the files of stores; a folder stands for all stores in it, shards included."""
-    return [file for each in stores for file in (_stores_in(each) if each.is_dir() else [each])]
+    return [file for source in stores for file in (_stores_in(source) if source.is_dir() else [source])]
 
 
 def _stores_in(folder: Path) -> list[Path]:
     """Return the files of the stores in a folder; end the program if it has none."""
     from desim.study.sweeps.folder import contents
 
-    found = sorted(folder.glob("sweep*.sqlite"))
-    if not found:
+    stores = sorted(folder.glob("sweep*.sqlite"))
+    if not stores:
         has_run = (folder / TRACE).exists()
         fail(f"{folder}: {'is the folder of a run, not of a sweep' if has_run else contents(folder)}")
-    return found
+    return stores
 
 
 def _plan_text(
@@ -260,11 +260,11 @@ def _plan_text(
     from desim.analysis.tables import aligned
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
-    done = [each for each in wanted if each in there]
-    counts = [Counter(key for key, _ in each) for each in (wanted, done)]
+    done = [run_of_grid for run_of_grid in wanted if run_of_grid in there]
+    counts = [Counter(key for key, _ in keys_of) for keys_of in (wanted, done)]
     rows = [("runs", "stored", *plan.configurations[0].settings)]
     rows += [
-        (*(str(each[configuration.key]) for each in counts), *map(str, configuration.columns.values()))
+        (*(str(counts_of[configuration.key]) for counts_of in counts), *map(str, configuration.columns.values()))
         for configuration in plan.configurations
     ]
     rule = ""
@@ -275,7 +275,7 @@ def _plan_text(
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
-def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
+def _write_summary(result: "SweepResult", metric: str, folder: Path, table: str) -> None:
     """Write the table of a sweep to its folder, and a figure if matplotlib is installed."""
     from desim.results.run_folder import can_plot
 
@@ -284,4 +284,4 @@ def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) 
         from desim.analysis.drawing.plots import save
         from desim.study.results.figures import file_name
 
-        save(found.plot(metric), folder / file_name("means", metric))
+        save(result.plot(metric), folder / file_name("means", metric))

@@ -42,7 +42,7 @@ def netem(
     What netem cannot express gives a warning. With --parse or --from, read such commands, and print the table [network]
     of a scenario.
     """
-    if sum(given is not None for given in (file, text, commands)) != 1:
+    if sum(option is not None for option in (file, text, commands)) != 1:
         raise click.UsageError("needs one of FILE, --parse COMMAND and --from FILE")
     if file is not None:
         _write(file, overrides, device, folder)
@@ -63,18 +63,18 @@ def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | N
 
     _, scenario = source_of(file, overrides)
     try:
-        found = script(scenario.network, scenario.team.count, device)
+        commands = script(scenario.network, scenario.team.count, device)
     except ValueError as error:
         fail(f"{file}: {error}")
-    missing = [*found.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]
+    missing = [*commands.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]
     for key, why in missing:
         echo(f"warning: {file}: {key}: {why}", err=True)
-    own = sorted(found.tables.keys() - TABLES.keys())
-    if own and folder is None:
-        echo(f"warning: {file}: tc needs the tables {', '.join(own)}: write them with --table DIR", err=True)
-    echo("\n".join(found.lines))
-    if own and folder is not None:  # tc reads all tables from one folder
-        for name, table in found.tables.items():
+    custom_tables = sorted(commands.tables.keys() - TABLES.keys())
+    if custom_tables and folder is None:
+        echo(f"warning: {file}: tc needs the tables {', '.join(custom_tables)}: write them with --table DIR", err=True)
+    echo("\n".join(commands.lines))
+    if custom_tables and folder is not None:  # tc reads all tables from one folder
+        for name, table in commands.tables.items():
             write(table_text(table, name).encode(), folder / f"{name}.dist")
             echo(f"wrote {folder / f'{name}.dist'}", err=True)
         echo(f"tc reads them if TC_LIB_DIR={folder.absolute()} is in its environment", err=True)
@@ -88,9 +88,9 @@ def _read(text: str, source: str, folder: Path | None) -> None:
     from desim.kernel.tc.syntax import TcError
 
     try:
-        found = read_script(text, source, folder)
+        reading = read_script(text, source, folder)
     except TcError as error:
         fail(str(error))
-    for each in found.ignored:
-        echo(f"warning: {each}", err=True)
-    echo(tomli_w.dumps({"network": found.network}), end="")
+    for line in reading.ignored:
+        echo(f"warning: {line}", err=True)
+    echo(tomli_w.dumps({"network": reading.network}), end="")

@@ -109,7 +109,9 @@ def run(
     except MetricError as error:
         _fail_in(error)
     if as_json:
-        table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
+        table = json.dumps(
+            {"scenario": scenario.plain(), "runs": [plain(metrics_of_run) for metrics_of_run in results]}, indent=2
+        )
     echo(table)
     if out is not None:
         echo(f"wrote {out}", err=True)
@@ -239,6 +241,6 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
     except OSError as error:
         fail(f"{path}: cannot be read: {error.strerror}")
     scenario = valid(source)
-    if found := provenance.differences(made, environment()):
-        echo(f"warning: {path}: results may differ: {'; '.join(found)}", err=True)
+    if differing := provenance.differences(made, environment()):
+        echo(f"warning: {path}: results may differ: {'; '.join(differing)}", err=True)
     return scenario, provenance.home(path, made), made["runs"]

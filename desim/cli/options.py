@@ -37,17 +37,17 @@ NO_MEMORY = 1
 FILE = click.argument("file", type=click.Path(path_type=Path))
 
 
-def _one_word_each(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> tuple[str, ...]:
+def _one_word_each(ctx: click.Context, param: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
     """Return the settings; end the program if one has no "=".
 
     In `--set KEY = VALUE`, with spaces, only KEY is the value of --set. Without this check, the error message would be
     about superfluous arguments.
     """
-    for each in given:
-        if "=" not in each:
+    for setting in settings:
+        if "=" not in setting:
             form = param.make_metavar(ctx)
-            fail(f"{param.opts[-1]} {each}: should be {form} in one word, for instance network.latency.value=0.05")
-    return given
+            fail(f"{param.opts[-1]} {setting}: should be {form} in one word, for instance network.latency.value=0.05")
+    return settings
 
 
 SET = click.option(
@@ -189,8 +189,8 @@ def source_of(
 
     try:
         source = read_source(file, overrides, allow_import=is_import_allowed())
-        for each in grid:
-            source.vary(each)
+        for setting in grid:
+            source.vary(setting)
         add_metrics(source, metrics)
     except ScenarioError as error:
         fail(str(error))
@@ -227,19 +227,19 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
     from desim.analysis.metrics import METRICS, check_numeric
     from desim.scenario.named_metrics import installed_metrics
 
-    for each in metrics:
+    for metric in metrics:
         try:
-            if ":" not in each:
-                check_numeric(each, installed_metrics())
+            if ":" not in metric:
+                check_numeric(metric, installed_metrics())
         except ValueError as error:
-            fail(f"--metric {each}: {error}, and MODULE:FUNCTION")
-    added = [each for each in metrics if each not in METRICS]
+            fail(f"--metric {metric}: {error}, and MODULE:FUNCTION")
+    added = [name for name in metrics if name not in METRICS]
     table = source.tables.setdefault("record", {}) if added else None
     named = table.get("metrics", []) if isinstance(table, dict) else None
     if isinstance(table, dict) and isinstance(named, list):
         table["metrics"] = [*named, *added]
         source.origins.update(
-            (("record", "metrics", k), f"--metric {each}") for k, each in enumerate(added, len(named))
+            (("record", "metrics", k), f"--metric {name}") for k, name in enumerate(added, len(named))
         )
 
 
@@ -248,8 +248,8 @@ def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[s
 
     They are the metrics of --metric or, without this option, `usual` and the metrics of the scenario.
     """
-    names = tuple(dict.fromkeys(each.rpartition(":")[2] for each in metrics))
-    return names or (*usual, *(each.name for each in scenario.record.metrics))
+    names = tuple(dict.fromkeys(metric.rpartition(":")[2] for metric in metrics))
+    return names or (*usual, *(metric.name for metric in scenario.record.metrics))
 
 
 def valid(source: "Source") -> "Scenario":

@@ -53,7 +53,7 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
     from desim.view.pages.replay_data import PARTS
 
     path = page_at(out, _usual_page(sources))
-    if path.resolve() in [each.resolve() for each in sources]:
+    if path.resolve() in [source.resolve() for source in sources]:
         fail(f"{path}: is a source, and the page would replace it; give another --out")
     for source in sources:
         if not is_recorded(source) and (warning := single.size_warning(source_of(source, overrides)[1])):
@@ -71,16 +71,16 @@ def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overri
                 echo(f"warning: {f'{source}: ' if len(sources) > 1 else ''}{missing}", err=True)
         page = (single.replay_page if len(sources) == 1 else pair.side_by_side)(*results, on_part=bar.update).encode()
     write(page, path)
-    runs = "; ".join(f"{run_name(each)}: {_size(each)}" for each in results)
+    runs = "; ".join(f"{run_name(result)}: {_size(result)}" for result in results)
     echo(f"{path}: {_size(*results) if len(results) == 1 else runs}, {len(page) / 1000:,.0f} kB")
 
 
 def _usual_page(sources: tuple[Path, ...]) -> Path:
     """Return the default path of the page that plays one or two runs; a DIR/trace.jsonl counts as its DIR."""
-    sources = tuple(each.parent if each.name == TRACE else each for each in sources)
+    sources = tuple(source.parent if source.name == TRACE else source for source in sources)
     if len(sources) == 1 and sources[0].is_dir():
         return sources[0] / "replay.html"
-    names = [each.resolve().name if each.is_dir() else each.stem for each in sources]
+    names = [source.resolve().name if source.is_dir() else source.stem for source in sources]
     return Path(f"{'-'.join(names)}.html")
 
 
@@ -120,7 +120,7 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
 
 def _check_merged(folder: Path) -> None:
     """End the program if a folder has stores of the shards of a sweep but no merged store."""
-    parts = sorted(each.name for each in folder.glob(STORE_PARTS))
+    parts = sorted(part.name for part in folder.glob(STORE_PARTS))
     if parts and not (folder / STORE).exists():
         names = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))

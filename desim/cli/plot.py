@@ -41,7 +41,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
         """Return the ids."""
         try:
-            return tuple(int(each) for each in str(value).split(","))
+            return tuple(int(pursuer) for pursuer in str(value).split(","))
         except ValueError:
             self.fail(f"{value!r} should be pursuer ids separated by commas, e.g. 0,3,17", param, ctx)
 
@@ -157,11 +157,11 @@ def _draw(
         fail(f"--kind {kind} draws a {other}, and {source} is a {one}: choose {' or '.join(kinds)}")
     chosen = kind or next(iter(kinds))
     _check_options(chosen)
-    given = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
+    chosen_options = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
     if isinstance(result, Result):
-        _draw_run(result, chosen, picture_paths(source, out, chosen, NAMES.get(chosen, chosen)), given)
+        _draw_run(result, chosen, picture_paths(source, out, chosen, NAMES.get(chosen, chosen)), chosen_options)
     else:
-        _draw_sweep(result, chosen, source, out, given)
+        _draw_sweep(result, chosen, source, out, chosen_options)
 
 
 def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[str, Any]) -> None:
@@ -196,7 +196,7 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     if "against" in options:
         options["against"] = dict(options["against"])
     if "labels" in options:
-        options["labels"] = dict(_split_at_value(result, *each) for each in options["labels"])
+        options["labels"] = dict(_split_at_value(result, *pair) for pair in options["labels"])
     figure = result.plot(kind=kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
     name = file_name(kind, options.get("y"), options.get("against"))
     paths = picture_paths(source, out, kind, name)
@@ -211,20 +211,20 @@ def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str
     """
     from desim.study.results.runs import text
 
-    values = {text(each) for key in result.keys for each in result.values(key)}
+    values = {text(value) for key in result.keys for value in result.values(key)}
     parts = f"{first}={second}".split("=")
     splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
-    return next((each for each in splits if each[0] in values), (first, second))
+    return next((split for split in splits if split[0] in values), (first, second))
 
 
 def _check_options(kind: str) -> None:
     """Raise a usage error if the command line has an option that this kind of picture lacks."""
     context = click.get_current_context()
     everything = {**OF_RUNS, **OF_SWEEPS}
-    names = {each.name: each.opts[-1] for each in context.command.params}
-    for name in dict.fromkeys(each for own in everything.values() for each in own):
+    names = {parameter.name: parameter.opts[-1] for parameter in context.command.params}
+    for name in dict.fromkeys(option for options in everything.values() for option in options):
         if name not in everything[kind] and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            fitting = " and ".join(each for each, own in everything.items() if name in own)
+            fitting = " and ".join(kind_name for kind_name, options in everything.items() if name in options)
             raise click.UsageError(f"{names[name]} is an option of {fitting}; this picture is of the kind {kind}")
 
 
@@ -237,9 +237,9 @@ def picture_paths(source: Path, out: Path | None, kind: str, name: str) -> Seque
     usual = allowed[:2]
     if out is None:
         if not is_recorded(source):
-            return [Path(f"{source.stem}.{name}{each}") for each in usual]
+            return [Path(f"{source.stem}.{name}{suffix}") for suffix in usual]
         folder = source if source.is_dir() else source.parent
-        return [folder / f"{name}{each}" for each in usual]
+        return [folder / f"{name}{suffix}" for suffix in usual]
     try:
         return files(out, allowed, usual)
     except ValueError as error:

@@ -18,12 +18,12 @@ MAX_REPLAYED = 2
 """Maximum number of runs that a page plays."""
 
 
-def _one_or_two(_ctx: click.Context, _param: click.Parameter, given: tuple[Path, ...]) -> tuple[Path, ...]:
+def _one_or_two(_ctx: click.Context, _param: click.Parameter, sources: tuple[Path, ...]) -> tuple[Path, ...]:
     """Return the sources; end the program if there are too many."""
-    if len(given) > MAX_REPLAYED:
-        names = " ".join(shlex.quote(str(each)) for each in given)
-        fail(f"{names}: a page plays one run, or two side by side, got {len(given)}")
-    return given
+    if len(sources) > MAX_REPLAYED:
+        names = " ".join(shlex.quote(str(source)) for source in sources)
+        fail(f"{names}: a page plays one run, or two side by side, got {len(sources)}")
+    return sources
 
 
 SOURCES = click.argument(
@@ -45,20 +45,20 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
     """Read the run in a folder, or run a scenario file; end the program if it is no single run."""
     from desim.simulation.run import Result
 
-    found = results_of(source, seed, overrides)
-    if not isinstance(found, Result):
+    results = results_of(source, seed, overrides)
+    if not isinstance(results, Result):
         fail(
             f"{source}: is the folder of a sweep or an explanation, which keeps metrics only; make a page about it:"
             f" desim report {shlex.quote(str(source))}; to see a run of it, repeat the run: desim replay FILE -s SEED"
         )
-    return found
+    return results
 
 
 def check_no_run(folder: Path) -> None:
     """End the program if a folder has no store of a sweep, but it or one of its subfolders has a recorded run."""
     if (folder / STORE).exists():
         return
-    traces = [each for each in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if each.exists()]
+    traces = [trace for trace in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if trace.exists()]
     if traces:
         number = "a single run" if traces[0].parent == folder else "single runs"
         page = f"desim replay {shlex.quote(str(traces[0].parent))}"

@@ -25,8 +25,8 @@ def examples(name: str | None, target: Path) -> None:
     from desim.scenario.examples import examples as all_examples
 
     if name is None:
-        for each, path in all_examples().items():
-            echo(f"{each}: {first_sentence(path)}")
+        for example, path in all_examples().items():
+            echo(f"{example}: {first_sentence(path)}")
         return
     with _writing():
         written = copy_example(name, target)

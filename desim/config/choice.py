@@ -135,8 +135,8 @@ class OneOf:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         named = {"type": "string", "pattern": IMPORTED}
-        own = {"type": "object", "properties": {"kind": named}, "required": ["kind"]}
-        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}, named, own]
+        object_schema = {"type": "object", "properties": {"kind": named}, "required": ["kind"]}
+        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}, named, object_schema]
         if self.number is not None:
             bare.append({"type": "number"})
         return {"anyOf": [handler(_union(self.choices())), *bare]}
@@ -148,7 +148,7 @@ class OneOf:
         if isinstance(value, BaseModel):
             parameters = value.model_dump()
         elif is_dataclass(value):
-            parameters = attributes(value, [each.name for each in fields(value) if each.init])
+            parameters = attributes(value, [field.name for field in fields(value) if field.init])
         return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
@@ -209,11 +209,13 @@ class OneOf:
             return
         if type(value) is base or positions(base, "__call__"):
             return
-        theirs = (name for each in type(value).__mro__ if not is_ours(each) for name in vars(each))
+        theirs = (name for base in type(value).__mro__ if not is_ours(base) for name in vars(base))
         for name in dict.fromkeys(name for name in theirs if name == "__call__" or name[0] != "_"):
-            others = [model for model in self.models if positions(model, name) and callable(getattr(model, name, None))]
-            if (name == "__call__" or others) and not positions(base, name):
-                hint = f": derive it from {_or(others)}" if others else ""
+            models_with_it = [
+                model for model in self.models if positions(model, name) and callable(getattr(model, name, None))
+            ]
+            if (name == "__call__" or models_with_it) and not positions(base, name):
+                hint = f": derive it from {_or(models_with_it)}" if models_with_it else ""
                 raise ValueError(f"{name_of(value)} has a method {name}, which a {base.__name__} never calls{hint}")
 
     def as_table(self, value: Any) -> Any:
@@ -245,21 +247,21 @@ class OneOf:
         kind = table["kind"]
         if is_unlisted_import(kind) and not is_trusted(info):
             raise PydanticCustomError("import_refused", "{why}", {"why": refusal(kind)})
-        found = load_named(kind, (info.context or {}).get("folder"))
-        parameters = {key: each for key, each in table.items() if key != "kind"}
-        if not isinstance(found, type):
-            if not callable(found):
-                raise ValueError(f"{kind!r} should be callable (got {found!r})")
+        model = load_named(kind, (info.context or {}).get("folder"))
+        parameters = {key: value for key, value in table.items() if key != "kind"}
+        if not isinstance(model, type):
+            if not callable(model):
+                raise ValueError(f"{kind!r} should be callable (got {model!r})")
             if parameters:
                 raise ValueError(f"{kind!r} is not a class and takes no parameters, got {', '.join(parameters)}")
-            return found
-        calls = next((vars(base)[self.called] for base in found.__mro__ if self.called in vars(base)), None)
+            return model
+        calls = next((vars(base)[self.called] for base in model.__mro__ if self.called in vars(base)), None)
         if calls is None:
             what = "be callable" if self.called == "__call__" else f"have a method {self.called}"
             raise ValueError(f"{kind!r} is not a model: its instances should {what}")
         if isinstance(calls, FunctionType):
-            self._check_called(calls, found, None)
-        return _constructed(found, kind, parameters, info.context)
+            self._check_called(calls, model, None)
+        return _constructed(model, kind, parameters, info.context)
 
 
 def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
@@ -354,12 +356,12 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
     """Return all entry points of groups `desim.*`, those of `KINDS_OF` included, by "module:name"."""
     groups = set(entry_points().groups).union(*(kinds() for kinds in KINDS_OF.values()))
     points = (
-        each
+        point
         for group in groups
         if group.startswith("desim.")
-        for each in (*entry_points(group=group), *_builtin_points(group))
+        for point in (*entry_points(group=group), *_builtin_points(group))
     )
-    return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
+    return MappingProxyType({f"{point.module}:{point.attr}": point for point in points})
 
 
 def load_named(kind: str, folder: Path | None) -> Any:
@@ -376,15 +378,15 @@ def load_named(kind: str, folder: Path | None) -> Any:
         ValueError: if the object cannot be imported.
     """
     module, _, name = kind.partition(":")
-    where, found = "", module
+    where, package = "", module
     folder = kind.folder if isinstance(kind, CodeName) else folder
     point = _named_by_entry_points().get(kind)
     if point is None and folder is not None:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
-        found = module_beside(module, folder)
-    place = found.removeprefix(module.partition(".")[0]).partition(".")[0]
+        package = module_beside(module, folder)
+    place = package.removeprefix(module.partition(".")[0]).partition(".")[0]
     try:
-        return reduce(getattr, name.split("."), import_module(found)) if point is None else point.load()
+        return reduce(getattr, name.split("."), import_module(package)) if point is None else point.load()
     except AttributeError as error:
         hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
         raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{hint}{where}") from error
@@ -427,12 +429,16 @@ def _parameters_of(model: type) -> list[str] | None:
     if issubclass(model, BaseModel):
         names = {*model.model_fields, *(field.alias for field in model.model_fields.values() if field.alias)}
         return sorted(names) if model.model_config.get("extra", "ignore") == "ignore" else None
-    found = signature(model).parameters.values()
-    return None if any(each.kind is each.VAR_KEYWORD for each in found) else sorted(each.name for each in found)
+    signature_parameters = signature(model).parameters.values()
+    return (
+        None
+        if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature_parameters)
+        else sorted(parameter.name for parameter in signature_parameters)
+    )
 
 
 def _model_error(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) -> PydanticCustomError:
-    problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in errors)
+    problems = "; ".join(f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in errors)
     return PydanticCustomError(
         "user_model", "{why}", {"why": f"{kind!r}: {problems}", "model": model, "errors": errors}
     )
@@ -440,4 +446,4 @@ def _model_error(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) ->
 
 def choices_of(field: FieldInfo) -> list[OneOf]:
     """Return the `OneOf` annotations of a field or of its items."""
-    return [each for each in markers_of(field) if isinstance(each, OneOf)]
+    return [marker for marker in markers_of(field) if isinstance(marker, OneOf)]

@@ -39,7 +39,7 @@ class KeyedError(ValueError):
     @property
     def problems(self) -> tuple[Problem, ...]:
         """The problems, in order."""
-        return tuple(each if isinstance(each, Problem) else Problem(str(each)) for each in self.args)
+        return tuple(problem if isinstance(problem, Problem) else Problem(str(problem)) for problem in self.args)
 
     @property
     def key(self) -> str:

@@ -33,8 +33,8 @@ def problems_of_call(error: ValidationError, model: type[BaseModel], values: Map
     wording = Wording(values, model, written=repr, is_call=True)
     return tuple(
         Problem(reason, ".".join(map(str, place)), model.__name__)
-        for each in error.errors()
-        for place, reason in wording.problems(each)
+        for problem in error.errors()
+        for place, reason in wording.problems(problem)
     )
 
 
@@ -131,8 +131,8 @@ class Wording:
         if kind == "missing":
             return "is missing"
         if kind in NOT_A_TABLE and self.is_call:
-            name, given = context["class_name"], error["input"]
-            is_class = isinstance(given, type)
+            name, value = context["class_name"], error["input"]
+            is_class = isinstance(value, type)
             return f"should be a {name}{', not a class: ' + name + '()' if is_class else ' or a table of its keys'}"
         if kind in NOT_A_TABLE:
             return "should be a table"
@@ -183,8 +183,8 @@ def _tags(info: FieldInfo) -> set[str]:
     In the path of an error, pydantic inserts them after the name of the field or the index of an item.
     """
     markers = markers_of(info)
-    kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
-    return kinds | {each.tag for each in markers if isinstance(each, Tag)}
+    kinds = {kind for marker in markers if isinstance(marker, OneOf) for kind in marker.choices()}
+    return kinds | {marker.tag for marker in markers if isinstance(marker, Tag)}
 
 
 RENAMED = {
@@ -267,12 +267,12 @@ def _other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) -
     homes = homes_of(word, whole) or homes_of(RENAMED.get(word, word), whole)
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
-    here = [each for each in place if isinstance(each, str)]
-    same = [key for key in homes if [each for each in key.place if each != "0"] == here]
+    here = [part for part in place if isinstance(part, str)]
+    same = [key for key in homes if [part for part in key.place if part != "0"] == here]
     if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):
         return f", it is one of the kind {' or '.join(kinds)}"
     if not homes and (siblings := _siblings_with(word, whole)):
         return f", it is a key of {' and '.join(siblings)}"
     places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in homes)
-    found = [*map(repr, close), *list(places)[:MAX_HOMES]]
-    return f", did you mean {' or '.join(found)}?" if found else ""
+    meant = [*map(repr, close), *list(places)[:MAX_HOMES]]
+    return f", did you mean {' or '.join(meant)}?" if meant else ""

@@ -150,9 +150,9 @@ def _by_name(model: type[BaseModel], args: Sequence[Any]) -> str:
     if not names:
         return f"{model.__name__} has no keys: {model.__name__}()"
     keys = f"{model.__name__} takes its keys by name: {model.__name__}({names[0]}=...)"
-    others = f"; others: {', '.join(names[1:])}" if names[1:] else ""
+    other_names = f"; others: {', '.join(names[1:])}" if names[1:] else ""
     is_file = isinstance(args[0], str | PurePath) and str(args[0]).endswith(".toml")
-    return keys + others + (f"; a scenario file is read by load({str(args[0])!r})" if is_file else "")
+    return keys + other_names + (f"; a scenario file is read by load({str(args[0])!r})" if is_file else "")
 
 
 if TYPE_CHECKING:
@@ -205,28 +205,28 @@ class Value(BaseModel, metaclass=_ValueType):
 
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
-    def _with_python_numbers(cls, given: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
+    def _with_python_numbers(cls, fields: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
         """Convert the numbers and lists given for fields, see `as_python`."""
-        if not isinstance(given, dict):
-            return make(given)
-        plain, converted = _plain_fields(cls), dict(given)
-        for name in plain & given.keys():
+        if not isinstance(fields, dict):
+            return make(fields)
+        plain, converted = _plain_fields(cls), dict(fields)
+        for name in plain & fields.keys():
             try:
-                converted[name] = as_python(given[name])
+                converted[name] = as_python(fields[name])
             except UnicodeEncodeError as error:
                 problem = PydanticCustomError("text", "{why}", {"why": why_no_text(error)})
-                detail = InitErrorDetails(type=problem, loc=(name,), input=given[name])
+                detail = InitErrorDetails(type=problem, loc=(name,), input=fields[name])
                 raise ValidationError.from_exception_data(cls.__name__, [detail]) from error
         return make(converted)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        found = handler(schema)
-        properties = handler.resolve_ref_schema(found).get("properties", {})
+        json_schema = handler(schema)
+        properties = handler.resolve_ref_schema(json_schema).get("properties", {})
         for name in properties:
             if text := fields_of(cls)[name].description:
                 properties[name]["description"] = text
-        return found
+        return json_schema
 
     def __str__(self) -> str:
         return repr(self)
@@ -349,9 +349,9 @@ def markers_of(field: FieldInfo) -> list[Any]:
 
 def _metadata(annotation: Any) -> Iterator[Any]:
     if get_origin(annotation) is Annotated:
-        for each in annotation.__metadata__:
-            yield each
-            yield from each.metadata if isinstance(each, FieldInfo) else ()
+        for part in annotation.__metadata__:
+            yield part
+            yield from part.metadata if isinstance(part, FieldInfo) else ()
     for inner in get_args(annotation):
         yield from _metadata(inner)
 
@@ -373,11 +373,11 @@ Docs = Mapping[str, str]
 
 def docs_of(model: type) -> Docs:
     """Return the string below each field of a class and of its base classes, by name."""
-    found: dict[str, str] = {}
-    for each in reversed(model.__mro__):
-        own = _docs(each.__module__).get(each.__qualname__, {})
-        found = {**{name: text for name, text in found.items() if name not in annotated(each)}, **own}
-    return found
+    docs: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        own_docs = _docs(base.__module__).get(base.__qualname__, {})
+        docs = {**{name: text for name, text in docs.items() if name not in annotated(base)}, **own_docs}
+    return docs
 
 
 def annotated(model: type) -> list[str]:
