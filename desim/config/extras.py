@@ -43,4 +43,4 @@ def naming_extras() -> Iterator[None]:
         message = missing(package)
     else:
         return
-    raise ModuleNotFoundError(message, name=package)
+    raise ModuleNotFoundError(message, name=package) from None

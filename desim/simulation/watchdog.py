@@ -181,16 +181,18 @@ def _is_in(error: BaseException | None, kind: type[BaseException]) -> bool:
 
 
 def code_place_of(error: BaseException) -> str:
-    """Return the file, line and function in which an error was raised, the deepest of a user's code if there is any."""
-    places = list(walk_tb(error.__traceback__))
-    users = next(((frame, line) for frame, line in places[::-1] if _is_of_user(frame)), None)
-    if users is not None:
-        frame, line = users
-        return _source_line(frame.f_code, line)
-    frame, line = next((place for place in places[::-1] if place[0].f_code.co_filename != __file__), places[-1])
-    code = frame.f_code
-    where = line or code.co_firstlineno  # an instruction may belong to no line
-    return f"{short(code.co_filename)}:{where} ({code.co_name})"
+    """Return the file, line and function in which an error was raised, if possible of a user's code."""
+    code, line = _raised_in(error)
+    return f"{short(code.co_filename)}:{line} ({code.co_name})"
+
+
+def _raised_in(error: BaseException) -> tuple[CodeType, int]:
+    """Return the code and the line that `code_place_of` names."""
+    places = list(walk_tb(error.__traceback__))[::-1]
+    users = (place for place in places if _is_of_user(place[0]))
+    outside = (place for place in places if place[0].f_code.co_filename != __file__)
+    frame, line = next(users, None) or next(outside, None) or places[0]
+    return frame.f_code, line or frame.f_code.co_firstlineno  # an instruction may belong to no line
 
 
 def _is_of_user(frame: FrameType) -> bool:
@@ -199,11 +201,6 @@ def _is_of_user(frame: FrameType) -> bool:
     file = Path(frame.f_code.co_filename)
     is_library = top in _OURS or top in _LIBRARIES or {"site-packages", "dist-packages"} & set(file.parts)
     return not is_library and file.is_file()
-
-
-def _source_line(code: CodeType, line: int) -> str:
-    """Return the file, the number and the function of a line of code, and the line itself."""
-    return f"{short(code.co_filename)}:{line} ({code.co_qualname}): {getline(code.co_filename, line).strip()}"
 
 
 def short(file: str) -> str:
@@ -221,7 +218,9 @@ def interrupted_at(env: "Clock", error: BaseException) -> str:
     """Return the simulated time and the line of code at which a simulation was interrupted."""
     from desim.kernel.core.units import seconds  # slow to import, and needed only here
 
-    return f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}"
+    code, line = _raised_in(error)
+    source = getline(code.co_filename, line).strip()
+    return f"at {seconds(env.now):.9g} s of simulated time, in {code_place_of(error)}{f': {source}' if source else ''}"
 
 
 def _folded(line: str, pursuers: Sequence[int]) -> str:
@@ -262,7 +261,8 @@ def _line(process: "RestartableProcess") -> str:
     inner = process.behaviour or at.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
         at, inner = inner, inner.gi_yieldfrom
-    return _source_line(at.gi_code, at.gi_frame.f_lineno)
+    file, line = at.gi_code.co_filename, at.gi_frame.f_lineno
+    return f"{short(file)}:{line} ({at.gi_code.co_qualname}): {getline(file, line).strip()}"
 
 
 def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:

@@ -323,7 +323,7 @@ def test_an_endless_loop_is_ended_and_the_state_of_every_pursuer_reported():
         run(scenario(spin))
     first, *others = str(caught.value).splitlines()
     assert first.startswith("took longer than 0.3 s: at 0.5 s of simulated time, in simulation/test_watchdog.py:")
-    assert "(spin); " in first
+    assert first.endswith("(spin): while me.id == 1:; 2 processes wait")
     own = [line.strip() for line in others]
     assert len(own) == 2
     assert own[0].startswith("pursuer 0: simulation/test_watchdog.py:")
@@ -334,8 +334,38 @@ def test_an_endless_loop_is_ended_and_the_state_of_every_pursuer_reported():
 
 @pytest.mark.slow
 def test_a_run_in_which_no_time_passes_is_ended():
-    with pytest.raises(TimedOut, match=r"(?s)at 0 s of simulated time, in .*pursuer 2: "), within(0.3):
+    with pytest.raises(TimedOut, match=r"(?s)at 0 s of simulated time, in .*pursuer"), within(0.3):
         run(scenario(endless))
+
+
+def waits_together(me):
+    """Wait for one instant, all but pursuer 0, which never comes back."""
+    yield me.sleep(0.5)
+    while me.id == 0:
+        abs(me.id)
+    yield me.sleep(1.0)
+
+
+@pytest.mark.slow
+def test_processes_that_wait_at_one_line_are_one_line():
+    with pytest.raises(TimedOut) as caught, within(0.5):
+        run(scenario(waits_together).with_({"team.count": 12}))
+    first, *others = str(caught.value).splitlines()
+    assert re.search(r"test_watchdog.py:\d+ \(waits_together\): (while me.id == 0:|abs\(me.id\)); 11 processes", first)
+    assert [line.partition(" at ")[0] for line in others] == ["  11 processes wait"]
+    assert others[0].endswith("yield me.sleep(0.5), at 0.5 s (pursuers 1, 2, 3, 4, 5, 6, 7, 8, ...)")
+
+
+def test_an_interrupt_is_told_where_the_run_was():
+    def interrupted(me):
+        yield me.sleep(0.25)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run(scenario(interrupted))
+    (note,) = caught.value.__notes__
+    assert note.startswith("at 0.25 s of simulated time, in simulation/test_watchdog.py:")
+    assert note.endswith("(interrupted): raise KeyboardInterrupt")
 
 
 @pytest.mark.slow
