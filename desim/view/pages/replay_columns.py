@@ -25,9 +25,9 @@ class Ticks(NamedTuple):
     """End of the run, ns."""
 
     @classmethod
-    def fit(cls, end: int, other_end: int = 0) -> "Ticks":
-        """Return the ticks of a run, such that another run has fewer than 2^31 of them, too; both ends in ns."""
-        length = 1
+    def fit(cls, end: int, other_end: int = 0, shortest: int = 1) -> "Ticks":
+        """Return the ticks of a run, such that another run has fewer than 2^31 of them, too; all arguments in ns."""
+        length = shortest
         while max(end, other_end) // length >= 2**31:
             length *= 10
         return cls(length, end)

@@ -7,7 +7,7 @@ import numpy as np
 
 from desim.analysis.activity import Change, Released, action, changes_with_previous, chases
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.trace_index import captures, ended, lacks_messages, started
+from desim.analysis.trace_index import captures, ended, lacks_messages, messages, started
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import TracedFault
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
@@ -17,6 +17,11 @@ from desim.view.pages.headline import outcome, run_name
 from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column
 from desim.view.pages.replay_plane import arcs_data, estimates_data, flow_data, headings_data, path_data, reception_data
 
+MANY_MESSAGES, COARSE_TICK = 1_000_000, 10_000
+"""With more messages than this, a tick has at least so many ns: random latencies then take two bytes instead of four.
+
+It is shorter than a frame at the slowest speed.
+"""
 PARTS = 3
 """How often `on_part` is called for a page: after the messages, the beliefs, and the rest."""
 DECIDED, BROKE_DOWN, RELEASED = range(3)
@@ -28,7 +33,8 @@ def replay_data(
 ) -> ReplayData:
     """Return the data of the page; `on_part` is called after the messages and after the beliefs, the longest parts."""
     start, end, scenario = started(result), ended(result), result.scenario
-    ticks = Ticks.fit(end.t, ended(ghost).t if ghost else 0)
+    shortest = COARSE_TICK if messages(result).sent > MANY_MESSAGES else 1
+    ticks = Ticks.fit(end.t, ended(ghost).t if ghost else 0, shortest)
     has_messages = not lacks_messages(result)
     sent = _messages(result, ticks) if has_messages else None
     on_part()
