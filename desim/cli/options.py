@@ -318,7 +318,8 @@ def making(page: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        fail(f"a {page} needs {error.name}: pip install 'pursuit-desim[plot]'")
+        extra = "film" if error.name == "imageio_ffmpeg" else "plot"
+        fail(f"a {page} needs {error.name}: pip install 'pursuit-desim[{extra}]'")
     except ValueError as error:
         fail(str(error))
 

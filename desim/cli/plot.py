@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 OF_RUNS: Mapping[str, Sequence[str]] = {
     "trajectory": ["size"],
     "spacetime": ["begin", "end", "pursuers", "size"],
-    "film": ["begin", "end", "speed", "fps"],
+    "film": ["begin", "end", "speed", "fps", "size"],
     "perfetto": [],
 }
 """The kinds of pictures of a run, with the options of each kind; the first kind is the default."""
 OF_SWEEPS: Mapping[str, Sequence[str]] = {
     "means": ["y", "x", "by", "against", "labels", "xlabel", "ylabel", "size"],
-    "phase": ["y"],
+    "phase": ["y", "xlabel", "ylabel", "size"],
 }
 """The kinds of pictures of a sweep, with the options of each kind; the first kind is the default."""
-SUFFIXES = {"film": [".gif"], "perfetto": [".json"]}
+SUFFIXES = {"film": [".gif", ".mp4"], "perfetto": [".json"]}
 """The file suffixes of the kinds of pictures that are not diagrams."""
 NAMES = {"perfetto": "trace.perfetto"}
 """File names (without suffix) that differ from the name of the kind."""
@@ -52,20 +52,22 @@ class Ids(click.ParamType[tuple[int, ...]]):
     "--kind",
     type=click.Choice([*OF_RUNS, *OF_SWEEPS]),
     help="Of a run: trajectory (default), the paths of all players; spacetime, a line per pursuer and an arrow per"
-    " message; film, a GIF; perfetto, a timeline for https://ui.perfetto.dev. Of a sweep: means (default), a metric"
-    " over a key; phase, a heat map of a metric over two keys.",
+    " message; film, a GIF or an MP4; perfetto, a timeline for https://ui.perfetto.dev. Of a sweep: means (default), a"
+    " metric over a key; phase, a heat map of a metric over two keys.",
 )
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams. Default: a file in DIR, or in the"
+    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams, .gif or .mp4 (the extra `film`) for"
+    " films. Default: a file in DIR, or in the"
     " working directory for a FILE; diagrams as SVG and PNG. Names include the kind and the metric.",
 )
 @click.option(
     "--size",
     metavar="WIDTH[xHEIGHT]",
-    help="Size of a trajectory, spacetime or means in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm.",
+    help="Size of a trajectory, spacetime, means or phase in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm; of a film also in"
+    " px, e.g. 1920x1080px.",
 )
 @click.option("-y", "--y", metavar="METRIC", help="Of a sweep: the metric on the ordinate; default: active_time.")
 @click.option("-x", "--x", metavar="KEY", help="The key on the abscissa; default: the first with several numbers.")
@@ -234,7 +236,7 @@ def picture_paths(source: Path, out: Path | None, kind: str, name: str) -> Seque
     End the program if the suffix of `out` is wrong.
     """
     allowed = SUFFIXES.get(kind, PICTURE_SUFFIXES)
-    usual = allowed[:2]
+    usual = allowed[:1] if kind == "film" else allowed[:2]
     if out is None:
         if not is_recorded(source):
             return [Path(f"{source.stem}.{name}{suffix}") for suffix in usual]

@@ -1,5 +1,7 @@
 """Films: what stands where in which frame, how long frames are shown, and the same bytes every time."""
 
+import sys
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from PIL import Image
 
 from desim.analysis.drawing.plots import styled
 from desim.view.pictures.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _Scene, animate, frames
+from tests.command import refused
 from tests.drawn import described, line_of, text_of
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -157,3 +160,63 @@ def test_a_run_that_cannot_be_filmed_is_reported(tmp_path, asked, says):
 def test_without_recorded_positions_the_error_explains_how_to_record_them(tmp_path):
     with pytest.raises(ValueError, match=r"record\.trajectory"):
         animate(history(samples=()), tmp_path / "film.gif")
+
+
+# Sizes, and videos.
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("size", "pixels"),
+    [("240px", (240, 270)), ("320x180px", (320, 180)), ("5.08cm", (200, 224)), ("2inx3in", (200, 300))],
+)
+def test_a_film_has_the_size_that_is_asked_for(size, pixels, tmp_path):
+    animate(history(), tmp_path / "film.gif", begin=0.1, end=0.2, size=size)
+    shots, _, _ = played(tmp_path / "film.gif")
+    assert {shot.shape[1::-1] for shot in shots} == {pixels}
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [("10px", "from 100 to 4096 pixels"), ("wide", "a film also in px"), ("9000x9000px", "from 100 to 4096 pixels")],
+)
+def test_another_size_is_refused(size, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        animate(history(), tmp_path / "film.gif", size=size)
+    with pytest.raises(ValueError, match=r"film.avi: a film should end in .gif or .mp4"):
+        animate(history(), tmp_path / "film.avi")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_gif_that_does_not_fit_into_memory_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"too many for a GIF: .* or an MP4"):
+        animate(history(), tmp_path / "film.gif", size="4000x4000px", speed=0.04, fps=20)
+
+
+@pytest.mark.slow
+def test_a_video_has_the_frames_of_the_gif(tmp_path):
+    """Ten frames a second of 0.5 s, and the last one for 1.5 s; H.264 changes colours a little."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    count = animate(history(), tmp_path / "film.mp4", end=0.5, fps=10, size="240x270px")
+    assert animate(history(), tmp_path / "film.gif", end=0.5, fps=10, size="240x270px") == count == 6
+    reader = ffmpeg.read_frames(str(tmp_path / "film.mp4"))
+    about = next(reader)
+    video = [np.frombuffer(frame, np.uint8).reshape(270, 240, 3).astype(float) for frame in reader]
+    assert (about["size"], about["fps"], len(video)) == ((240, 270), 10.0, 6 + 15)
+    shots, _, _ = played(tmp_path / "film.gif")
+    for shot, frame in zip(shots, video, strict=False):
+        assert np.abs(shot - frame).mean() < 4.0
+    assert np.abs(shots[0] - video[5]).mean() > np.abs(shots[5] - video[5]).mean(), "a control"
+    again = tmp_path / "again.mp4"
+    animate(history(), again, end=0.5, fps=10, size="240x270px")
+    assert again.read_bytes() == (tmp_path / "film.mp4").read_bytes()
+
+
+def test_without_its_package_a_video_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(ModuleNotFoundError):
+        animate(history(), tmp_path / "film.mp4")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "a.toml").write_text('name = "a"\nhorizon = 0.1\nteam.count = 2\n')
+    message = refused("plot", tmp_path / "a.toml", "--kind", "film", "-o", tmp_path / "film.mp4")
+    assert message == "a picture needs imageio_ffmpeg: pip install 'pursuit-desim[film]'\n"

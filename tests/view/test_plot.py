@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 from PIL import Image
 
 import desim
@@ -118,7 +119,7 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
         (("perfetto", "ran", "-o", "ran/run.json/no.json"), "cannot be written"),
         (("spacetime", "ran", "-o", "ran/run.json/no.svg"), "cannot be written"),
         (("film", "ran", "-o", "ran/run.json/no.gif"), "cannot be written"),
-        (("film", "ran", "-o", "x.png"), "--out x.png: should end in .gif, or have no suffix, got .png"),
+        (("film", "ran", "-o", "x.png"), "--out x.png: should end in .gif or .mp4, or have no suffix, got .png"),
         (("perfetto", "ran", "-o", "x.html"), "--out x.html: should end in .json, "),
         (("spacetime", "ran", "-o", "x.jpg"), "--out x.jpg: should end in .svg or .png or .pdf, "),
         (("spacetime", "ran", "--size", "3"), "a width and perhaps a height in cm, mm or in"),
@@ -226,7 +227,7 @@ def test_the_figure_of_a_sweep_is_that_of_python(swept, tmp_path):
         (["-x", "protocol", "--by", "protocol"], "cannot be both the abscissa and the name of the lines"),
         (["--label", "spa=SAP"], "no key takes the value spa"),
         (["--kind", "film"], "--kind film draws a run"),
-        (["--kind", "phase", "--size", "9cm"], "--size is an option of"),
+        (["--kind", "phase", "--by", "protocol"], "--by is an option of"),
         (["--pursuers", "1"], "--pursuers is an option of spacetime; this picture is of the kind means"),
         (["--set", "horizon=1"], "--seed and --set apply to a scenario FILE only"),
     ],
@@ -237,3 +238,24 @@ def test_a_sweep_that_cannot_be_drawn_is_reported(swept, words, says):
 
 def test_the_command_that_drew_names_the_one_that_plots():
     assert "No such command 'draw'. Did you mean 'plot'?" in refused("draw", "film", "x")
+
+
+# Axes of a figure of several.
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("kind", ["trajectory", "spacetime"])
+def test_a_run_is_drawn_on_given_axes_with_the_legend_outside(kind, made):
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    assert desim.plot(made[0], kind, ax=left, style={"axes.labelsize": 5.0}) is figure
+    figure.draw_without_rendering()
+    assert left.has_data()
+    assert not right.has_data()
+    assert left.xaxis.label.get_text() in {"x (m)", "time (s)"}
+    box, inside = left.get_legend().get_window_extent(), left.get_window_extent()
+    assert box.y0 >= inside.y1 or box.y1 <= inside.y0
+    with pytest.raises(TypeError, match=r"got ndarray; give one of them, such as ax=axes\[0\]"):
+        desim.plot(made[0], kind, ax=figure.subplots(1, 2))
+    with pytest.raises(ValueError, match="size is that of a new figure"):
+        desim.plot(made[0], kind, ax=right, size="9cm")

@@ -11,6 +11,8 @@ from desim.simulation.run import Result
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from desim.analysis.drawing.plots import Axes, Style
+
 
 @naming_extras()
 def plot(
@@ -21,6 +23,8 @@ def plot(
     end: float | None = None,
     pursuers: Sequence[int] | None = None,
     size: str | None = None,
+    style: "Style" = None,
+    ax: "Axes | None" = None,
 ) -> "Figure":
     """Draw a run and return the figure.
 
@@ -35,9 +39,11 @@ def plot(
         pursuers: the pursuers in a space-time diagram, from top to bottom; None = all, or in a large team the six with
             the most changes of action.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
+        style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
+        ax: the axes to draw on, for a figure of several; None = a figure of its own.
 
     Raises:
-        TypeError: if it is not a run; the message says what to write instead.
+        TypeError: if it is not a run, with what to write instead, or `ax` is not one pair of axes of matplotlib.
         ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
     """
@@ -46,12 +52,12 @@ def plot(
     from desim.view.pictures.spacetime import spacetime
 
     if kind == "spacetime":
-        return spacetime(result, begin, end, pursuers, size or "17cm")
+        return spacetime(result, begin, end, pursuers, size, style=style, ax=ax)
     if kind != "trajectory":
         raise ValueError(f"kind should be trajectory or spacetime, got {kind!r}")
     if (begin, end, pursuers) != (None, None, None):
         raise ValueError("begin, end and pursuers are options of the kind spacetime")
-    return trajectory(result, size)
+    return trajectory(result, size, style=style, ax=ax)
 
 
 def html_picture(result: Result) -> str:

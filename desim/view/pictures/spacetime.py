@@ -15,7 +15,7 @@ import numpy as np
 
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, size_of, styled
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
@@ -48,7 +48,10 @@ def spacetime(
     begin: float | None = None,
     end: float | None = None,
     pursuers: Sequence[int] | None = None,
-    size: str = "17cm",
+    size: str | None = None,
+    *,
+    style: Style = None,
+    ax: Axes | None = None,
 ) -> Figure:
     """Draw the messages among pursuers in a window of time, the decisions of these pursuers, captures and faults.
 
@@ -61,17 +64,22 @@ def spacetime(
         pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
             team of more than ten.
         size: the width and, optionally, the height of the figure; a column of a paper is about 8.5 cm wide.
+            None = "17cm".
+        style: a style of matplotlib on top of that of desim.
+        ax: the axes to draw on; None = a figure of its own.
 
     Raises:
+        TypeError: if `ax` is not one pair of axes of matplotlib.
         ValueError: if the trace lacks messages that were sent, no pursuer is given, a pursuer does not exist or is
             given twice, the size is invalid, the window is empty, or it has too many messages to be told apart.
     """
-    width, height = size_of(size)
+    figure = None if ax is None else figure_of(ax, size=size)
+    width, height = size_of(size or "17cm") if ax is None else (ax.get_window_extent().width / ax.figure.dpi, None)
     shown = list(pursuers) if pursuers is not None else _busiest(result)
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
-    with styled((width, height or 1.2 + 0.3 * len(shown)), font=7 if width < NARROW else 8) as figure:
-        axes = figure.add_subplot()
+
+    def draw(axes: Axes) -> "dict[str, Artist]":
         rows = {pursuer: row for row, pursuer in enumerate(shown)}
         _draw_pursuers(axes, result, rows, window)
         _draw_outages(axes, result, rows, window)
@@ -82,11 +90,22 @@ def spacetime(
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
+        handles, labels = axes.get_legend_handles_labels()
+        return dict(zip(labels, handles, strict=True))
+
+    if ax is not None and figure is not None:
+        with in_style(style):
+            by_label = draw(ax)
+            place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
+            ax.legend(list(by_label.values()), list(by_label), fontsize=6, ncols=3, frameon=False, **place)
+        return figure
+    usual = width, height or 1.2 + 0.3 * len(shown)
+    with styled(usual, font=7 if width < NARROW else 8, style=style) as figure:
+        axes = figure.add_subplot()
+        by_label = draw(axes)
         count = len(started(result).active)
         some = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
         axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
-        handles, labels = axes.get_legend_handles_labels()
-        by_label: dict[str, Artist] = dict(zip(labels, handles, strict=True))
         figure.legend(
             list(by_label.values()),
             list(by_label),
