@@ -158,7 +158,7 @@ def test_a_package_that_is_missing_is_named_with_its_extra(recorded, tmp_path, m
     for name in [each for each in sys.modules if each.partition(".")[0] == package]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
-    why = f"{package} is missing: pip install 'pursuit-desim[{extra}]', or in a clone '.[{extra}]'\n"
+    why = f"{package} is missing: pip install 'pursuit-desim[{extra}]', or in a clone pip install '.[{extra}]'\n"
     assert refused("export", recorded, tmp_path / f"x.{suffix}") == why
     assert not list(tmp_path.iterdir())
 

@@ -224,10 +224,8 @@ def test_failed_runs_are_counted_and_the_first_is_reported():
     assert lines[1].split()[:4] == ["protocol", "team.speeds", "runs", "failed"]
     assert [line.split("  ")[0] for line in lines[2:4]] == ["sap", "<lambda>"]
     assert re.search(r"1\.5 +3 +1 ", lines[2])
-    assert (
-        lines[-1]
-        == "2 runs failed; the first, with protocol = sap, team.speeds = 1.5, seed 11: ValueError: no <b> today"
-    )
+    first = "protocol = sap, team.speeds = 1.5, seed 11: ValueError: no <b> today (x.py:1)"
+    assert lines[-1] == f"2 runs failed; the first, with {first}"
 
 
 def test_a_single_run_has_no_interval():

@@ -71,6 +71,7 @@ def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False
         **parameters: the parameters of an exporter that is given by its kind or by the suffix.
 
     Raises:
+        TypeError: if it is not the result of a run; the message says what to write instead.
         ValueError: if the file has the wrong suffix, there is no such exporter, or it has no such parameters.
     """
     if exporter is None:
@@ -122,9 +123,10 @@ def export(result: Result | StreamedResult, file: str | Path, exporter: Any = No
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.
     """
-    run_argument(Result, StreamedResult).check(result, "export")
     file = Path(file)
     chosen = exporter_for(file, exporter, allow_import=True)
+    if not hasattr(result, "trace"):  # any object with a trace may be exported
+        run_argument(Result, StreamedResult).check(result, "export")
     needed = ExporterTraits.of(chosen).requires
     with replacing(file) as part:
         try:
