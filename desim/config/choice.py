@@ -1,7 +1,7 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, cached_property, reduce
 from importlib import import_module
@@ -305,8 +305,11 @@ UNITS = MappingProxyType(
 """The unit in which a number is expected instead of another one, and how many of these it is."""
 
 
-def why_no_number(text: str) -> str | None:
-    """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind."""
+def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
+    """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind.
+
+    `units` are the units that the number may have: those of a latency or a loss, if the key is not known.
+    """
     text = str(text)  # numpy's are shown otherwise
     match = NUMBER_AS_TEXT.fullmatch(text)
     if match is None:
@@ -314,7 +317,7 @@ def why_no_number(text: str) -> str | None:
     number, unit = match[1].replace(",", "."), match[2].lower()
     if not unit:
         return f"should be a number: {number} instead of the text {text!r}"
-    if unit not in UNITS:
+    if unit not in UNITS or UNITS[unit][0] not in units:
         return f"should be a number without a unit (got {text!r})"
     right, count = UNITS[unit]
     what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"

@@ -18,7 +18,7 @@ from pydantic_core import ErrorDetails
 from desim.config.choice import OneOf, choices_of, why_no_number
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
-from desim.config.key_index import homes_of
+from desim.config.key_index import homes_of, unit_in
 from desim.config.model import Value, fields_of, markers_of, models_in
 from desim.config.suggestion import close_to
 
@@ -141,7 +141,7 @@ class Wording:
             limit = context["max_length" if most else "min_length"]
             return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
         if kind in NUMBERS and isinstance(error["input"], str):
-            return why_no_number(error["input"]) or text_of(error)
+            return why_no_number(error["input"], {info and unit_in(info) or "1"}) or text_of(error)
         return text_of(error)
 
     def _input_text(self, error: ErrorDetails) -> str:
