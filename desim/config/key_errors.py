@@ -141,7 +141,7 @@ class Wording:
             limit = context["max_length" if most else "min_length"]
             return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
         if kind in NUMBERS and isinstance(error["input"], str):
-            return why_no_number(error["input"], {info and unit_in(info) or "1"}) or text_of(error)
+            return why_no_number(error["input"], {(info and unit_in(info)) or "1"}) or text_of(error)
         return text_of(error)
 
     def _input_text(self, error: ErrorDetails) -> str:
