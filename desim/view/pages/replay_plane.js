@@ -293,13 +293,13 @@ function extendTrails(onto, track, groups, until, wide) {
   }
   onto.until = until;
 }
-/** Draw the last bit of the trails: from a sample to the places at the time shown. */
-function drawTips(c, { width, places }, groups, from, there, wide) {
+/** Draw the last bit of the trails: from a sample to x, y of each player at the time shown. */
+function drawTips(c, { width, places }, groups, from, x, y, wide) {
   c.lineWidth = wide; c.lineCap = "round";
   for (const [hue, players] of groups) {
     c.strokeStyle = hue;
     c.beginPath();
-    for (const i of players) { c.moveTo(px(places[from * width + 2 * i]), py(places[from * width + 2 * i + 1])); c.lineTo(...there(i)); }
+    for (const i of players) { c.moveTo(px(places[from * width + 2 * i]), py(places[from * width + 2 * i + 1])); c.lineTo(px(x(i)), py(y(i))); }
     c.stroke();
   }
   c.lineCap = "butt";
@@ -312,7 +312,7 @@ function drawGhost(c) {
     extendTrails(ghostPast, ghost.path, groups, last, 1);
     c.globalAlpha = .55;
     ghostPast.show(c);
-    drawTips(c, ghost.path, groups, last, i => [px(places[i][0]), py(places[i][1])], 1);
+    drawTips(c, ghost.path, groups, last, i => places[i][0], i => places[i][1], 1);
   }
   c.globalAlpha = .8; c.lineWidth = 1.2; c.strokeStyle = colour.soft;
   c.beginPath();
@@ -327,7 +327,6 @@ function drawGhost(c) {
 const RECENT = 2;  // time, s, of which the trails are drawn strongly
 function drawTrails(c) {
   const groups = [[colour.active, all], [colour.evader, evaders.map(player)]], last = Math.max(upto(path.t, time) - 1, 0);
-  const there = i => [px(X[i]), py(Y[i])];
   extendTrails(past, path, groups, last, 1.4);
   c.globalAlpha = .35;
   past.show(c);
@@ -346,7 +345,7 @@ function drawTrails(c) {
   }
   c.globalAlpha = .85;
   recent.show(c);
-  drawTips(c, path, groups, last, there, 2.2);
+  drawTips(c, path, groups, last, i => X[i], i => Y[i], 2.2);
   c.globalAlpha = 1;
 }
 /** A list of numbers that keeps its memory from frame to frame. */
