@@ -9,7 +9,7 @@ function readColours() {
   look++;
   sprites.clear();
 }
-let look = 0;  // counts the changes of the theme
+let look = 0;  // counts the changes of the theme and of the sizes of canvases
 const sprites = new Map();
 const DARK = "#1c2024";  // on light blue, in either theme
 const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
@@ -21,6 +21,7 @@ function surface(canvas) {
     canvas.width = box.width * box.ratio;
     canvas.height = box.height * box.ratio;
     stale = axisStale = true;
+    look++;  // a canvas that is given a size is empty, even if the size is the same
   }).observe(canvas.parentElement);
   return box;
 }
