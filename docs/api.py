@@ -169,6 +169,17 @@ PAGES: Mapping[str, Page] = MappingProxyType(
             " [The network](../../explanation/network.md#the-kernel-alone).",
             (
                 Section(
+                    "In a simulator of your own",
+                    "A network that your loop steps; see"
+                    " [Use the network in your simulator](../../howto/stepped_network.md).",
+                    ("desim.kernel.stepped_network", "desim.kernel.stepped_networks", "desim.kernel.fates"),
+                    (
+                        "desim.kernel.stepped_network.ReceivedMessage",
+                        "desim.kernel.stepped_network.LostMessage",
+                        "desim.kernel.core.events.Trace",
+                    ),
+                ),
+                Section(
                     "Network and clock",
                     "A network on a clock; links are those of [the network](network.md).",
                     names=(

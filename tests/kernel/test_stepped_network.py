@@ -276,7 +276,26 @@ def test_a_node_passes_through_the_range_within_a_step():
     assert heard == [0, 1, 1, 0]
 
 
+def test_the_place_at_the_end_of_a_step_is_not_rounded():
+    """A node ends its step just within the range, where start + (end - start) is beyond it."""
+    end = 0.7
+    start = next(x for x in (k / 977.0 for k in range(1, 2000)) if -x + (end + x) > end)
+    network = SteppedNetwork(
+        2, Links(latency=0.1, range=end, range_check="delivery"), positions=[[0, 0], [-start, 0]], trace=Trace()
+    )
+    network.send(0, 1, None)
+    assert len(network.step(0.1, [[0, 0], [end, 0]])) == 1
+
+
 # What arrives, and what does not.
+
+
+@pytest.mark.parametrize("check", ["send", "delivery"])
+def test_the_end_of_a_step_belongs_to_it(check):
+    network = SteppedNetwork(2, Links(latency=0.1, range=9.0, range_check=check), positions=START[:2])
+    network.send(0, 1, "due at the end")
+    assert [message.arrived for message in network.step(0.1)] == [network.now]
+    assert network.step(0.1) == []
 
 
 def test_everything_at_once_and_nothing_ever_are_links():
