@@ -412,6 +412,7 @@ def test_a_network_is_copied_and_pickled_before_it_is_used():
     assert episode(pickle.loads(pickle.dumps(network))) == episode(network)
 
 
+@pytest.mark.slow
 def test_the_bytes_of_a_network_do_not_depend_on_the_hash_seed():
     program = (
         "from desim import Links, Lognormal, SteppedNetwork\n"
