@@ -699,7 +699,7 @@ def test_an_explanation_has_its_picture_and_table_in_other_formats():
     explained = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
     assert len(explained.plot().axes) == 2
     (axes,) = explained.plot("active_time", size="9cm").axes
-    assert axes.get_ylabel() == "sum of active times, s"
+    assert axes.get_ylabel() == "sum of active times (s)"
     assert not axes.figure.get_suptitle()
     ax = Figure().add_subplot()
     assert explained.plot("end_time", ax=ax) is ax.figure

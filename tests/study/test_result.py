@@ -455,11 +455,28 @@ def test_a_result_without_runs_has_columns(tmp_path):
 
 @pytest.mark.parametrize("name", ["x.txt", "x", "parquet", ".csv"])
 def test_another_kind_of_file_is_refused(tmp_path, name):
-    with pytest.raises(ValueError, match=r"should end in \.csv or \.parquet"):
+    with pytest.raises(ValueError, match=r"should end in \.csv, \.parquet, \.tex or \.md"):
         PLAIN.write(tmp_path / name)
 
 
 # From a store.
+
+
+def test_a_table_has_one_number_of_decimals_in_a_column_and_other_formats(tmp_path):
+    """98 and 1000 s: with the three decimals of the smaller one."""
+    rows = [ok(k, active_time=value) for k, value in enumerate([98.0, 99.0])], [ok(0, active_time=1000.0)]
+    result = SweepResult("x", ("x_y",), tuple(group({"x_y": k}, *part) for k, part in enumerate(rows)))
+    text = result.table("active_time")
+    assert "98.500 +- 6.353" in text
+    assert "1,000.000 +- -" in text
+    for suffix, form, there in ((".tex", "latex", r"$98.500 \pm 6.353$"), (".md", "markdown", "98.500 ± 6.353")):
+        result.write(tmp_path / f"table{suffix}", ["active_time"])
+        written = (tmp_path / f"table{suffix}").read_text(encoding="utf-8")
+        assert written == result.table(["active_time"], format=form) + "\n"
+        assert there in written
+        assert r"x\_y" in written
+    with pytest.raises(ValueError, match="format should be text, latex, markdown"):
+        result.table(format="html")
 
 
 def test_a_store_that_was_never_used_has_no_results():

@@ -41,8 +41,8 @@ class Saving:
         """
         return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
 
-    def text(self, runs: int, digits: int) -> str:
-        """Return the saving as the text of a table cell, with a number of decimals."""
+    def text(self, runs: int, digits: int | None = None) -> str:
+        """Return the saving as the text of a table cell, perhaps with a number of decimals."""
         is_0 = self.mean.count and not self.differing
         return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+", digits=digits)
 

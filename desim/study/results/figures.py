@@ -26,7 +26,7 @@ from desim.analysis.drawing.plots import (
     styled,
 )
 from desim.analysis.metrics import unit_of as unit_of_metric
-from desim.analysis.metrics import with_unit, words
+from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate
 from desim.config.key_index import unit_of_key
 from desim.config.trust import escaped
@@ -660,7 +660,7 @@ def waterfall(
         with in_style(style):
             (cost,) = explanation.costs.values()
             draw_waterfall(ax, cost)
-            ax.set_ylabel(_literal(with_unit(cost.label, cost.unit)))
+            ax.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         return figure
     width, height = (4.4 * len(explanation.costs), None) if size is None else size_of(size)
     with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
@@ -668,7 +668,7 @@ def waterfall(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
-            axes.set_ylabel(_literal(with_unit(cost.label, cost.unit)))
+            axes.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
         if size is None:
             figure.suptitle(title, fontsize=9, parse_math=False)

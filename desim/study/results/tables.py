@@ -115,11 +115,17 @@ def _difference_rows(
     """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
     differences = [result.differences(metric, against) for metric in metrics]
     rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *map(words, metrics))]
-    for k, (group, other) in enumerate(zip(result.groups, result.references(against), strict=True)):
+    references = result.references(against)
+    compared = [k for k, other in enumerate(references) if k != other]
+    digits = [digits_of([column[k] for k in compared]) for column in differences]
+    for k, (group, other) in enumerate(zip(result.groups, references, strict=True)):
         if k == other:
             continue
         pairs = len(group.pairs(result.groups[other])[0])
-        means = (with_half_width(column[k], pairs, sign="+", digits=digits_of(column)) for column in differences)
+        means = (
+            with_half_width(column[k], pairs, sign="+", digits=decimals)
+            for column, decimals in zip(differences, digits, strict=True)
+        )
         rows.append((*map(text, group.settings.values()), str(pairs), *means))
     return rows
 
