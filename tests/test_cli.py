@@ -1206,7 +1206,7 @@ def test_a_file_that_is_not_a_store_is_refused(file, tmp_path):
 
 def test_a_file_that_cannot_be_exported_to_is_refused(coins, tmp_path):
     (why,) = refused("export", coins[0] / "out", tmp_path / "x.txt")
-    assert why == f"{tmp_path}/x.txt: should end in .csv or .parquet"
+    assert why == f"{tmp_path}/x.txt: should end in .csv, .parquet, .tex or .md"
     (why,) = refused("export", coins[0] / "out", tmp_path / "none" / "x.csv")
     assert why == f"{tmp_path}/none/x.csv: cannot be written: No such file or directory"
 
