@@ -80,7 +80,11 @@ PAGES: Mapping[str, Page] = MappingProxyType(
             "Latency, loss, range, graph, channel and transport are independent keys of `Links`.",
             (
                 Section("Links", "The table `network`.", ("desim.kernel.models.links",)),
-                Section("Latency", "One-way times of messages.", ("desim.kernel.models.latency",)),
+                Section(
+                    "Latency",
+                    "One-way times of messages.",
+                    ("desim.kernel.models.latency", "desim.kernel.models.latency_by_link"),
+                ),
                 Section("Loss", "Which messages are lost.", ("desim.kernel.models.loss",)),
                 Section("Range and reception", "Who hears whom by distance.", ("desim.kernel.models.reception",)),
                 Section("Graphs", "Which pairs have a link.", ("desim.kernel.models.graphs",)),

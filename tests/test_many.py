@@ -153,8 +153,8 @@ def test_chasing_an_existing_evader_is_no_error():
         ((), "at least one table"),
         ({"count": 0}, "greater than or equal to 1"),
         ([{"count": 2}, {"count": -1}], "greater than or equal to 1"),
-        ({"count": True}, "valid integer"),
-        ({"count": 1.5}, "valid integer"),
+        ({"count": True}, "be an integer"),
+        ({"count": 1.5}, "be an integer"),
     ],
 )
 def test_a_scenario_has_at_least_one_evader(evader, why):

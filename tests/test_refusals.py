@@ -152,7 +152,7 @@ def not_refused(table: Table, folder) -> list[str]:
         except ScenarioError as error:
             said = str(error).splitlines()
         for key, (line, value) in planted.items():
-            meaning = " ".join((fields_of(table.model)[key].description or "").split()).rstrip(".")
+            meaning = " ".join((fields_of(table.model)[key].description or "").partition("\n\n")[0].split()).rstrip(".")
             place = ".".join([*filter(None, [table.place]), key, *map(str, value.below)])
             start = f"{file}:{line}: {place}: should be {value.words}"
             if not any(each.startswith(start) and meaning in each and not JARGON.search(each) for each in said):

@@ -69,5 +69,5 @@ def test_a_model_is_described_with_its_parameters_and_once_with_what_they_may_ho
 
 def test_a_model_described_before_is_only_named():
     known = set()
-    assert len(list(described(Frame, "frame", known=known))) == 2
-    assert list(described(Frame, "frame", known=known)) == ["frame: Around a drawing."]
+    assert len(list(described(Frame, "frame", described_models=known))) == 2
+    assert list(described(Frame, "frame", described_models=known)) == ["frame: Around a drawing."]

@@ -8,13 +8,12 @@ from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter
 
 import protocols
 from desim import Scenario
 from desim.config import choice
 from desim.config.choice import OneOf, kind_of
-from desim.config.errors import KeyedError
 from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
@@ -39,7 +38,7 @@ def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
     box = TypeAdapter(Box)
     assert box.validate_python((-1.0, 2.0)) == (-1.0, 2.0)
     assert box.validate_python((2.0, 2.0)) == (2.0, 2.0)
-    with pytest.raises(KeyedError, match=r"should be \[lower, upper\] \(got 2 and 1\.5\)"):
+    with pytest.raises(ValueError, match=r"should be \[lower, upper\] \(got 2 and 1\.5\)"):
         box.validate_python((2.0, 1.5))
 
 
@@ -117,7 +116,7 @@ def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, 
     adapter = TypeAdapter(kind)
     assert [adapter.validate_python(each) for each in good] == good
     for each in bad:
-        with pytest.raises(KeyedError):
+        with pytest.raises(ValueError):
             adapter.validate_python(each)
 
 
@@ -127,13 +126,13 @@ RANGES = [model for model in MODELS if {"low", "high"} <= model.model_fields.key
 @pytest.mark.parametrize("model", RANGES, ids=lambda model: model.__name__)
 def test_a_lower_bound_may_be_the_upper_one_and_no_more(model):
     assert made(model, {"low": 2.0, "high": 2.0}) == model(low=2.0, high=2.0)
-    with pytest.raises(ValidationError, match="low should be at most high"):
+    with pytest.raises(ValueError, match="low should be at most high"):
         made(model, {"low": 2.5, "high": 2.0})
 
 
 def test_a_value_is_frozen():
     circle = Circle()
-    with pytest.raises(ValidationError, match="frozen"):
+    with pytest.raises(ValueError, match="immutable"):
         circle.radius = 2.0
     assert circle == Circle()
 
@@ -143,7 +142,7 @@ def test_equal_values_are_one_in_a_set():
 
 
 def test_an_unknown_key_of_a_value_is_an_error():
-    with pytest.raises(KeyedError, match="radios"):
+    with pytest.raises(ValueError, match="radios"):
         Circle(radios=2.0)
 
 
@@ -189,13 +188,13 @@ def test_a_bare_string_is_a_kind_and_a_bare_number_that_of_which_it_is_the_one_k
     assert adapter.validate_python("circle") == Circle()
     assert adapter.validate_python(3) == adapter.validate_python(3.0) == Square(side=3.0)
     for wrong in (True, -3.0, "triangle"):
-        with pytest.raises(KeyedError):
+        with pytest.raises(ValueError):
             adapter.validate_python(wrong)
 
 
 @pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "triangle", 3, None])
 def test_a_value_that_is_neither_a_table_with_a_kind_nor_callable_is_refused(given):
-    with pytest.raises(KeyedError):
+    with pytest.raises(ValueError):
         Drawing(shape=given)
 
 
@@ -205,7 +204,7 @@ def test_a_callable_is_accepted_unchanged(given):
 
 
 def test_a_class_is_refused_where_its_instance_is_wanted():
-    with pytest.raises(KeyedError, match=r"should be an instance: Circle\(\) instead of Circle"):
+    with pytest.raises(ValueError, match=r"should be an instance: Circle\(\) instead of Circle"):
         Drawing(shape=Circle)
 
 
@@ -248,7 +247,7 @@ def test_a_listed_object_that_cannot_be_imported_is_refused_as_any_other(monkeyp
     monkeypatch.setattr(protocols, "KINDS", {"desim.shapes": {"round": listed}})
     choice._named_by_entry_points.cache_clear()
     try:
-        with pytest.raises(KeyedError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
+        with pytest.raises(ValueError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
             TypeAdapter(Annotated[Any, OneOf(Circle)]).validate_python({"kind": listed}, context={"folder": tmp_path})
         assert "also searched" not in str(caught.value)
     finally:
@@ -277,7 +276,7 @@ def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
     assert adapter.validate_python({"kind": "square"}) == Square()
     assert adapter.dump_json(Square()) == b'{"kind":"square","side":2.0}'
     assert set(loaded) == {"square"}
-    with pytest.raises(KeyedError, match="expected tags: 'circle', 'drawing', 'square'"):
+    with pytest.raises(ValueError, match="expected tags: 'circle', 'drawing', 'square'"):
         adapter.validate_python({"kind": "cube"})
 
 
@@ -292,7 +291,7 @@ def test_a_model_is_not_built_before_it_is_used():
     adapter.validate_python({"kind": "circle"})
     assert not Oval.__pydantic_complete__
     assert adapter.validate_python({"kind": "oval", "width": 2.0}) == Oval(width=2.0)
-    with pytest.raises(KeyedError, match=r"oval.width\n  Input should be greater than 0"):
+    with pytest.raises(ValueError, match=r"oval.width\n  Input should be greater than 0"):
         adapter.validate_python({"kind": "oval", "width": 0.0})
 
 
@@ -350,9 +349,9 @@ def test_without_a_group_nothing_is_looked_up(monkeypatch):
             {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules.periodic:owned_slots"}}},
             "should have mean_slot",
         ),
-        ({"protocol": {"kind": "desim.pursuit.core.geometry:within"}}, "call with (me)"),
+        ({"protocol": {"kind": "desim.pursuit.core.geometry:nearest_within"}}, "call with (me)"),
         (
-            {"team": {"guidance": {"kind": "desim.pursuit.core.geometry:within"}}},
+            {"team": {"guidance": {"kind": "desim.pursuit.core.geometry:nearest_within"}}},
             "call with (gaps, aims, evader_velocity, speeds)",
         ),
         ({"evader": {"strategy": {"kind": "desim.pursuit.core.geometry:toward"}}}, None),
@@ -364,5 +363,5 @@ def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):
     if says is None:
         Scenario.model_validate(table)
     else:
-        with pytest.raises(ValidationError, match=re.escape(says)):
+        with pytest.raises(ValueError, match=re.escape(says)):
             Scenario.model_validate(table)

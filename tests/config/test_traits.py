@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from desim.config.choice import OneOf
-from desim.config.errors import KeyedError
 from desim.config.model import Flag, Probability, Value
 from desim.config.traits import Parameter, Traits, is_one_letter_off
 
@@ -179,7 +178,7 @@ def test_the_model_of_another_distribution_is_looked_at_too():
         melodik: ClassVar[bool] = True
 
     adapter = TypeAdapter(Annotated[Any, OneOf(Finch, traits=Singing)])
-    with pytest.raises(KeyedError, match="Finch has an attribute 'melodik', did you mean 'melodic'"):
+    with pytest.raises(ValueError, match="Finch has an attribute 'melodik', did you mean 'melodic'"):
         adapter.validate_python({"kind": "finch"})
 
 

@@ -159,11 +159,15 @@ def test_a_key_of_a_model_that_is_not_installed_is_set_where_it_is_part_of_one_t
 @pytest.mark.parametrize(
     ("key", "value", "why"),
     [
-        ("protocol.gian", 1.0, "Own has no key 'gian'"),
-        ("protocol.warmth.heat", 1.0, "Warmth has no key 'heat'"),
-        ("protocol.gain.more", 1.0, "float has no key 'more'"),
-        ("protocol.gain", -1.0, "gain: should be greater than 0"),
-        ("protocol.warmth.level", "hot", "level: should be a number"),
+        (
+            "protocol.gian",
+            1.0,
+            r"protocol\.gian: unknown key, did you mean 'gain'\?; allowed: gain, kind, schedule, warmth",
+        ),
+        ("protocol.warmth.heat", 1.0, r"protocol\.warmth\.heat: unknown key; allowed: kind, level"),
+        ("protocol.gain.more", 1.0, r"protocol\.gain: float has no key 'more'"),
+        ("protocol.gain", -1.0, r"protocol\.gain: should be greater than 0 \(got -1\.0\)"),
+        ("protocol.warmth.level", "hot", r"protocol\.warmth\.level: should be a number \(got 'hot'\)"),
     ],
 )
 def test_a_wrong_key_or_value_of_a_model_that_is_not_installed_is_refused(key, value, why):

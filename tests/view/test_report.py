@@ -280,7 +280,7 @@ def test_nothing_in_the_page_is_active_or_lies_elsewhere(full):
     assert "<!DOCTYPE svg" not in full.text
     assert not re.findall(r"@import|https?:", full.text.replace(HOSTILE, ""))
     pictures = re.findall(r"<svg.*?</svg>", full.text, re.S)
-    assert len(pictures) == 8, "two costs, five metrics, a heat map"
+    assert len(pictures) == 9, "two costs, five metrics, their legend, a heat map"
     for svg in pictures:
         ElementTree.fromstring(svg)
         assert "#000000" not in svg
@@ -410,7 +410,7 @@ def test_a_browser_shows_a_hostile_name_as_text(shown):
     assert opened.value("document.title").startswith("</script><script>window.hurt")
     assert opened.value("window.hurt") is None
     assert opened.value("document.scripts.length") == 0
-    assert opened.value("document.querySelectorAll('svg').length") == 8
+    assert opened.value("document.querySelectorAll('svg').length") == 9
     assert opened.value("document.querySelectorAll('main > section').length") == 8
 
 
