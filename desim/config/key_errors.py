@@ -5,6 +5,7 @@ was set, and how a value is written.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import getitem
@@ -20,6 +21,7 @@ from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.key_index import homes_of, unit_in
 from desim.config.model import Value, fields_of, markers_of, models_in
+from desim.config.python_numbers import as_python
 from desim.config.suggestion import close_to
 
 MAX_HOMES = 3
@@ -172,6 +174,8 @@ def value_at(tables: Any, place: KeyPath) -> Any:
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model class of the value of a field, or of its items; None if there is none."""
     for one_of in choices_of(info):
+        with suppress(ValueError):  # numbers of numpy and others are bare numbers, too
+            value = as_python(value)
         table = one_of.as_table(value) if type(value) in {int, float, str} else value
         return one_of.choice(str(table.get("kind"))) if isinstance(table, dict) else None
     return next(models_in(info.annotation), None)
