@@ -117,7 +117,7 @@ def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
 @pytest.mark.parametrize(
     ("program", "number", "send", "told"),
     [
-        ("desim", signal.SIGINT, os.killpg, "interrupted\n"),
+        ("desim", signal.SIGINT, os.killpg, "interrupted: 0 of 100 runs have ended; to keep each run and resume"),
         ("scenarios.delay", signal.SIGTERM, os.killpg, "interrupted by SIGTERM\n"),
     ],
 )
@@ -130,7 +130,7 @@ def test_many_runs_of_one_scenario_and_studies_are_interrupted_in_the_same_way(t
         driver = sweeps.start("--runs", 1000, "--jobs", 2, "--out", tmp_path, mark=mark, program=program)
     wait_for(lambda: len(sweeps.marked(mark)) >= 5)
     time.sleep(0.5)
-    assert interrupted(driver, mark, number, send) == told
+    assert interrupted(driver, mark, number, send).startswith(told)
 
 
 def test_a_handled_interrupt_is_not_repeated_and_an_ignored_one_has_no_effect():

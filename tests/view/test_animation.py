@@ -193,6 +193,7 @@ def test_a_gif_that_does_not_fit_into_memory_is_refused(tmp_path):
         animate(history(), tmp_path / "film.gif", size="4000x4000px", speed=0.04, fps=20)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of the pipes of imageio-ffmpeg
 @pytest.mark.slow
 def test_a_video_has_the_frames_of_the_gif(tmp_path):
     """Ten frames a second of 0.5 s, and the last one for 1.5 s; H.264 changes colours a little."""
