@@ -178,8 +178,8 @@ PROTOCOLS = {
     "no arguments": (lambda: None, r"is not a protocol: should accept a call with \(me\)"),
     "spins": (spins, r"a run of five pursuers does not end, or no simulated time passes"),
     "stands still": (stands_still, r"a run of five pursuers does not end, or no simulated time passes"),
-    "random": (draws_globally, r"two runs of one scenario and seed differ|draws from the global generator of random"),
-    "numpy.random": (draws_from_numpy, r"draws from the global generator of numpy\.random"),
+    "random": (draws_globally, r"two runs of one scenario and seed differ|drawn from the global generator"),
+    "numpy.random": (draws_from_numpy, r"numpy\.random: the run has drawn from the global generator"),
     "entropy": (
         draws_from_entropy,
         r"two runs of one scenario and seed differ, first .* and then .*: every draw should",
