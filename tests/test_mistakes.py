@@ -9,6 +9,7 @@ from click.testing import CliRunner
 import desim
 from desim import Constant, Gamma, Lognormal, Scenario, Team, load
 from desim.cli import main
+from desim.config.errors import KeyedError
 
 SHORT = Scenario(horizon=0.01, team=Team(count=2))
 NAMES = {name: getattr(desim, name) for name in dir(desim)} | {
@@ -221,7 +222,7 @@ def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
 
 
 def test_a_traceback_of_a_wrong_call_is_short():
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(KeyedError) as refused:
         Team(cout=8)
     assert len(refused.traceback) == 2
     assert refused.value.__cause__ is None
@@ -231,7 +232,7 @@ def test_a_model_of_a_user_is_told_as_a_built_in_one_is():
     class Own(Constant):
         gain: float = 1.0
 
-    with pytest.raises(ValueError, match="Own: gian: unknown key, did you mean 'gain'"):
+    with pytest.raises(KeyedError, match="Own: gian: unknown key, did you mean 'gain'"):
         Own(gian=2.0)
 
 

@@ -24,6 +24,7 @@ from desim import (
     run,
 )
 from desim.config.choice import OneOf, choices_of
+from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.traits import is_ours, positions
 from desim.kernel.core.clock import Phase
@@ -386,7 +387,7 @@ def test_an_overridden_call_is_that_of_the_run(name, kind):
     family, model = FAMILIES[name], kind_of(name, kind)
     body = {"__call__": lambda _, *given: family.function(*given)}
     if family.refused is not None and is_refused(model):
-        with pytest.raises(ValueError, match=family.refused):
+        with pytest.raises(KeyedError, match=family.refused):
             family.with_model(derived(model, **body))
         return
     theirs = family.with_model(derived(model, **body))
@@ -451,7 +452,7 @@ def test_an_overridden_quantile_alone_is_that_of_the_run(kind, where):
 @pytest.mark.parametrize("kind", BASES.choices().values(), ids=lambda kind: kind.__name__)
 def test_an_inherited_quantile_is_not_the_base_of_pairs(kind, method):
     theirs = derived(kind, **{method: lambda _, *given: np.full(4, 0.025)})
-    with pytest.raises(ValueError, match=r"quantile\(u\) of its own"):
+    with pytest.raises(KeyedError, match=r"quantile\(u\) of its own"):
         PerPair(base=theirs)
 
 
@@ -486,7 +487,7 @@ def test_a_call_of_the_inherited_model_needs_its_state(kind):
         def __call__(self, context, rng):
             return super().__call__(context, rng)
 
-    with pytest.raises(ValueError, match="should have its own start_run"):
+    with pytest.raises(KeyedError, match="should have its own start_run"):
         Links(**{"latency" if kind in LATENCY_KINDS else "loss": Theirs(**PARAMETERS.get(kind.__name__, {}))})
 
 
@@ -567,7 +568,7 @@ def test_a_table_is_described_unless_what_replays_it_is_overridden(kind):
     followed = Scenario(team=pair, network=Links(**with_model(scaled=lambda _, values: values + 0.5)))
     assert end in dict(warnings(followed))
     assert len(link_traces(followed).axes) == 1
-    with pytest.raises(ValueError, match="has no row for the link"):
+    with pytest.raises(KeyedError, match="has no row for the link"):
         linked(**with_model(scaled=lambda _, values: values))
     for method in ("__call__", "start_run", "draw"):
         theirs = Scenario(team=pair, network=Links(**with_model(**{method: lambda *_: None})))
@@ -580,7 +581,7 @@ def test_a_table_is_described_unless_what_replays_it_is_overridden(kind):
 @pytest.mark.parametrize("method", ["__call__", "start_run", "draw"])
 def test_a_matrix_need_not_have_the_links_of_a_latency_that_overrides_it(method):
     small = {"values": [[0.0, 0.1], [0.1, 0.0]]}
-    with pytest.raises(ValueError, match="should have a row for each of 4 nodes"):
+    with pytest.raises(KeyedError, match="should have a row for each of 4 nodes"):
         linked(latency=LatencyMatrix(**small))
     linked(latency=type("Theirs", (LatencyMatrix,), {"__module__": "theirs", method: lambda *_: None})(**small))
 

@@ -6,6 +6,7 @@ import sys
 import pytest
 from pydantic import ConfigDict
 
+from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.kernel.models.latency import Uniform
 from desim.kernel.models.links import Links
@@ -61,9 +62,9 @@ def test_a_model_is_validated_to_itself_and_what_is_neither_a_model_nor_a_table_
 def test_tables_become_models_and_fields_that_contradict_each_other_are_refused():
     scenario = Scenario(team=Team(count=3, speeds=(1.0, 2.0, 3.0)))
     assert scenario.model_copy(update={"network": {"latency": 0.5}}).network == Links(latency=0.5)
-    with pytest.raises(ValueError, match="should be one per pursuer: count is 5, there are 3"):
+    with pytest.raises(KeyedError, match="should be one per pursuer: count is 5, there are 3"):
         scenario.team.model_copy(update={"count": 5})
-    with pytest.raises(ValueError, match=r"there is no pursuer 7: they are 0 \.\. 2"):
+    with pytest.raises(KeyedError, match=r"there is no pursuer 7: they are 0 \.\. 2"):
         scenario.model_copy(update={"fault": [{"kind": "crash", "node": 7, "start": 1.0}]})
 
 
@@ -112,7 +113,7 @@ def test_copy_replace_validates_too():
 
 
 def test_the_method_on_which_copy_replace_relies_validates_too():
-    with pytest.raises(ValueError, match="less than or equal to 1"):
+    with pytest.raises(KeyedError, match="less than or equal to 1"):
         Bernoulli(p=0.1).__replace__(p=2.0)
 
 

@@ -14,6 +14,7 @@ import protocols
 from desim import Scenario
 from desim.config import choice
 from desim.config.choice import OneOf, kind_of
+from desim.config.errors import KeyedError
 from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
@@ -142,7 +143,7 @@ def test_equal_values_are_one_in_a_set():
 
 
 def test_an_unknown_key_of_a_value_is_an_error():
-    with pytest.raises(ValueError, match="radios"):
+    with pytest.raises(KeyedError, match="radios"):
         Circle(radios=2.0)
 
 
@@ -194,7 +195,7 @@ def test_a_bare_string_is_a_kind_and_a_bare_number_that_of_which_it_is_the_one_k
 
 @pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "triangle", 3, None])
 def test_a_value_that_is_neither_a_table_with_a_kind_nor_callable_is_refused(given):
-    with pytest.raises(ValueError):
+    with pytest.raises(KeyedError):
         Drawing(shape=given)
 
 
@@ -204,7 +205,7 @@ def test_a_callable_is_accepted_unchanged(given):
 
 
 def test_a_class_is_refused_where_its_instance_is_wanted():
-    with pytest.raises(ValueError, match=r"should be an instance: Circle\(\) instead of Circle"):
+    with pytest.raises(KeyedError, match=r"should be an instance: Circle\(\) instead of Circle"):
         Drawing(shape=Circle)
 
 

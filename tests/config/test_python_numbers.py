@@ -294,9 +294,9 @@ def test_half_of_a_character_is_refused_wherever_a_text_is(model):
 
 @pytest.mark.parametrize("text", ["\ud800", "a\udcff"])
 def test_a_name_that_no_file_can_hold_is_refused_with_its_key(text):
-    with pytest.raises(ValueError, match=r"name: should be a text that a file can hold: '.ud...' is half of"):
+    with pytest.raises(KeyedError, match=r"name: should be a text that a file can hold: '.ud...' is half of"):
         Scenario(name=text)
     for value in ([text], {"a": [text]}, {text: 1.0}, np.array([text])):
-        with pytest.raises(ValueError, match=r"grid: should be a text that a file can hold"):
+        with pytest.raises(KeyedError, match=r"grid: should be a text that a file can hold"):
             Sweep(grid={"name": value})
     assert Scenario(name="caf\u00e9 \U0001f600").name == "caf\u00e9 \U0001f600"

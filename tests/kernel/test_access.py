@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from desim.config.errors import KeyedError
 from desim.config.model import MAX_TIME
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.events import Broadcast, Lost, Sent, Trace
@@ -1040,7 +1041,7 @@ def test_the_longest_back_off_may_be_as_long_as_the_longest_run_and_no_longer():
     """16 x 2^4 slots of 10^9 / 256 s; short slots allow any window."""
     slot = MAX_TIME / 256
     assert CsmaCa(window=16, doublings=4, slot=slot).slot == slot
-    with pytest.raises(ValueError, match="longest back-off"):
+    with pytest.raises(KeyedError, match="longest back-off"):
         CsmaCa(window=16, doublings=4, slot=nextafter(slot, inf))
     assert CsmaCa(window=1024, doublings=16, slot=5e-6).doublings == 16
 
@@ -1072,7 +1073,7 @@ def test_the_longest_back_off_may_be_as_long_as_the_longest_run_and_no_longer():
     ],
 )
 def test_models_that_make_no_sense_are_refused(make, match):
-    with pytest.raises(ValueError, match=match):
+    with pytest.raises(KeyedError, match=match):
         make()
 
 
@@ -1085,7 +1086,7 @@ def test_models_that_make_no_sense_are_refused(make, match):
     ],
 )
 def test_a_round_has_a_slot_for_every_node_and_for_no_other(slots, match):
-    with pytest.raises(ValueError, match=match):
+    with pytest.raises(KeyedError, match=match):
         network(Tdma(slots=slots), 3)
 
 

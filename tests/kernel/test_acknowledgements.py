@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.links import Links
@@ -206,5 +207,5 @@ def test_a_crash_between_a_frame_and_its_acknowledgement_loses_no_count(t, node)
     ],
 )
 def test_times_that_are_too_short_are_refused(times, match):
-    with pytest.raises(ValueError, match=match):
+    with pytest.raises(KeyedError, match=match):
         access(TIMING, **times)

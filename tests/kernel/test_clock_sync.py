@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run, summary
+from desim.config.errors import KeyedError
 from desim.kernel.clock_sync import TwoWay, synchronise
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import ClockCorrected, Sent, Trace
@@ -118,5 +119,5 @@ def test_a_protocol_without_robots_needs_no_clocks():
 
 
 def test_the_reference_is_one_of_the_team():
-    with pytest.raises(ValueError, match=r"clocks\.sync\.reference: there is no pursuer 4: they are 0 \.\. 3"):
+    with pytest.raises(KeyedError, match=r"clocks\.sync\.reference: there is no pursuer 4: they are 0 \.\. 3"):
         Scenario(team=Team(count=4), clocks=Clocks(sync=TwoWay(reference=4)))

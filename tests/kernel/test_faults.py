@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
@@ -363,7 +364,7 @@ def test_a_random_plan_is_possible_among_few(size):
     ],
 )
 def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
-    with pytest.raises(ValueError, match=about):
+    with pytest.raises(KeyedError, match=about):
         model(**fields)
 
 
@@ -415,12 +416,12 @@ def test_a_plan_that_cannot_be_called_is_refused():
         def faults(self, size, horizon, rng):
             return []
 
-    with pytest.raises(ValueError, match="fault"):
+    with pytest.raises(KeyedError, match="fault"):
         Scenario(fault=(Old(),))
 
 
 def test_no_clock_is_slower_than_the_bound_of_a_drift():
-    with pytest.raises(ValueError, match=r"drift: should be greater than or equal to -0\.99"):
+    with pytest.raises(KeyedError, match=r"drift: should be greater than or equal to -0\.99"):
         ClockSkew(node=0, drift=-0.995)
     skew = ClockSkew(node=0, drift=MIN_DRIFT)
     assert clock_errors([skew, skew], 2, 0) == [(0.0, MIN_DRIFT), (0.0, 0.0)]

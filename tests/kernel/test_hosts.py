@@ -6,6 +6,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Broadcast, Lost, Queued, Trace
 from desim.kernel.link_layer.propagation import LinkSampler
@@ -122,5 +123,5 @@ def test_the_typical_latency_has_the_mean_of_the_sender_s_delay(sender, medium):
 
 @pytest.mark.parametrize("kind", ["per_pair", "matrix", "propagation", "trace"])
 def test_a_delay_that_depends_on_the_receiver_is_refused(kind):
-    with pytest.raises(ValueError, match=f"sender.kind: there is no '{kind}'; allowed: constant, uniform"):
+    with pytest.raises(KeyedError, match=f"sender.kind: there is no '{kind}'; allowed: constant, uniform"):
         Processing(sender={"kind": kind})

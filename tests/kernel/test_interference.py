@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2, f, gamma, ncx2
 
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Broadcast, Lost, Trace
 from desim.kernel.models.access import Aloha, Csma, CsmaCa
@@ -630,7 +631,7 @@ def test_reception_by_power_needs_positions(reception):
     ],
 )
 def test_models_that_make_no_sense_are_refused(make, match):
-    with pytest.raises(ValueError, match=match):
+    with pytest.raises(KeyedError, match=match):
         make()
 
 

@@ -6,6 +6,7 @@ from math import exp, sqrt
 import numpy as np
 import pytest
 
+from desim.config.errors import KeyedError
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
 from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
@@ -275,7 +276,7 @@ def test_a_burst_of_one_message_is_always_followed_by_a_good_one():
 @pytest.mark.parametrize(("share", "burst", "least"), [(0.1, 0.9, "1"), (0.8, 3.9, "4"), (0.9, 8.5, "9")])
 def test_bursts_that_are_too_short_for_their_share_are_refused(share, burst, least):
     """p = share / (1 - share) / burst is a probability, so burst >= share / (1 - share); in time it is a rate."""
-    with pytest.raises(ValueError, match=rf"burst should be at least {least} messages .* \(got {burst:g}\)"):
+    with pytest.raises(KeyedError, match=rf"burst should be at least {least} messages .* \(got {burst:g}\)"):
         GilbertElliott(share=share, burst=burst)
     assert GilbertElliott(share=share, burst=float(least) + 1e-9)
     assert GilbertElliott(share=share, burst=burst, advance="time")
@@ -392,7 +393,7 @@ def test_without_the_states_2_and_4_the_chain_is_that_of_gilbert():
 @pytest.mark.parametrize("given", [{"p13": 0.6, "p14": 0.5}, {"p31": 0.6, "p32": 0.5}])
 def test_transitions_of_the_four_states_that_exceed_1_together_are_refused(given):
     first, second = given
-    with pytest.raises(ValueError, match=rf"{first} \+ {second} should be at most 1 \(got 1.1\)"):
+    with pytest.raises(KeyedError, match=rf"{first} \+ {second} should be at most 1 \(got 1.1\)"):
         FourState(**given)
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from desim import Scenario, Team, run
 from desim.analysis.trace_index import messages
+from desim.config.errors import KeyedError
 from desim.kernel.models.access import Aloha, CsmaCa, Tdma
 from desim.kernel.models.interference import LoRaInterference
 from desim.kernel.models.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
@@ -54,7 +55,7 @@ def test_a_message_that_is_on_the_air_for_ever_never_arrives(medium, latency):
 
 def test_a_bandwidth_is_at_least_one_hertz_as_a_bitrate_is_at_least_one_bit_per_second():
     for wrong in (lambda: LoRa(bandwidth=0.5), lambda: Bitrate(bitrate=0.5)):
-        with pytest.raises(ValueError, match="greater than or equal to 1"):
+        with pytest.raises(KeyedError, match="greater than or equal to 1"):
             wrong()
 
 
@@ -190,7 +191,7 @@ def test_values_given_beside_a_preset_override_it(name):
 
 
 def test_every_preset_has_a_name_that_links_know_and_no_other():
-    with pytest.raises(ValueError):
+    with pytest.raises(KeyedError):
         Links(preset="carrier pigeon")
     assert all(Links(preset=name).preset == name for name in PRESETS)
     assert Links() == Links(preset=None)

@@ -3,6 +3,7 @@
 import pytest
 
 from desim import Empirical, LatencyTrace, LossTrace
+from desim.config.errors import KeyedError
 from desim.kernel.measured.ping import MAX_PROBES, WRAP, probes_of
 
 LINUX = """\
@@ -74,7 +75,7 @@ def test_a_file_of_ping_is_a_list_of_latencies_and_a_table(tmp_path):
     assert latency.measurements.times.tolist() == [0, 2 * 10**8, 4 * 10**8, 6 * 10**8, 8 * 10**8, 10**9]
     assert latency.measurements.is_missing.tolist() == [False, False, True, False, True, True]
     assert loss.measurements.values.tolist() == [0, 0, 1, 0, 1, 1]
-    with pytest.raises(ValueError, match="has no column 'value'; its columns are t, rtt_ms, lost"):
+    with pytest.raises(KeyedError, match="has no column 'value'; its columns are t, rtt_ms, lost"):
         LatencyTrace(file=str(file))
 
 
@@ -85,7 +86,7 @@ def test_several_outputs_and_endless_ones_are_refused(model, tmp_path):
         LINUX.replace("6 packets", f"{MAX_PROBES + 1} packets"): "has more than 10,000,000 probes",
     }.items():
         (tmp_path / "ping.txt").write_text(text)
-        with pytest.raises(ValueError, match=rf"ping\.txt {why}"):
+        with pytest.raises(KeyedError, match=rf"ping\.txt {why}"):
             model(file=str(tmp_path / "ping.txt"))
 
 

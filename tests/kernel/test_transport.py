@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from desim.config.errors import KeyedError
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.events import (
     DeadlineMissed,
@@ -358,13 +359,13 @@ def test_a_port_has_one_transport():
     ],
 )
 def test_a_transport_that_makes_no_sense_is_refused(kind, keys, text):
-    with pytest.raises(ValueError, match=text):
+    with pytest.raises(KeyedError, match=text):
         kind(**keys)
 
 
 @pytest.mark.parametrize(("model", "key", "given"), [(Links, "transport", min), (Clocks, "sync", max)])
 def test_a_function_is_no_transport_and_synchronises_no_clocks(model, key, given):
-    with pytest.raises(ValueError, match="should be derived from"):
+    with pytest.raises(KeyedError, match="should be derived from"):
         model(**{key: given})
 
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run
+from desim.config.errors import KeyedError
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges
@@ -401,7 +402,7 @@ def test_fictitious_play_needs_a_utility_that_can_expect():
         def __call__(self, own, others, reward):
             return 0.0
 
-    with pytest.raises(ValueError, match="needs a utility with `expected`"):
+    with pytest.raises(KeyedError, match="needs a utility with `expected`"):
         FictitiousPlay(utility=Plain())
     assert BestResponse(utility=Plain()).utility.scope == "heard"
 

@@ -26,6 +26,7 @@ from desim import (
     run,
     summary,
 )
+from desim.config.errors import KeyedError
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Decided, Sampled, Started
 from desim.pursuit.motion.capture import RadialTime, intercept_times
@@ -371,25 +372,25 @@ def test_a_file_of_velocities(tmp_path):
         "t,x,y\n": "has no rows",
     }.items():
         file.write_text(text)
-        with pytest.raises(ValueError, match=why):
+        with pytest.raises(KeyedError, match=why):
             RecordedFlow(file=str(file))
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(KeyedError, match="cannot be read"):
         RecordedFlow(file=str(tmp_path / "none.csv"))
-    with pytest.raises(ValueError, match="not both"):
+    with pytest.raises(KeyedError, match="not both"):
         RecordedFlow(file=str(file), velocities=((0.0, 0.0, 0.0),))
 
 
 def test_what_no_capture_time_is_known_for_is_refused():
     inert = Team(dynamics=TurnRate())
     for environment in (Environment(flow=SPIN), Environment(flow=STEADY, on="pursuers")):
-        with pytest.raises(ValueError, match="carries all players alike"):
+        with pytest.raises(KeyedError, match="carries all players alike"):
             Scenario(team=inert, environment=environment)
     assert Scenario(team=inert, environment=Environment(flow=TIDE)).environment.flow == TIDE
     seen_worst = {"radius": 3.0, "estimate": "worst_case"}
     for on in ("all", "pursuers"):
-        with pytest.raises(ValueError, match="worst_case does not allow for a flow"):
+        with pytest.raises(KeyedError, match="worst_case does not allow for a flow"):
             Scenario(sensing=seen_worst, environment=Environment(flow=STEADY, on=on))
-    with pytest.raises(ValueError, match="worst_case does not allow for inertia"):
+    with pytest.raises(KeyedError, match="worst_case does not allow for inertia"):
         Scenario(sensing=seen_worst, team=inert)
     assert Environment().is_still
     assert Environment().flow == NoFlow()

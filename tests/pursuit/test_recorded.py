@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from desim import Evader, Motion, RecordedMotion, Recording, RelayNode, Scenario, Team, load, run, summary
+from desim.config.errors import KeyedError
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Decided, Sampled
 from desim.scenario.checks import warnings
@@ -240,13 +241,13 @@ def test_a_cut_record_is_where_the_whole_one_is(record, start_time, scale, offse
 
 
 def test_a_record_that_has_ended_or_is_impossibly_fast_is_refused():
-    with pytest.raises(ValueError, match=r"start_time should be at most the time of the last waypoint, 1 s"):
+    with pytest.raises(KeyedError, match=r"start_time should be at most the time of the last waypoint, 1 s"):
         RecordedMotion(waypoints=[(0, 0, 0), (1, 2, 0)], start_time=1.5)
-    with pytest.raises(ValueError, match=r"waypoints\.1: the record moves at 1e\+11 m/s from 0 to 1e-08 s"):
+    with pytest.raises(KeyedError, match=r"waypoints\.1: the record moves at 1e\+11 m/s from 0 to 1e-08 s"):
         RecordedMotion(waypoints=[(0, 0, 0), (1e-8, 1000, 0)])
-    with pytest.raises(ValueError, match="dimensions are of a file"):
+    with pytest.raises(KeyedError, match="dimensions are of a file"):
         RecordedMotion(waypoints=[(0, 0, 0)], dimensions=3)
-    with pytest.raises(ValueError, match="scale"):
+    with pytest.raises(KeyedError, match="scale"):
         RecordedMotion(waypoints=[(0, 0, 0)], scale=0.0)
 
 
@@ -394,5 +395,5 @@ def test_nodes_in_another_order_than_the_graph_are_refused(named, tmp_path):
 
 
 def test_a_script_is_told_the_number_of_the_waypoint():
-    with pytest.raises(ValueError, match=r"waypoints\.1: the record moves at 2 m/s from 0 to 1 s"):
+    with pytest.raises(KeyedError, match=r"waypoints\.1: the record moves at 2 m/s from 0 to 1 s"):
         Evader(strategy=RecordedMotion(waypoints=[(0, 0, 0), (1, 2, 0)]))

@@ -9,6 +9,7 @@ import pytest
 
 import desim
 from desim import Scenario
+from desim.config.errors import KeyedError
 from desim.config.model import fields_of
 from desim.kernel.models.access import Aloha
 from desim.kernel.models.interference import INTERFERENCES
@@ -116,7 +117,7 @@ MISSPELT = {
 )
 def test_an_attribute_one_letter_off_is_refused_as_the_scenario_is_made(family, name, value, meant):
     own = type("Mine", (Own,), {name: value})
-    with pytest.raises(ValueError, match=re.escape(f"Mine has an attribute {name!r}, did you mean {meant!r}?")):
+    with pytest.raises(KeyedError, match=re.escape(f"Mine has an attribute {name!r}, did you mean {meant!r}?")):
         MAKE[family](own())
 
 
@@ -163,7 +164,7 @@ def test_attributes_of_a_user_that_mean_something_else_are_left_alone(family):
     ],
 )
 def test_a_trait_of_a_wrong_value_is_refused_as_the_scenario_is_made(family, attributes, says):
-    with pytest.raises(ValueError, match=re.escape(says)):
+    with pytest.raises(KeyedError, match=re.escape(says)):
         MAKE[family](type("Mine", (Own,), attributes)())
 
 
@@ -173,7 +174,7 @@ def test_a_trait_of_a_wrong_value_is_refused_as_the_scenario_is_made(family, att
 def test_the_parts_of_a_protocol_that_is_no_model_are_looked_at_too(part, name, meant):
     misspelt = type("Part", (Own,), {name: ("undivided",) if part == "utility" else True})()
     protocol = type("Mine", (Own,), {part: misspelt})()
-    with pytest.raises(ValueError, match=rf"protocol\.{part}: Part has an attribute '{name}', did you mean '{meant}'"):
+    with pytest.raises(KeyedError, match=rf"protocol\.{part}: Part has an attribute '{name}', did you mean '{meant}'"):
         Scenario(protocol=protocol)
 
 
@@ -188,7 +189,7 @@ def test_a_misspelt_attribute_of_a_subclass_of_a_rule_is_found():
     class Bold(LearningRule):
         asumes: ClassVar[tuple[str, ...]] = ("one_at_a_time",)
 
-    with pytest.raises(ValueError, match="Bold has an attribute 'asumes', did you mean 'assumes'"):
+    with pytest.raises(KeyedError, match="Bold has an attribute 'asumes', did you mean 'assumes'"):
         Scenario(protocol=Bold())
 
 
@@ -202,7 +203,7 @@ def test_a_plain_function_has_the_defaults_or_what_it_is_given():
     mine.announces = False
     assert not Scenario(protocol=mine).announces
     mine.omnisient = True
-    with pytest.raises(ValueError, match="mine has an attribute 'omnisient', did you mean 'omniscient'"):
+    with pytest.raises(KeyedError, match="mine has an attribute 'omnisient', did you mean 'omniscient'"):
         Scenario(protocol=mine)
 
 

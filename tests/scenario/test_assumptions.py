@@ -6,6 +6,7 @@ import networkx as nx
 import pytest
 
 from desim import Scenario, run
+from desim.config.errors import KeyedError
 from desim.kernel.core.events import LOST, Broadcast
 from desim.kernel.models.access import CsmaCa, Tdma
 from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
@@ -369,7 +370,7 @@ class Wishful(Rule):
 
 def test_an_unknown_assumption_is_an_error_that_lists_the_known_ones():
     assert get_args(AssumptionName) == tuple(ASSUMPTIONS)
-    with pytest.raises(ValueError, match=r"assumes of Wishful: should be 'undivided', .* \(got 'good_weather'\)"):
+    with pytest.raises(KeyedError, match=r"assumes of Wishful: should be 'undivided', .* \(got 'good_weather'\)"):
         four(protocol=Wishful())
 
 

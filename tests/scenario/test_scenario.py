@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.config.choice import kind_of
+from desim.config.errors import KeyedError
 from desim.kernel.models.latency import Constant as ConstantLatency
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
@@ -46,7 +47,7 @@ def test_a_scenario_is_frozen_in_all_its_parts(part):
     for name in part:
         model = getattr(model, name)
     for field in type(model).model_fields:
-        with pytest.raises(ValueError, match="immutable"):
+        with pytest.raises(KeyedError, match="immutable"):
             setattr(model, field, getattr(model, field))
     assert scenario == Scenario()
 
@@ -227,7 +228,7 @@ def test_functions_take_effect_in_a_run(own):
     ids=str,
 )
 def test_a_value_that_is_neither_a_model_nor_callable_is_refused(wrong):
-    with pytest.raises(ValueError):
+    with pytest.raises(KeyedError):
         Scenario(**wrong)
 
 
@@ -264,7 +265,7 @@ class Called:
     ids=["dissemination", "schedule", "medium without shared", "medium without anything", "latency without a call"],
 )
 def test_a_user_model_that_lacks_an_attribute_is_refused_at_once_with_its_name(make, place, says):
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(KeyedError) as refused:
         make()
     (problem,) = refused.value.problems
     assert problem.key == place
@@ -292,7 +293,7 @@ def test_a_complete_user_model_is_accepted():
     ids=["too large", "too small", "none", "list", "multigraph", "names"],
 )
 def test_a_user_graph_that_does_not_fit_the_team_is_refused(graph, says):
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(KeyedError) as refused:
         Scenario(team=Team(count=3), network=Links(graph=graph))
     (problem,) = refused.value.problems
     assert problem.key == "network.graph"

@@ -13,6 +13,7 @@ import tomli_w
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from desim.config.errors import KeyedError
 from desim.kernel.models.latency import Constant as ConstantLatency
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
@@ -812,7 +813,7 @@ def test_each_wrong_parameter_of_a_model_of_one_s_own_has_its_line(own_models, w
 
 def test_wrong_parameters_of_a_model_of_one_s_own_are_told_from_python_too(own_models):
     table = {"kind": "own_models:Rule", "inertia": 2.0}
-    with pytest.raises(ValueError, match=r"protocol\.inertia: should be less than or equal to 1; Probability"):
+    with pytest.raises(KeyedError, match=r"protocol\.inertia: should be less than or equal to 1; Probability"):
         Scenario(protocol=table)
 
 
@@ -876,7 +877,7 @@ def test_an_old_key_with_other_values_is_refused_with_the_value_to_write_instead
     with pytest.raises(ScenarioError, match=says):
         load(written(""), ["announce.warm_start=true"])
     for make in (lambda: Announcements(warm_start=True), lambda: Scenario(announce={"warm_start": False})):
-        with pytest.raises(ValueError, match=says):
+        with pytest.raises(KeyedError, match=says):
             make()
     assert {Announcements(start=start).start for start in STARTS} == {"known", "silent", "announced"}
 
