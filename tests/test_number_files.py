@@ -49,6 +49,7 @@ OTHERS = {Edges: "graphs, in other formats", RecordedPositions: "reads as Record
 """Models that read other files, and why they are not here."""
 MODULES = {
     "desim/config/data_files.py": "opens bytes for models of users, and hashes files",
+    "desim/config/exports.py": "reads the source of packages of desim",
     "desim/config/number_files.py": "reads text for all readers",
     "desim/config/trust.py": "writes",
     "desim/kernel/measured/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",

@@ -38,7 +38,8 @@ def test_a_check_draws_the_measured_links_beside_what_it_prints(tmp_path, monkey
     plain = accepted("check", file)
     drawn = accepted("check", file, "--plot")
     assert drawn.stdout == plain.stdout
-    assert [line.split(":")[0] for line in drawn.stderr.splitlines()] == ["measured.links.svg", "measured.links.png"]
+    written = [f"wrote measured.links.{kind}" for kind in ("svg", "png")]
+    assert [line.split(": ")[0] for line in drawn.stderr.splitlines()] == [*written, f"{file} is valid"]
     accepted("check", file, "--plot", "-o", "here/links.pdf")
     names = {"measured.links.svg", "measured.links.png", "here", "here/links.pdf"}
     assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")} == names

@@ -273,6 +273,7 @@ def test_every_command_that_runs_takes_a_time_limit(command):
     assert "--timeout" in desim(command, "--help").output
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # raised where Python drops exceptions
 @pytest.mark.slow
 @pytest.mark.parametrize("args", [("replay",), ("plot",), ("export",)])
 def test_a_command_that_takes_too_long_is_ended(file, tmp_path, monkeypatch, args):

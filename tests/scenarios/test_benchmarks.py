@@ -78,16 +78,16 @@ def few(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     document = few("--parts", "broadcasts", "--no-peers", "--workloads", "W1,W4")
-    rates = document["broadcasts"]
-    assert [(each["workload"][:2], each["way"]) for each in rates] == [
+    measured = document["broadcasts"]
+    assert [(each["workload"][:2], each["way"]) for each in measured] == [
         (work, way) for work in ("W1", "W4") for way in ways.WAYS
     ]
     assert document["missing"] == {}
-    for each in rates:
+    for each in measured:
         work = next(work for work in TINY if work.name[1:] == each["workload"][1:])
         assert each["deliveries"] == truth(replace(work, seed=0)).delivered
     text = (tmp_path / "benchmarks.txt").read_text()
-    found = {(each["workload"][:2], each["way"]): each["per_second"] for each in rates}
+    found = {(each["workload"][:2], each["way"]): each["per_second"] for each in measured}
     assert re.search(rf"^heapq +{found['W1', 'heapq'] / 1e3:,.0f} ", text, re.MULTILINE)
     ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in rates.DESIM_WAYS]
     assert re.search(r"^heapq +" + " +".join(f"{ratio:,.2f}" for ratio in ratios) + "$", text, re.MULTILINE)

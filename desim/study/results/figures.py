@@ -529,7 +529,7 @@ def _mark_flat(axes: Axes, value: float) -> None:
     axes.set_ylim(low - 0.05, low + 1.05 * (abs(value) or 1.0))
     axes.set_yticks([value], [f"{value:.4g}"])
     place: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "top"}
-    axes.text(0.98, 0.85, f"{value:.4g} in every run", color=GREY, fontsize=7, **place)
+    axes.text(0.98, 0.85, f"{value:.4g} in every run", fontsize=7, **place)
 
 
 def _lines(
