@@ -18,6 +18,7 @@ from desim.results import provenance
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load
+from desim.simulation.world import World
 from desim.study.store.store import Store
 from desim.study.workers import batch
 from desim.study.workers.batch import run_many
@@ -236,6 +237,38 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
 
     monkeypatch.setattr("desim.simulation.run.World", interrupt)
     assert desim("run", file(DUEL)).exit_code == 130
+
+
+def test_an_interrupted_command_shows_what_has_ended_and_how_to_keep_all(tmp_path, monkeypatch):
+    """The third run is interrupted; the command that is shown repeats all that decides the runs."""
+    (tmp_path / "waiting.py").write_text("def waits(me):\n    yield me.sleep(1.0)\n")
+    path = tmp_path / "f.toml"
+    path.write_text('horizon = 0.2\nteam.count = 1\nprotocol = "waiting:waits"\n')
+
+    worlds = []
+
+    def interrupted_at_the_third(*parts):
+        worlds.append(World(*parts))
+        if len(worlds) == 3:
+            raise KeyboardInterrupt
+        return worlds[-1]
+
+    monkeypatch.setattr("desim.simulation.run.World", interrupted_at_the_third)
+    stopped = desim("run", path, "-n", 5, "-s", 2, "--set", "evader.speed=0.3", "--allow-import")
+    assert stopped.exit_code == 130
+    assert stopped.stdout.startswith("unnamed: 1 pursuer, waits, seeds 2000000 to 2000001\ncaptured in 0 of 2 runs;")
+    head, _, command = stopped.stderr.splitlines()[-1].partition("make a sweep: desim ")
+    assert "2 of 5 runs have ended" in head
+    assert command == f"sweep {path} -g horizon=0.2 -n 5 -s 2 --set evader.speed=0.3 --allow-import"
+
+
+def test_differences_are_shown_from_the_configuration_that_is_named(file, tmp_path):
+    """The text "0.50" says 0.5."""
+    swept = ["sweep", file(DUEL), "-g", "horizon=0.5,1.0", "-n", 2, "-o", tmp_path / "s"]
+    table = accepted(*swept, "--against", "horizon=0.50").stdout
+    assert "difference from horizon = 0.50, all else equal, run by run with the same seed" in table
+    (said,) = refused(*swept, "--against", "horizon=0.7")
+    assert "horizon does not take the value 0.7: it takes 0.5, 1" in said
 
 
 # What is accepted with a warning.
@@ -1007,7 +1040,7 @@ def test_a_grid_of_the_command_line_that_is_wrong_is_refused(file, text, why):
 def test_a_dry_run_says_at_how_many_runs_a_target_is_first_judged(file):
     result = accepted("sweep", file(COINS), "--dry-run", "--until", "active_time:0.2", "-n", 500)
     rule = f"at most, and at least {FIRST_LOOK} of each, until the half width of active_time is 0.2"
-    assert result.stdout.startswith(f"coins: 4 configurations, 2000 runs {rule}; 0 are stored")
+    assert result.stdout.startswith(f"coins: 4 configurations, 2,000 runs {rule}; 0 are stored")
 
 
 def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):

@@ -107,7 +107,7 @@ def test_the_script_of_a_batch_system_runs_its_part(page, folder, monkeypatch):
         monkeypatch.setenv(f"SLURM_{name}", value)
     done = subprocess.run(["bash", "sweep.sbatch"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "1 runs in" in done.stderr
+    assert "1 run in" in done.stderr
     assert (folder / "out/imperfect/part-3/sweep.3-of-20.sqlite").exists()
 
 

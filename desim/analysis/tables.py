@@ -52,7 +52,7 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     captured = portable_sum(run.captured for run in runs)
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(scenario, runs)]
-    seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
+    seeds = f"seed {runs[0].seed}" if len(runs) == 1 else f"seeds {runs[0].seed} to {runs[-1].seed}"
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
@@ -60,11 +60,16 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     unseen = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
     return (
         _heading(scenario, seeds)
-        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval{unseen}\n"
+        + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t interval{unseen}\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
     )
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number of things as text: 1 run, 2 runs."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -169,7 +174,7 @@ def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
 
 
 def _heading(scenario: Scenario, phrase: str) -> str:
-    players = f"{scenario.team.count} pursuers" + (
+    players = counted(scenario.team.count, "pursuer") + (
         f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
     )
     return f"{scenario.name}: {players}, {scenario.protocol_name}, {phrase}\n"

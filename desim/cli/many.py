@@ -126,6 +126,7 @@ def sweep(
 
     Runs that have succeeded are skipped, so the same command continues a sweep.
     """
+    from desim.analysis.tables import counted
     from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
     from desim.study.results.runs import SHOWN
@@ -191,13 +192,14 @@ def sweep(
     for warning in result.warnings(shown) if as_json else ():
         echo(f"warning: {warning}", err=True)
     took = time.perf_counter() - start
-    echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} already stored; store: {path}", err=True)
+    speed = f"{counted(done, 'run')} in {took:.1f} s ({done / took:.1f}/s)"
+    echo(f"{speed}, {before} already stored; store: {path}", err=True)
     if not shard:
         with storing(folder):
             _write_summary(result, shown[0], folder, table)
     if result.failed:
         echo(
-            f"{len(result.failed)} runs failed; the same command retries them;"
+            f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
             f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
             err=True,
         )
@@ -257,7 +259,7 @@ def _plan_text(
         until: the metric and the half width of --until.
     """
     from desim.analysis.statistics import FIRST_LOOK
-    from desim.analysis.tables import aligned
+    from desim.analysis.tables import aligned, counted
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
     done = [run_of_grid for run_of_grid in wanted if run_of_grid in there]
@@ -271,8 +273,8 @@ def _plan_text(
     if until:
         metric, width = until
         rule = f" at most, and at least {FIRST_LOOK} of each, until the half width of {metric} is {width:g}"
-    head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{rule}"
-    return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
+    head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
+    return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
 def _write_summary(result: "SweepResult", metric: str, folder: Path, table: str) -> None:

@@ -208,8 +208,13 @@ def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
     """Return how to run so that an interrupted command can be resumed, as the end of a message."""
     if file is None:
         return ""
-    command = f"desim sweep {shlex.quote(str(file))} -g horizon={scenario.horizon} -n {count}"
-    return f"; to keep each run and resume, make a sweep: {command}"
+    typed = click.get_current_context().params
+    words = [str(file), "-g", f"horizon={scenario.horizon}", "-n", str(count)]
+    words += [] if typed["seed"] is None else ["-s", str(typed["seed"])]
+    repeated = {"--set": typed["overrides"], "--metric": typed["metrics"]}
+    words += [word for option, values in repeated.items() for value in values for word in (option, value)]
+    words += ["--allow-import"] if is_import_allowed() else []
+    return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join(words)}"
 
 
 def _scenario_to_run(

@@ -86,11 +86,13 @@ def _usual_page(sources: tuple[Path, ...]) -> Path:
 
 def _size(result: "Result") -> str:
     """Return the number of pursuers, the duration and the number of messages of a run as text."""
+    from desim.analysis.tables import counted
     from desim.analysis.trace_index import messages, started
     from desim.kernel.core.units import seconds
 
     counts = messages(result)
-    return f"{len(started(result).active)} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages"
+    players = counted(len(started(result).active), "pursuer")
+    return f"{players}, {seconds(counts.t):.2f} s, {counted(counts.sent, 'message')}"
 
 
 @click.command()
@@ -100,6 +102,7 @@ def _size(result: "Result") -> str:
 @limited
 def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...]) -> None:
     """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
+    from desim.analysis.tables import counted
     from desim.view.pages.report import Study
     from desim.view.pages.report import report as page_of
 
@@ -115,7 +118,7 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
         page = page_of(study).encode()
     write(page, path)
     groups = study.result.groups
-    echo(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
+    echo(f"{path}: {counted(len(groups), 'configuration')}, {counted(study.runs, 'run')}, {len(page) / 1000:,.0f} kB")
 
 
 def _check_merged(folder: Path) -> None:

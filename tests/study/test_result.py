@@ -211,8 +211,9 @@ def test_the_table_shows_the_metrics_that_are_named():
 def test_a_setting_is_selected_by_its_value_its_text_or_its_kind_if_only_one_is_of_it():
     values = ["sap(tau=1)", "cbba", "cbba(schedule=poisson)", "cbaa(a=1)", "cbaa(a=2)", True, 0.5]
     result = SweepResult("x", ("protocol",), tuple(group({"protocol": value}, ok(0)) for value in values))
-    chosen = {value: result.setting("protocol", value) for value in [*values, "sap", "true", "0.5"]}
-    assert chosen == {value: value for value in values} | {"sap": "sap(tau=1)", "true": True, "0.5": 0.5}
+    chosen = {value: result.setting("protocol", value) for value in [*values, "sap", "true", "0.50", "5e-1"]}
+    said = {"sap": "sap(tau=1)", "true": True, "0.50": 0.5, "5e-1": 0.5}
+    assert chosen == {value: value for value in values} | said
     with pytest.raises(ValueError, match="protocol has several values of the kind cbaa: it takes"):
         result.setting("protocol", "cbaa")
     with pytest.raises(ValueError, match="protocol does not take the value server: it takes"):

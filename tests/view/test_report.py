@@ -327,7 +327,7 @@ def test_the_command_writes_the_page(folder):
     done = invoke(folder)
     assert done.exit_code == 0, done.output
     assert (folder / "report.html").read_bytes() == report(Study.read(folder)).encode()
-    assert done.stdout.startswith(f"{folder / 'report.html'}: 1 configurations, 1 runs, ")
+    assert done.stdout.startswith(f"{folder / 'report.html'}: 1 configuration, 1 run, ")
     other = folder / "other.html"
     assert invoke(folder, "-o", other).exit_code == 0
     assert other.read_bytes() == (folder / "report.html").read_bytes()

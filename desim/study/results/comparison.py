@@ -10,11 +10,11 @@ import numpy as np
 from desim.analysis.metrics import METRICS, check_numeric, title, words
 from desim.analysis.statistics import Estimate, independent, mean, paired
 from desim.analysis.table_formats import Table, TableFormat, formatted
-from desim.analysis.tables import as_json, digits_of, with_half_width
+from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import SHOWN, Group, SweepRuns, counted, each_name, text
+from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name, text
 
 
 @dataclass(frozen=True)

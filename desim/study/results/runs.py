@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from desim.analysis.metrics import check_numeric, words
 from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.tables import counted
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
@@ -176,16 +177,16 @@ class SweepRuns:
     def setting(self, key: str, value: Any) -> Any:
         """Return the value of a key of the grid that a given value selects.
 
-        A value of the key is selected if it equals the given value, has the same text, or is the only value whose kind
-        is the given value.
-        For example, "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
+        A value of the key is selected if it equals the given value, has the same text, is the number that the given
+        text says, or is the only value whose kind is the given value. For example, "0.50" says 0.5, "cbba" is the text
+        of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
 
         Raises:
             ValueError: if the grid has no such key, the key does not take the value, or it takes several of this kind.
         """
         there = self.values(key)
         for candidate in there:
-            if candidate == value or text(candidate) == label(value):
+            if candidate == value or text(candidate) == label(value) or _says(value, candidate):
                 return candidate
         alike = [known_value for known_value in there if kind_of(text(known_value)) == label(value)]
         if len(alike) == 1:
@@ -270,11 +271,16 @@ def text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _says(value: Any, number: Any) -> bool:
+    """Return whether a value is a text that says a number, such as "0.50" or "5e-1" for 0.5."""
+    if not isinstance(value, str) or isinstance(number, bool) or not isinstance(number, int | float):
+        return False
+    try:
+        return float(value) == number
+    except ValueError:
+        return False
+
+
 def kind_of(value: str) -> str:
     """Return the kind of a model that is given as text; for example, the kind of "sap(tau=...)" is "sap"."""
     return value.partition("(")[0]
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number of things as text: 1 run, 2 runs."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"

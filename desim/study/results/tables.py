@@ -7,11 +7,11 @@ import numpy as np
 
 from desim.analysis.metrics import title, words
 from desim.analysis.statistics import wilson
-from desim.analysis.tables import as_json, digits_of, with_half_width
+from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import SweepRuns, counted, text
+from desim.study.results.runs import SweepRuns, text
 
 Table = tuple[str, list[tuple[str, ...]]]
 """The title of a table, and its rows of text; the first row is the header."""

@@ -3,6 +3,7 @@
 from math import isfinite
 from typing import Any
 
+from desim.analysis.tables import counted
 from desim.analysis.trace_index import captures, ended, started
 from desim.config.model import Value
 from desim.config.traits import kind_of, name_of
@@ -30,7 +31,7 @@ def run_name(result: Result) -> str:
 
 def about(result: Result) -> str:
     """Return a one-line description of a run: players, protocol, seed and outcome."""
-    players = f"{len(started(result).active)} pursuers"
+    players = counted(len(started(result).active), "pursuer")
     if (count := len(started(result).evaders)) > 1:
         players = f"{players}, {count} evaders"
     return f"{players}, {result.scenario.protocol_name}, seed {result.seed}: {outcome(result)}"
