@@ -10,10 +10,13 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         "anywidget": "notebook",
         "dask": "cluster",
         "distributed": "cluster",
+        "greenlet": "rl",
+        "gymnasium": "rl",
         "jinja2": "plot",
         "matplotlib": "plot",
         "mcap": "mcap",
         "pandas": "frame",
+        "pettingzoo": "rl",
         "pyarrow": "parquet",
         "traitlets": "notebook",
     }
