@@ -23,6 +23,7 @@ from desim.config.html import PICTURES
 from desim.config.packages import KINDS_OF, check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
+    from desim.adapters.wrap import wrap as wrap
     from desim.analysis.metrics import summary as summary
     from desim.config.data_files import open_data as open_data
     from desim.kernel.clock_sync import TwoWay as TwoWay

@@ -176,7 +176,12 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                     "In a simulator of your own",
                     "A network that your loop steps; see"
                     " [Use the network in your simulator](../../howto/stepped_network.md).",
-                    ("desim.kernel.stepped_network", "desim.kernel.stepped_networks", "desim.kernel.fates"),
+                    (
+                        "desim.kernel.stepped_network",
+                        "desim.kernel.stepped_networks",
+                        "desim.adapters.wrap",
+                        "desim.kernel.fates",
+                    ),
                     (
                         "desim.kernel.stepped_network.ReceivedMessage",
                         "desim.kernel.stepped_network.LostMessage",

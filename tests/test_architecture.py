@@ -25,7 +25,7 @@ FLOORS = [
     {"desim.kernel.link_layer"},
     {"desim.kernel.transport"},
     {"desim.kernel"},
-    {"desim.pursuit.sensing"},
+    {"desim.adapters", "desim.pursuit.sensing"},
     {"desim.pursuit.team"},
     {"desim.pursuit.byzantine", "protocols.schedules"},
     {"desim.scenario", "protocols"},
@@ -48,7 +48,7 @@ The kernel, and the mathematics of pursuit below it, know nothing of teams, scen
 PACKAGES = [
     {"desim.config"},
     {"desim.kernel"},
-    {"desim.pursuit"},
+    {"desim.adapters", "desim.pursuit"},
     {"desim.scenario", "protocols"},
     {"desim.simulation"},
     {"desim.analysis"},

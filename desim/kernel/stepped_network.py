@@ -135,6 +135,8 @@ class SteppedNetwork:
 
     def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
         """Create the network of an episode, at time 0."""
+        if not isinstance(trace, Trace | None):
+            raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
         self._seed, self._trace, size = seed_of(seed), trace, len(self._nodes)
         self._clock = clock = Clock()
         self._positions = SteppedPositions(clock, size)

@@ -43,6 +43,8 @@ class SteppedNetworks:
         positions: Any = None,
         **arguments: Any,
     ):
+        if "trace" in arguments:
+            raise ValueError("a trace is of one network: step single ones, each with a trace")
         count = whole(count, "the number of networks")
         if count < 1:
             raise ValueError(f"there should be at least 1 network (got {count})")

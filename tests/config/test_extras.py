@@ -19,6 +19,8 @@ NEEDS = {
     "pandas": lambda: sweep(Scenario(horizon=0.01), {"team.count": [2]}, reps=1).to_frame(),
     "pyarrow": lambda: desim.export(run(Scenario(horizon=0.01)), "x.parquet"),
     "mcap": lambda: desim.export(run(Scenario(horizon=0.01)), "x.mcap"),
+    "pettingzoo": lambda: desim.wrap(None),
+    "gymnasium": lambda: desim.wrap(None),
     "distributed": lambda: sweep(Scenario(), {"team.count": [2]}, reps=1, executor="tcp://127.0.0.1:1"),
 }
 """By package, a call that needs it."""

@@ -1,0 +1,74 @@
+"""Spaces of gymnasium for messages: spaces with more keys, masks, and the element that stands for no message."""
+
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+UNHEARD = -1.0
+"""The age of a message that has not arrived."""
+
+
+class ActionSpace(spaces.Dict):
+    """The space of an action with a message. A mask of the environment masks the action."""
+
+    def sample(self, mask: Any = None, probability: Any = None) -> dict[str, Any]:
+        """Draw an action and a message; a mask without a part for the message is that of the action."""
+        return super().sample(mask=self._parts(mask), probability=self._parts(probability))
+
+    def _parts(self, mask: Any) -> Any:
+        if mask is None or (isinstance(mask, dict) and "message" in mask):
+            return mask
+        return {**({"action": mask} if self.keys() == {"action", "message"} else mask), "message": None}
+
+
+def joined(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
+    """Return a value with more keys: its own if it is a dict, or a space of dicts, or else its name.
+
+    Raises:
+        ValueError: if it has one of the keys already.
+    """
+    parts = dict(value) if isinstance(value, dict | spaces.Dict) else {name: value}
+    if both := sorted(parts.keys() & more.keys()):
+        raise ValueError(f"the {name} of this environment has the key {both[0]!r} already")
+    return parts | more
+
+
+@singledispatch
+def blank(space: Any) -> Any:
+    """Return an element of a space: zeros where it has them, else what is closest to them, or its first number.
+
+    Raises:
+        ValueError: if it is a space of another kind.
+    """
+    raise ValueError(
+        f"the elements of a {type(space).__name__} have no zero: messages, and actions without idle=, should be of a"
+        " Box, Discrete, MultiDiscrete or MultiBinary, or of a Dict or Tuple of these"
+    )
+
+
+@blank.register
+def _box(space: spaces.Box) -> Any:
+    return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
+
+
+@blank.register(spaces.Discrete)
+@blank.register(spaces.MultiDiscrete)
+def _discrete(space: Any) -> Any:
+    return space.start.copy()
+
+
+@blank.register
+def _binary(space: spaces.MultiBinary) -> Any:
+    return np.zeros(space.shape, space.dtype)
+
+
+@blank.register
+def _dict(space: spaces.Dict) -> Any:
+    return {key: blank(part) for key, part in space.items()}
+
+
+@blank.register(spaces.Tuple)
+def _tuple(space: Any) -> Any:
+    return tuple(blank(part) for part in space)

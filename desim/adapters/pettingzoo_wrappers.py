@@ -1,0 +1,113 @@
+"""Environments of PettingZoo whose agents talk over a network; see `desim.wrap`."""
+
+from collections.abc import Hashable
+from typing import Any
+
+from gymnasium.spaces import Space
+from pettingzoo.utils.wrappers import BaseParallelWrapper, BaseWrapper
+
+from desim.adapters.agent_messages import AgentMessages
+from desim.kernel.stepped_network import SteppedNetwork
+
+
+class ParallelMessages(BaseParallelWrapper):  # type: ignore[misc]  # it has no types
+    """A ParallelEnv whose agents talk over a network.
+
+    In each step all agents speak as they act, the environment steps, the network carries what was said for `dt`
+    seconds, and the observations have what has arrived by then.
+
+    Args:
+        env: the environment.
+        links: as in `SteppedNetwork`.
+        **options: as in `desim.adapters.agent_messages.AgentMessages`.
+    """
+
+    def __init__(self, env: Any, links: Any = None, **options: Any):
+        super().__init__(env)
+        self._messages = AgentMessages(env, links, **options)
+
+    @property
+    def network(self) -> SteppedNetwork:
+        """The network of this episode."""
+        return self._messages.network
+
+    def action_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the actions of an agent, with a message."""
+        return self._messages.action_spaces[agent]
+
+    def observation_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the observations of an agent, with messages and their ages."""
+        return self._messages.observation_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
+        """Begin an episode; see `pettingzoo.ParallelEnv.reset`."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._messages.reset(seed)
+        return self._heard(observations), infos
+
+    def step(self, actions: dict[Any, Any]) -> tuple[Any, ...]:
+        """Let all agents speak and act; see `pettingzoo.ParallelEnv.step`."""
+        observations, *rest = self.env.step({agent: self._messages.say(agent, actions[agent]) for agent in actions})
+        self._messages.step()
+        return self._heard(observations), *rest
+
+    def close(self) -> None:
+        """Close the environment and the network."""
+        self.env.close()
+        self.network.close()
+
+    def _heard(self, observations: dict[Any, Any]) -> dict[Any, Any]:
+        return {agent: self._messages.hear(agent, observation) for agent, observation in observations.items()}
+
+
+class TurnMessages(BaseWrapper):  # type: ignore[misc]  # it has no types
+    """An AECEnv whose agents talk over a network.
+
+    In its turn an agent speaks as it acts, the environment steps, and the network carries what was said for `dt`
+    seconds. An observation has what has arrived when it is asked for. The step of an agent that is dead takes no time.
+
+    Args:
+        env: the environment.
+        links: as in `SteppedNetwork`.
+        **options: as in `desim.adapters.agent_messages.AgentMessages`.
+    """
+
+    def __init__(self, env: Any, links: Any = None, **options: Any):
+        super().__init__(env)
+        self._messages = AgentMessages(env, links, **options)
+
+    @property
+    def network(self) -> SteppedNetwork:
+        """The network of this episode."""
+        return self._messages.network
+
+    def action_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the actions of an agent, with a message."""
+        return self._messages.action_spaces[agent]
+
+    def observation_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the observations of an agent, with messages and their ages."""
+        return self._messages.observation_spaces[agent]
+
+    def observe(self, agent: Hashable) -> Any:
+        """Return the observation of an agent now, with what it has heard."""
+        observation = self.env.observe(agent)
+        return None if observation is None else self._messages.hear(agent, observation)
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode; see `pettingzoo.AECEnv.reset`."""
+        self.env.reset(seed=seed, options=options)
+        self._messages.reset(seed)
+
+    def step(self, action: Any) -> None:
+        """Let the agent whose turn it is speak and act; see `pettingzoo.AECEnv.step`."""
+        if action is None:  # of a dead agent
+            self.env.step(None)
+        else:
+            self.env.step(self._messages.say(self.env.agent_selection, action))
+            self._messages.step()
+
+    def close(self) -> None:
+        """Close the environment and the network."""
+        self.env.close()
+        self.network.close()

@@ -1,0 +1,276 @@
+"""Agents of PettingZoo that talk over a network: its own tests pass, and each hears what has arrived."""
+
+import copy
+import pickle
+import warnings
+
+import networkx as nx
+import numpy as np
+import pettingzoo
+import pytest
+from gymnasium import spaces
+from pettingzoo.utils import aec_to_parallel, parallel_to_aec
+
+import desim
+from desim import Crash, Links, Lognormal
+from desim.adapters.message_spaces import blank
+from desim.kernel.core.events import Trace
+from tests.adapters.environments import NAMES, Line, Turns
+
+LINKS = Links(latency=Lognormal(mean=0.1, cv=0.5), loss=0.1)
+WARNED = "Observation is not a NumPy array|probably should be gymnasium.spaces|all zeros|named in the format"
+"""What the tests of PettingZoo say of all environments whose spaces are dicts, and of some without a wrapper."""
+PARALLEL = ("sisl/pursuit_v5", "butterfly/knights_archers_zombies_v11")
+
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # its tests import environments in a way that it calls old
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
+
+
+def checked(test, *arguments, **options):
+    """Run a test of PettingZoo, in which each other warning is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for text in WARNED.split("|"):
+            warnings.filterwarnings("ignore", f".*{text}")
+        test(*arguments, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["classic/rps_v2", "classic/tictactoe_v3", "classic/connect_four_v3", *PARALLEL])
+def test_an_environment_of_pettingzoo_passes_its_tests(name):
+    """They need pygame only; three of them have masks of actions in their observations."""
+    checked(api_test, desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=20)
+    checked(seed_test, lambda: desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=10)
+    if name in PARALLEL:
+        checked(parallel_api_test, desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=20)
+        checked(parallel_seed_test, lambda: desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=10)
+
+
+def test_small_environments_pass_the_tests_of_pettingzoo():
+    checked(parallel_api_test, desim.wrap(Line(), LINKS), num_cycles=40)
+    checked(parallel_seed_test, lambda: desim.wrap(Line(), LINKS), num_cycles=20)
+    checked(api_test, desim.wrap(parallel_to_aec(Line(["a_0", "a_1"])), LINKS), num_cycles=20)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it has no render method
+        api_test(desim.wrap(Turns(), LINKS), num_cycles=20)
+
+
+def talk(env, steps, seed=3):
+    """Let each agent say 100 k + its number in step k, and return the observations of each step."""
+    observed = [env.reset(seed=seed)[0]]
+    for k in range(steps):
+        said = {name: {"action": 0, "message": np.array([100.0 * k + NAMES.index(name)])} for name in env.agents}
+        observed.append(env.step(said)[0])
+    return observed
+
+
+NUMBERS = spaces.Box(0.0, 1e6, (1,), np.float64)
+
+
+@pytest.mark.parametrize(("latency", "steps"), [(0.0, 1), (0.1, 1), (0.11, 2), (0.35, 4)])
+def test_an_agent_hears_the_newest_message_that_has_arrived_and_its_age(latency, steps):
+    """What is said at the beginning of a step of 0.1 s is heard at the end of the first step that ends after it."""
+    observed = talk(desim.wrap(Line(), Links(latency=latency), message=NUMBERS), 8)
+    for k, observations in enumerate(observed):
+        for number, name in enumerate(NAMES):
+            newest = k - steps
+            others = [other for other in range(3) if other != number]
+            messages, ages = observations[name]["messages"], observations[name]["ages"]
+            assert (messages[number], ages[number]) == (0.0, -1.0)
+            if newest < 0:
+                assert (ages[others] == -1.0).all()
+                assert (messages[others] == 0.0).all()
+            else:
+                assert ages[others] == pytest.approx(0.1 * steps)
+                assert messages[others, 0].tolist() == [100.0 * newest + other for other in others]
+
+
+def test_the_environment_itself_is_unchanged():
+    plain, wrapped = Line(), desim.wrap(Line(), LINKS)
+    plain.reset(seed=1)
+    wrapped.reset(seed=1)
+    rng = np.random.default_rng(0)
+    while plain.agents:
+        actions = {name: int(rng.integers(3)) for name in plain.agents}
+        expected = plain.step(actions)
+        got = wrapped.step({name: {"action": actions[name], "message": None} for name in actions})
+        assert {name: seen["observation"].tolist() for name, seen in got[0].items()} == {
+            name: seen.tolist() for name, seen in expected[0].items()
+        }
+        assert got[1:] == expected[1:]
+    assert wrapped.network.counts().sent == 0  # None says nothing
+
+
+def test_agents_out_of_range_are_not_heard_unless_their_places_are_frozen():
+    def heard(positions):
+        env = desim.wrap(Line(steps=99), {"range": 5.0}, positions=positions, message=NUMBERS)
+        env.reset(seed=0)
+        for k in range(3):  # eve, 4 m from bob, goes on by 2 m a step
+            moves = {"ann": 0, "bob": 0, "eve": 2}
+            said = {name: {"action": moves[name], "message": [float(k)]} for name in env.agents}
+            observations = env.step(said)[0]
+        return observations["bob"]["messages"][:, 0].tolist(), observations["bob"]["ages"].tolist()
+
+    start = Line()
+    start.reset()
+    frozen = start.places()
+    assert heard(lambda env: env.places()) == ([2.0, 0.0, 0.0], pytest.approx([0.1, -1.0, 0.3]))
+    assert heard(lambda env: frozen) == ([2.0, 0.0, 2.0], pytest.approx([0.1, -1.0, 0.1]))
+    as_rows = lambda env: [(env.x[name], 0.0) for name in env.possible_agents]  # noqa: E731
+    assert heard(as_rows) == heard(lambda env: env.places())
+
+
+def test_an_agent_that_is_gone_is_heard_no_more_and_keeps_its_place():
+    env = desim.wrap(Line(steps=99), {"range": 50.0}, positions=lambda env: env.places(), message=NUMBERS)
+    env.reset(seed=0)
+    while "eve" in env.agents:
+        env.step({name: {"action": 2 if name == "eve" else 0, "message": [1.0]} for name in env.agents})
+    for k in range(1, 4):
+        observations = env.step({name: {"action": 0, "message": [2.0]} for name in env.agents})[0]
+        assert observations["ann"]["ages"] == pytest.approx([-1.0, 0.1, 0.1 * (k + 1)])
+
+
+def test_a_turn_takes_a_step_and_what_is_dead_takes_none():
+    env = desim.wrap(Turns(), Links(latency=0.25), dt=0.1, message=spaces.Discrete(5, start=5))
+    env.reset(seed=0)
+    assert env.action_space("ann").keys() == {"move", "push", "message"}
+    for turn, agent in enumerate(env.agent_iter()):
+        observation, _, dead, _, info = env.last()
+        assert env.observe(agent)["ages"].tolist() == observation["ages"].tolist()  # it is asked without effect
+        if dead:
+            assert env.network.now == pytest.approx(1.2)
+            env.step(None)
+            continue
+        if turn == 3:  # ann spoke 0.3 s ago, and bob 0.2 s ago, which has not arrived
+            assert observation["ages"] == pytest.approx([-1.0, -1.0, -1.0])
+            assert env.observe("bob")["ages"] == pytest.approx([0.3, -1.0, -1.0])
+            assert env.observe("bob")["messages"].tolist() == [9, 5, 5]
+        action = env.action_space(agent).sample(info["action_mask"])
+        env.step({**action, "message": 9})
+    assert turn == 14
+
+
+def test_seeds_of_reset_give_equal_episodes_and_others_differ():
+    def ages(env, seed):
+        return [step["ann"]["ages"].tolist() for step in talk(env, 20, seed)]
+
+    env = desim.wrap(Line(), LINKS, message=NUMBERS)
+    first = ages(env, 5)
+    after = [ages(env, None), ages(env, None)]
+    assert first != after[0] != after[1]
+    other = desim.wrap(Line(), LINKS, message=NUMBERS, seed=5)
+    assert [ages(other, None) for _ in range(3)] == [first, *after]
+    assert ages(env, 6) != first == ages(env, 5)
+    free = [ages(desim.wrap(Line(), LINKS, message=NUMBERS), None) for _ in range(2)]
+    assert free[0] != free[1]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        1,
+        3,
+        spaces.Box(1.0, 2.0, (2, 2), np.float32),
+        spaces.Box(0, 255, (3,), np.uint8),
+        spaces.Discrete(4),
+        spaces.Discrete(4, start=-9),
+        spaces.MultiDiscrete([3, 4]),
+        spaces.MultiBinary(3),
+        spaces.Dict({"flag": spaces.Discrete(2), "place": spaces.Box(-1.0, 1.0, (2,), np.float64)}),
+        spaces.Tuple((spaces.Discrete(2), spaces.Box(-1.0, 1.0, (2,), np.float32))),
+    ],
+    ids=str,
+)
+def test_messages_are_of_any_space(message):
+    env = desim.wrap(Line(), LINKS, message=message)
+    observations, _ = env.reset(seed=0)
+    for _ in range(5):
+        for name in env.agents:
+            assert observations[name] in env.observation_space(name)
+        observations = env.step({name: env.action_space(name).sample() for name in env.agents})[0]
+    assert blank(spaces.Discrete(4, start=-9)) == -9
+
+
+def test_the_network_has_graphs_of_agents_faults_and_airtime():
+    env = desim.wrap(
+        Line(),
+        {"medium": {"kind": "bitrate", "bitrate": 1e4}},
+        graph=nx.path_graph(["ann", "eve", "bob"]),
+        faults=[Crash(start=0.25, node=2)],
+        size=100,
+        message=NUMBERS,
+    )
+    observations = talk(env, 8)[-1]
+    numbers = {node: k for k, node in enumerate(env.network.nodes)}
+    assert observations["ann"]["ages"][1] == -1.0  # bob is no neighbour
+    last = {"eve": "ann", "ann": "eve"}
+    assert all(observations[name]["ages"][NAMES.index(other)] > 0.0 for name, other in last.items())
+    assert env.network.counts().lost_by.keys() >= {"crash"}
+    assert numbers.keys() == set(NAMES)
+
+
+def test_a_conversion_of_pettingzoo_goes_over_the_wrapper():
+    env = aec_to_parallel(desim.wrap(parallel_to_aec(Line()), Links(), dt=0.1 / 3))
+    env.reset(seed=0)
+    said = {name: {"action": 0, "message": np.zeros(1, np.float32)} for name in NAMES}
+    assert set(env.step(said)[0]["ann"]) == {"observation", "messages", "ages"}
+
+
+def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
+    env = desim.wrap(Line(), LINKS, message=NUMBERS)
+    copies = [pickle.loads(pickle.dumps(env))]
+    env.reset(seed=3)
+    copies += [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
+    expected = repr(talk(env, 6))
+    assert [repr(talk(other, 6)) for other in copies] == [expected] * 3
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"message": 0}, "message should be a gymnasium space, or a number of floats"),
+        ({"message": "text"}, "message should be a gymnasium space"),
+        ({"message": spaces.Text(5)}, "the elements of a Text have no zero"),
+        ({"dt": 0.0}, "dt should be a time"),
+        ({"positions": np.zeros((3, 2))}, "positions should be a function of the environment"),
+        ({"graph": nx.path_graph(3)}, "the nodes of the graph should be the agents"),
+        ({"seed": -1}, "the seed should be at least 0"),
+        ({"trace": Trace()}, "a trace is of one episode"),
+    ],
+    ids=str,
+)
+def test_a_wrong_option_is_refused(options, why):
+    with pytest.raises((ValueError, TypeError), match=why):
+        desim.wrap(Line(), Links(), **options)
+
+
+def test_a_wrong_environment_action_message_or_place_is_refused():
+    with pytest.raises(TypeError, match=r"wrap takes a pettingzoo\.ParallelEnv.*got builtins\.int"):
+        desim.wrap(3)
+    with pytest.raises(ValueError, match="has no possible_agents"):
+        desim.wrap(Line([]))
+    env = Line()
+    env._observations = dict.fromkeys(NAMES, spaces.Dict({"messages": spaces.Discrete(2)}))
+    with pytest.raises(ValueError, match="has the key 'messages' already"):
+        desim.wrap(env)
+    env = desim.wrap(Line())
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"the action of 'ann' should be a dict with the keys .*\(got 0\)"):
+        env.step(dict.fromkeys(NAMES, 0))
+    with pytest.raises(ValueError, match="the message of 'ann' should be in Box"):
+        env.step({name: {"action": 0, "message": [float("nan")]} for name in NAMES})
+    for places, why in (
+        ({"ann": (0.0, 0.0)}, "a place for 'bob'"),
+        (np.zeros((2, 2)), "3 rows"),
+        (np.zeros((3, 3)), r"shape \(3, 2\)"),
+    ):
+        wrapped = desim.wrap(Line(), {"range": 5.0}, positions=lambda env, places=places: places)
+        with pytest.raises(ValueError, match=why):
+            wrapped.reset(seed=0)
+    wrapped = desim.wrap(Line(), {"range": 5.0})
+    wrapped.reset(seed=0)
+    with pytest.raises(ValueError, match="depends on the positions"):
+        wrapped.step({name: wrapped.action_space(name).sample() for name in NAMES})
