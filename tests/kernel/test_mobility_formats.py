@@ -22,14 +22,14 @@ def bonnmotion(tracks, z=""):
     return "".join(" ".join(f"{t!r} {x!r} {y!r}{z}" for t, x, y, _ in track) + "\n" for track in tracks)
 
 
-def ns2(tracks, array="$node_({})"):
+def ns2(tracks, array="$node_({})", start=0.0):
     lines = []
     for k, track in enumerate(tracks):
         node, (_, x, y, _) = array.format(k), track[0]
         lines += [f"{node} set X_ {x!r}; {node} set Y_ {y!r} ;# node {k}", f"{node} set Z_ 0.0"]
         for (t, x, y, _), (t_after, x_after, y_after, _) in pairwise(track):
             speed = hypot(x_after - x, y_after - y) / (t_after - t)
-            lines.append(f'$ns_ at {t!r} "{node} setdest {x_after!r} {y_after!r} {speed!r}" ;# leg')
+            lines.append(f'$ns_ at {start + t!r} "{node} setdest {x_after!r} {y_after!r} {speed!r}" ;# leg')
     return "\n".join(lines) + "\n"
 
 
@@ -51,6 +51,7 @@ FORMATS = {
     "ns-2": ns2,
     "ns-2 of SUMO": lambda tracks: ns2(tracks, "$mnode_({})"),
     "ns-2 with variables": lambda tracks: ns2(tracks, "$n{}"),
+    "ns-2 since 1970": lambda tracks: ns2(tracks, start=1.7e9),
     "csv": table,
     "csv with numbers": lambda tracks: table(tracks, names="012"),
     "header with units": lambda tracks: table(tracks, header="Time [s],ID,X [m],Y [m]"),
@@ -86,19 +87,30 @@ def read(folder, content, node=0, **keys):
     return read_mobility(folder / "motion.txt", **keys).track(node)
 
 
+def check_comes_back(folder, name, encoding, tracks, t):
+    """Check that at a time each node is where the record says."""
+    dimensions = 2 if name in {"BonnMotion", "BonnMotion since 1970"} else None
+    for k, right in enumerate(tracks):
+        node = NAMES[k] if name in NAMED else k
+        found = read(folder, ENCODINGS[encoding](FORMATS[name](tracks)), node, dimensions=dimensions)
+        assert abs(interpolated(found.waypoints, t) - interpolated(right, t)) < 1e-6
+        assert found.has_heights == (name == "BonnMotion with heights")
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("name", FORMATS)
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(tracks=tracks(), t=st.floats(0.0, 60.0))
 def test_any_record_comes_back_from_every_format(tmp_path, name, encoding, tracks, t):
-    """At any time each node is where the record says."""
-    dimensions = 2 if name in {"BonnMotion", "BonnMotion since 1970"} else None
-    for k, right in enumerate(tracks):
-        node = NAMES[k] if name in NAMED else k
-        found = read(tmp_path, ENCODINGS[encoding](FORMATS[name](tracks)), node, dimensions=dimensions)
-        assert abs(interpolated(found.waypoints, t) - interpolated(right, t)) < 1e-6
-        assert found.has_heights == (name == "BonnMotion with heights")
+    check_comes_back(tmp_path, name, encoding, tracks, t)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_record_comes_back_from_every_format(tmp_path, name):
+    """Two nodes on the move at 2 s, of which one has begun with a pause."""
+    walks = [[(0.0, 1.0, 2.0), (4.0, 3.0, 40.0)], [(0.0, 5.0, -6.0), (1.5, 5.0, -6.0), (9.0, -7.0, 80.0)]]
+    check_comes_back(tmp_path, name, "plain", [[Waypoint(*each, 0) for each in walk] for walk in walks], 2.0)
 
 
 HEIGHTS = {

@@ -75,6 +75,15 @@ def test_lengths_by_numbers(target, length):
     assert lengths_of([target], 1.0)[0] == pytest.approx(length, abs=5e-6)
 
 
+@pytest.mark.parametrize("target", [1 + 1.5j, 0.5 + 0.3j, 3 + 0.5j, -2 + 5j])
+def test_along_the_final_heading_the_length_grows_by_the_distance(target):
+    """By differences, within and beyond the turning circle, on the left and on the right."""
+    targets = np.array([target, target.conjugate()])
+    _, headings = shortest_paths(targets, np.ones(2))
+    grown = lengths_of(targets + 1e-6 * headings, 1.0) - lengths_of(targets - 1e-6 * headings, 1.0)
+    assert grown == pytest.approx([2e-6, 2e-6], rel=1e-6)
+
+
 def test_the_length_of_a_path_to_a_target_aside_has_a_closed_form():
     """To (0, y) at the left, D = y - rho: a turn of pi - acos(rho / D) with theta = pi, then sqrt(D^2 - rho^2)."""
     for y in (2.5, 5.0, 40.0):

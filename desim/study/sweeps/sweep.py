@@ -152,7 +152,7 @@ class SweepPlan:
         text = f"{self.root}/{configuration.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
-    def check(self, store: Store, *, mix_versions: bool = False) -> None:
+    def check(self, store: Store, *, mix_versions: bool) -> None:
         """Raise StoreError if a store belongs to another sweep, or has runs of other versions that may not be mixed."""
         store.check_same(self._properties_as_json())
         store.check_versions([environment.computing_versions()], THIS, mix=mix_versions)
