@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from itertools import repeat
+from operator import itemgetter
 
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.message_body import is_immutable, own_copy
@@ -9,6 +10,7 @@ from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.records import Arrival, per_receiver
 from desim.kernel.state.inbox import Inboxes, Message
 
+_TIME = itemgetter(0)
 QueuedMessage = tuple[int, int, int, Message, str]
 """A message in the queue: arrival time (ns), number of its transmission, receiver, message, port."""
 
@@ -23,6 +25,8 @@ class MessageQueue(Inboxes):
     def __init__(self, env: Clock, size: int):
         super().__init__(env, size)
         self._queue: list[QueuedMessage] = []
+        self._newest, self._is_in_order = -1, True
+        """The greatest number in the queue so far, and whether the numbers since the last `take` have ascended."""
 
     def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
         """Put a message into the queue once for each receiver; see `Inboxes.deliver`."""
@@ -30,6 +34,8 @@ class MessageQueue(Inboxes):
             super().deliver(message, port, receivers, arrival, number)
             return
         times = per_receiver(arrival, len(receivers))
+        self._is_in_order &= number > self._newest
+        self._newest = max(number, self._newest)
         if self.has_mutable and not is_immutable(message.body):
             messages = [message._replace(body=own_copy(message.body)) for _ in receivers]
             self._queue += zip(times, repeat(number), receivers, messages, repeat(port))
@@ -43,7 +49,10 @@ class MessageQueue(Inboxes):
     def take(self) -> list[QueuedMessage]:
         """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""
         queue = self._queue
-        queue.sort()  # fast, because most of the queue is in order already
+        # Messages in the order of transmission stay so where they arrive together, and times alone are compared thrice
+        # as fast. Both sorts are faster still where most of the queue is in order, as what was in flight before is.
+        queue.sort(key=_TIME if self._is_in_order else None)
+        self._is_in_order = True
         end = bisect_left(queue, (self._env.now + 1,))
         arrived = queue[:end]
         del queue[:end]
