@@ -1,4 +1,5 @@
 """The network in environments of other libraries: wrappers for PettingZoo and Gymnasium (the extra `rl`).
 
-The environment moves the robots, and a `SteppedNetwork` carries what they say. Nothing of the pursuit is imported.
+They step a `SteppedNetwork`; nothing of the pursuit is imported. A wrapper for another library is one module here, and
+one case in `wrap`.
 """

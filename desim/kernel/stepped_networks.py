@@ -49,6 +49,8 @@ class SteppedNetworks:
         if count < 1:
             raise ValueError(f"there should be at least 1 network (got {count})")
         root, placed = seed_of(seed), self._rows(positions, count)
+        self._shape: tuple[int, ...] | None = None
+        """Of the bodies of this episode; None before the first."""
         self._networks = [
             SteppedNetwork(nodes, links, seed=run_seed(root, e), positions=placed[e], **arguments) for e in range(count)
         ]
@@ -61,7 +63,11 @@ class SteppedNetworks:
 
     def publish(self, bodies: Any) -> None:
         """Let every node publish a row of an array (E, n) or (E, n, k) as its state; see `SteppedNetwork.publish`."""
-        for network, rows in zip(self._networks, self._bodies(bodies), strict=True):
+        rows_of_networks, shape = self._bodies(bodies), np.shape(bodies)[2:]
+        if self._shape not in {None, shape}:
+            raise ValueError(f"the bodies of an episode should have one shape, first {self._shape}, now {shape}")
+        self._shape = shape
+        for network, rows in zip(self._networks, rows_of_networks, strict=True):
             for node, body in zip(network.nodes, rows, strict=True):
                 network.publish(node, body)
 
@@ -78,12 +84,11 @@ class SteppedNetworks:
     def latest(self) -> Floats:
         """Return the newest numbers that have arrived, (E, receivers, sources) or (E, receivers, sources, k).
 
-        They are nan where none has arrived, and at the node's own place.
+        They are nan where none has arrived, and at the node's own place. k is that of `publish`.
         """
         tables = [[network.latest(node) for node in network.nodes] for network in self._networks]
-        received = (np.shape(message.body) for rows in tables for table in rows for message in table.values())
         size = len(self._networks[0].nodes)
-        latest = np.full((len(self), size, size, *next(received, ())), np.nan)
+        latest = np.full((len(self), size, size, *(self._shape or ())), np.nan)
         number = {node: k for k, node in enumerate(self._networks[0].nodes)}
         for e, rows in enumerate(tables):
             for dst, table in enumerate(rows):
@@ -102,7 +107,7 @@ class SteppedNetworks:
 
     def reset(self, seed: int, *, positions: Any = None) -> None:
         """Begin all networks anew, exactly as new ones with this seed would; see `SteppedNetwork.reset`."""
-        placed = self._rows(positions, len(self))
+        placed, self._shape = self._rows(positions, len(self)), None
         for e, network in enumerate(self._networks):
             network.reset(run_seed(seed_of(seed), e), positions=placed[e])
 

@@ -456,6 +456,16 @@ def test_many_networks_are_each_as_a_single_one():
     assert many[0].counts() != many[1].counts() or many.ages()[0].tolist() != many.ages()[1].tolist()
     many.reset(4, positions=np.stack([START] * 3))
     assert many.now == 0.0
+    late = SteppedNetworks(2, 3, Links(latency=1.0))
+    assert late.latest().shape == (2, 3, 3)
+    late.publish(np.zeros((2, 3, 5)))
+    late.step(0.1)
+    assert late.latest().shape == (2, 3, 3, 5)  # also while nothing has arrived
+    assert np.isnan(late.latest()).all()
+    with pytest.raises(ValueError, match=r"one shape, first \(5,\), now \(\)"):
+        late.publish(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="a trace is of one network"):
+        SteppedNetworks(2, 3, trace=Trace())
 
 
 # Bad use.
