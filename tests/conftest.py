@@ -61,14 +61,16 @@ def covering(cases):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Thin the products, and mark as slow all but the first case of each test that is `slow_but_one`."""
+    """Thin the products, and mark the cases of a test that are slow: those it names, or all but the first."""
     tests = {}
     for item in items:
         tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
     for cases in tests.values():
-        if cases[0].get_closest_marker("slow_but_one"):
-            for item in cases[1:]:
-                item.add_marker("slow")
+        slow = cases[1:] if cases[0].get_closest_marker("slow_but_one") else []
+        if mark := cases[0].get_closest_marker("slow_cases"):
+            slow = [item for item in cases if item.callspec.id in mark.args]
+        for item in slow:
+            item.add_marker("slow")
     if config.option.whole_products or any("::" in argument for argument in config.args):
         return
     # A test of several `parametrize` asks one question in all corners. Each value is met here, not each combination.

@@ -44,6 +44,17 @@ def test_a_built_in_kind_passes_the_check_of_its_family(check, kind, model):
     check(model(**PARAMETERS.get(model.__name__, {})))
 
 
+@pytest.mark.parametrize("kind", ["constant", "uniform", "matrix"])
+def test_a_built_in_latency_passes_the_check_with_few_draws(kind):
+    model = LATENCIES.choices()[kind]
+    check_latency(model(**PARAMETERS.get(model.__name__, {})), draws=8)
+
+
+@pytest.mark.parametrize("kind", ["bernoulli", "four_state"])
+def test_a_built_in_loss_passes_the_check_with_few_draws(kind):
+    check_loss(LOSSES.choices()[kind](), draws=8)
+
+
 @pytest.mark.slow
 def test_every_built_in_metric_passes_the_check_of_metrics():
     """One at a time would be 90 times the same runs."""

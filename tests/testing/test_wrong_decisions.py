@@ -287,7 +287,7 @@ METRICS = {
 """Wrong metrics, and what each is told."""
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases("lost messages", "never decides", "short sight")
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_a_wrong_protocol_is_told_what_is_wrong_with_it(name):
     model, what = PROTOCOLS[name]
@@ -302,7 +302,7 @@ def test_a_protocol_that_depends_on_the_order_of_a_set_is_told_so():
         check_protocol(orders_by_hash, hash_seeds=True)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases("silent")
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_a_wrong_schedule_is_told_what_is_wrong_with_it(name):
     model, what = SCHEDULES[name]
@@ -310,7 +310,6 @@ def test_a_wrong_schedule_is_told_what_is_wrong_with_it(name):
         check_schedule(model, limit=0.5 if "does not end" in what else 20.0)
 
 
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", METRICS)
 def test_a_wrong_metric_is_told_what_is_wrong_with_it(name):
     model, what = METRICS[name]

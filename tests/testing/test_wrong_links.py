@@ -280,7 +280,17 @@ LOSSES = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases(
+    "a wrong mean",
+    "by number",
+    "divided",
+    "falling quantiles",
+    "few draws",
+    "numpy.random",
+    "other draws",
+    "other quantiles",
+    "random",
+)
 @pytest.mark.parametrize("name", LATENCIES)
 def test_a_wrong_latency_is_told_what_is_wrong_with_it(name):
     model, what = LATENCIES[name]
@@ -288,12 +298,40 @@ def test_a_wrong_latency_is_told_what_is_wrong_with_it(name):
         check_latency(model)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases("another share", "numbers drawn", "one of all", "per position")
 @pytest.mark.parametrize("name", LOSSES)
 def test_a_wrong_loss_is_told_what_is_wrong_with_it(name):
     model, what = LOSSES[name]
     with pytest.raises(ContractError, match=what):
         check_loss(model)
+
+
+FEW = {
+    "a wrong mean": (WithMean(), 20, r"0\.1 s, and the mean over 20 runs of 6 nodes is 0\.\d+ s: expected equal means"),
+    "other draws": (OtherDraw(), 80, r"draw\(80, rng\) has another distribution"),
+    "few draws": (ShortDraw(), 20, r"draw\(20, rng\) returns an array of shape \(19,\).*, expected 20 latencies, s"),
+    "falling quantiles": (Falling(), 20, r"quantile\(u\) decreases"),
+}
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_few_draws_tell_much(name):
+    model, draws, what = FEW[name]
+    with pytest.raises(ContractError, match=what):
+        check_latency(model, draws=draws)
+
+
+def test_a_few_losses_tell_a_state_that_all_links_share():
+    with pytest.raises(ContractError, match=r"a first message in 0\.[23]\d* of the runs .* and in 1\.000"):
+        check_loss(AtMostOne(), draws=40)
+    with pytest.raises(ContractError, match=r"draw\(40, rng\) returns an array of shape \(40,\) of type float64"):
+        check_loss(NumbersDrawn(), draws=40)
+
+
+def test_a_share_is_compared_within_five_standard_errors():
+    check_loss(Lossy(), nodes=3, draws=40, share=0.5)
+    with pytest.raises(ContractError, match=r"over 4 runs of 10 messages on 2 links: expected 0\.9 within 5"):
+        check_loss(Lossy(), nodes=3, draws=40, share=0.9)
 
 
 @pytest.mark.slow

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from desim.pursuit.evaders.evasion import PureEvasion
-from desim.pursuit.motion.dynamics import Acceleration, Course, Piece, Simple, TurnRate
-from desim.testing import ContractError, check_body, check_evader
+from desim.pursuit.motion.dynamics import DYNAMICS, Acceleration, Course, Piece, Simple, TurnRate
+from desim.testing import ContractError, bodies, check_body, check_evader
+from desim.testing.bodies import _Body
+from desim.testing.judging import subject
 
 
 def body(base=Acceleration, **methods):
@@ -259,12 +261,60 @@ EVADERS = {
 """Wrong strategies, and what each is told."""
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases(
+    "headings of length 2", "no times", "other headings", "overwrites", "together", "too early", "too late"
+)
 @pytest.mark.parametrize("name", BODIES)
 def test_a_wrong_body_is_told_what_is_wrong_with_it(name):
     model, what = BODIES[name]
     with pytest.raises(ContractError, match=what):
         check_body(model)
+
+
+LATE = {
+    "headings of length 2": "check_headings",
+    "other headings": "check_headings",
+    "too early": "check_capture_times",
+    "too late": "check_capture_times",
+    "no times": "check_capture_times",
+    "together": "check_capture_times",
+    "overwrites": "check_capture_times",
+}
+"""Methods that are checked late, each with the part that checks them."""
+
+
+@pytest.mark.parametrize("name", LATE)
+def test_each_part_of_the_check_of_a_body_tells_what_is_wrong(name):
+    model, what = BODIES[name]
+    tested = subject(model, DYNAMICS, "body")
+    with pytest.raises(ContractError, match=what):
+        getattr(_Body(tested, model), LATE[name])()
+
+
+@pytest.mark.parametrize("part", ["check_rest", "check_headings", "check_capture_times"])
+@pytest.mark.parametrize("kind", DYNAMICS.choices())
+def test_each_built_in_body_passes_each_part_of_the_check(kind, part):
+    tested = subject(kind, DYNAMICS, "body")
+    getattr(_Body(tested, tested.model), part)()
+
+
+def test_a_body_at_rest_stays_there():
+    with pytest.raises(ContractError, match=r"moves by 0\.1 m in 1 s: expected to stay at rest"):
+        _Body(subject(BODIES["creeps"][0], DYNAMICS, "body"), BODIES["creeps"][0]).check_rest()
+
+
+def test_the_search_for_contacts_is_compared_with_positions(monkeypatch):
+    """A search that finds nothing and one that finds a contact 1 s too early are told, and the built-in one passes."""
+    tested = subject("acceleration", DYNAMICS, "body")
+    checked = _Body(tested, tested.model)
+    calls = list(bodies._calls())[4:7]
+    monkeypatch.setattr(bodies, "_calls", lambda: calls)
+    checked.check_contacts()
+    found = bodies.first_contact_of_pieces
+    for wrong in (lambda *given: None, lambda *given: found(*given) - 1.0, lambda *given: found(*given) + 0.1):
+        monkeypatch.setattr(bodies, "first_contact_of_pieces", wrong)
+        with pytest.raises(ContractError, match=r"come within .* m at .* s, and the search finds"):
+            checked.check_contacts()
 
 
 def test_dynamics_that_say_so_take_a_command_at_once():
@@ -278,7 +328,7 @@ def test_dynamics_that_say_so_take_a_command_at_once():
         check_body(Slow())
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases("random")
 @pytest.mark.parametrize("name", EVADERS)
 def test_a_wrong_strategy_is_told_what_is_wrong_with_it(name):
     model, what = EVADERS[name]
