@@ -29,7 +29,7 @@ SCHEDULES = OneOf(
     TokenWalk,
     LocalMutex,
     Synchronous,
-    needs=("mean_slot",),
+    needs=("mean_slot(me)",),
     takes=("me", "revise"),
     traits=ScheduleTraits,
 )

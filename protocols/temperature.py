@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Value
 from desim.pursuit.team.agent import Agent
@@ -159,5 +160,5 @@ def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[f
     for eta in slots_seen(tau, me, slot):
         inverse: Any = tau(eta)
         if (type(inverse) is not float and not isinstance(inverse, (int, np.number))) or not inverse >= 0.0:
-            raise ValueError(f"a temperature should return 1/tau, a number >= 0 in 1/s, got {inverse!r} from {tau!r}")
+            raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", inverse, tau)
         yield float(inverse)

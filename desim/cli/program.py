@@ -1,6 +1,7 @@
 """The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout.
 
-The end of a trace (`TraceEndError`) ends the program, too, because a scenario asks for it.
+The end of a trace (`TraceEndError`) ends the program, too, because a scenario asks for it, and so does a model of a
+user that returns what it cannot return (`AnswerError`), whose message names its file and line.
 """
 
 import os
@@ -11,7 +12,8 @@ from typing import Any
 
 import click
 
-from desim.cli.options import NO_MEMORY, OUT_OF_TIME, echo, fail
+from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
+from desim.config.errors import AnswerError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
 from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
@@ -44,6 +46,9 @@ class Program(click.Command):
             ctx.exit(NO_MEMORY)
         except HiddenPackageError as error:
             fail(str(error))
+        except AnswerError as error:
+            echo(" ".join([str(error), *getattr(error, "__notes__", ())]), err=True)
+            ctx.exit(RAISED)
         except ValueError as error:
             from desim.kernel.measured.playback import TraceEndError  # slow to import
 

@@ -16,6 +16,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     PydanticUserError,
+    SerializationInfo,
     ValidationError,
     ValidationInfo,
 )
@@ -23,6 +24,8 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
+from desim.config.answers import described
+from desim.config.errors import AnswerError
 from desim.config.model import markers_of
 from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
 from desim.config.packages import KINDS_OF
@@ -68,7 +71,8 @@ class OneOf:
     Args:
         models: the models that are accepted in addition to those of `group`.
         group: the group in `KINDS_OF`, and the entry point group.
-        needs: attributes that a callable object must have.
+        needs: attributes that a callable object must have; for a method also the names of its arguments, for instance
+            "mean_slot(me)".
         takes: names of the arguments with which a callable object is called.
         traits: the class that declares and checks the optional attributes of a model or callable object.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
@@ -93,7 +97,12 @@ class OneOf:
     ):
         self.models = models
         self.group = group
-        self.needs = needs
+        self.needs = tuple(name.partition("(")[0] for name in needs)
+        self.needed_calls = {
+            name.partition("(")[0]: tuple(name.partition("(")[2].rstrip(")").split(", "))
+            for name in needs
+            if "(" in name
+        }
         self.takes = takes
         self.traits = traits
         self.number = number
@@ -130,7 +139,9 @@ class OneOf:
         return {point.name: point for point in sorted(points, key=lambda point: point.name)}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        writes = core_schema.wrap_serializer_function_ser_schema(self._serialize, schema=core_schema.any_schema())
+        writes = core_schema.wrap_serializer_function_ser_schema(
+            self._serialize, schema=core_schema.any_schema(), info_arg=True
+        )
         return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -141,14 +152,15 @@ class OneOf:
             bare.append({"type": "number"})
         return {"anyOf": [handler(_union(self.choices())), *bare]}
 
-    def _serialize(self, value: Any, write: Callable[[Any], Any]) -> Any:
+    def _serialize(self, value: Any, write: Callable[[Any], Any], info: SerializationInfo) -> Any:
         if self.holds(value):
             return write(value)
         parameters = {}
         if isinstance(value, BaseModel):
-            parameters = value.model_dump()
+            parameters = value.model_dump(exclude_none=info.exclude_none)
         elif is_dataclass(value):
             parameters = attributes(value, [field.name for field in fields(value) if field.init])
+            parameters = {key: entry for key, entry in parameters.items() if not (info.exclude_none and entry is None)}
         return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
@@ -186,10 +198,12 @@ class OneOf:
         """Raise ValueError if a value cannot be called as a model is, or has invalid traits."""
         if not callable(self._function(value)):
             how = "can be called" if self.called == "__call__" else f"has a method {self.called}"
-            raise ValueError(f"should be a model, which {how} (got {value!r})")
+            raise ValueError(f"should be a model, which {how} (got {described(value)})")
         if missing := [name for name in self.needs if name not in attributes(value, self.needs)]:
-            raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
+            raise ValueError(f"should have {', '.join(self.needs)}; {described(value)} lacks {', '.join(missing)}")
         self._check_called(self._function(value), value)
+        for name, takes in self.needed_calls.items():
+            check_method(value, name, takes)
         self.traits.check(value)
 
     def _function(self, value: Any) -> Any:
@@ -205,7 +219,7 @@ class OneOf:
         base = next((model for model in self.models if isinstance(value, model)), None)
         if base is None:
             if callable(value) and self.is_closed:
-                raise ValueError(f"should be derived from {_or(self.models)} (got {value!r})")
+                raise ValueError(f"should be derived from {_or(self.models)} (got {described(value)})")
             return
         if type(value) is base or positions(base, "__call__"):
             return
@@ -242,7 +256,7 @@ class OneOf:
         """Return the function, or create the model, that a table of the kind "module:name" selects.
 
         A "module:name" that `KINDS_OF` and the entry points do not list is imported only if the file is trusted.
-        A class is instantiated only if its instances are callable.
+        A class is instantiated only if its instances are callable, or derive from a model of a closed family.
         """
         kind = table["kind"]
         if is_unlisted_import(kind) and not is_trusted(info):
@@ -258,14 +272,28 @@ class OneOf:
         calls = next((vars(base)[self.called] for base in model.__mro__ if self.called in vars(base)), None)
         if calls is None:
             what = "be callable" if self.called == "__call__" else f"have a method {self.called}"
-            raise ValueError(f"{kind!r} is not a model: its instances should {what}")
+            if self.is_closed and not issubclass(model, self.models):
+                raise ValueError(f"{kind!r} should be derived from {_or(self.models)}")
+            if not self.is_closed:
+                raise ValueError(f"{kind!r} is not a model: its instances should {what}")
         if isinstance(calls, FunctionType):
             self._check_called(calls, model, None)
         return _constructed(model, kind, parameters, info.context)
 
 
+def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
+    """Raise ValueError if a model has no method with a name and these arguments."""
+    method: Any = getattr(value, name, None)
+    if not callable(method):
+        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {described(value)})")
+    try:
+        check_call(method, takes, value)
+    except AnswerError as error:
+        raise AnswerError(f"{name} {error}") from error
+
+
 def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
-    """Raise ValueError if a function cannot be called with the arguments `first`, and then those named in `takes`.
+    """Raise AnswerError if a function cannot be called with the arguments `first`, and then those named in `takes`.
 
     The message names `value`: the function, object or class that the user gave.
     """
@@ -276,7 +304,8 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     try:
         parameters.bind(*first, *takes)
     except TypeError as error:
-        raise ValueError(f"should accept a call with ({', '.join(takes)}); {value!r} does not: {error}") from error
+        call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
+        raise AnswerError(f"should accept {call}; {described(value)} does not: {error}") from error
 
 
 def _or(models: Sequence[type]) -> str:

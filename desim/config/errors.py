@@ -58,3 +58,7 @@ class KeyedError(ValueError):
 def problems_of(error: ValueError) -> tuple[Problem, ...]:
     """Return the problems of an error; the text of an error without fields is a problem without a key."""
     return error.problems if isinstance(error, KeyedError) else (Problem(str(error)),)
+
+
+class AnswerError(ValueError):
+    """A model of a user cannot be called as one of its kind, or returned a wrong value; see `desim.config.answers`."""

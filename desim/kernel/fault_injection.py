@@ -6,12 +6,25 @@ from typing import Any
 
 import simpy
 
+from desim.config.answers import wrong_answer
+from desim.config.choice import check_call
 from desim.config.model import MAX_TIME
 from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import Crash, Fault, FaultEnded, FaultStarted, Undo, cause_of, nodes_of, traced
+from desim.kernel.models.faults import (
+    Crash,
+    Fault,
+    FaultEnded,
+    FaultStarted,
+    Jamming,
+    Partition,
+    Undo,
+    cause_of,
+    nodes_of,
+    traced,
+)
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
@@ -46,10 +59,7 @@ def inject(
     sites = [_Site(env, network, trace, fault, crashed, recovered) for fault in faults]
     for fault in faults:
         for key, nodes in nodes_of(fault).items():
-            if unknown := [node for node in nodes if not 0 <= node < size]:
-                raise ValueError(
-                    f"{kind_of(fault)}.{key}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}"
-                )
+            _require_nodes(nodes, size, f"{kind_of(fault)}.{key}: ")
 
     def begin(site: _Site, _: simpy.Event) -> None:
         site.record(FaultStarted)
@@ -98,8 +108,9 @@ class _Site:
         """Let the fault begin; return the function that ends it."""
         undo: Any = self.fault.begin(self)
         if not callable(undo):
-            method = f"begin() of {type(self.fault).__name__}"
-            raise ValueError(f"{method} should return a function without arguments that ends the fault (got {undo!r})")
+            expected = "a function without arguments that ends the fault"
+            raise wrong_answer(f"begin(site) of a fault should return {expected}", undo, self.fault)
+        check_call(undo, (), undo)
         end: Undo = undo
         return end
 
@@ -125,14 +136,25 @@ class _Site:
         return recover
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Undo:
-        state = self._network.fault_state
-        return partial(state.rejoin, state.partition(groups, self._cause))
+        state, part = self._network.fault_state, Partition(start=0.0, groups=tuple(map(tuple, groups)))
+        _require_nodes(part.named()["groups"], self.size, "partition: ")
+        return partial(state.rejoin, state.partition(part.groups, self._cause))
 
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
         state = self._network.fault_state
+        if not callable(is_blocked):
+            raise ValueError(f"block(is_blocked) should be given a function of two nodes (got {is_blocked!r})")
+        check_call(is_blocked, ("src", "dst"), is_blocked)
         return partial(state.rejoin, state.block(is_blocked, self._cause))
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
-        state, disc = self._network.fault_state, (centre, radius)
+        state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)
+        disc = jamming.centre, jamming.radius
         state.jam(disc, self._cause)
         return partial(state.clear, disc, self._cause)
+
+
+def _require_nodes(nodes: Iterable[int], size: int, where: str) -> None:
+    """Raise ValueError if one of some nodes does not exist."""
+    if unknown := [node for node in nodes if not 0 <= node < size]:
+        raise ValueError(f"{where}there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")

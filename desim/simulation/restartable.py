@@ -5,8 +5,12 @@ from typing import cast
 
 import simpy
 
+from desim.config.answers import wrong_answer
 from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
+
+PROCESS = "a protocol, or another process of a pursuer,"
+"""What a behaviour is, in error messages."""
 
 
 class RestartableProcess(simpy.Process):
@@ -25,7 +29,7 @@ class RestartableProcess(simpy.Process):
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation.
 
         Raises:
-            TypeError: if the behaviour is no generator, or yields anything but an event.
+            AnswerError: if the behaviour is no generator, or yields anything but an event.
             Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
         awaited: simpy.Event = agent.at(agent.now, phase)
@@ -52,7 +56,7 @@ class RestartableProcess(simpy.Process):
                 else:
                     awaited = self.behaviour.send(value)
                 if not isinstance(awaited, simpy.Event):
-                    raise TypeError(f"a protocol should yield events such as me.sleep(0.1) (got {awaited!r})")
+                    raise wrong_answer(f"{PROCESS} should yield events such as me.sleep(0.1)", awaited, protocol)
             except StopIteration:
                 return
             except (Exception, SystemExit) as error:
@@ -64,9 +68,9 @@ def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
     """Create the generator that runs a behaviour for a pursuer.
 
     Raises:
-        TypeError: if the behaviour returns no generator.
+        AnswerError: if the behaviour returns no generator.
     """
     behaviour = protocol(agent)
     if not isinstance(behaviour, Iterator):
-        raise TypeError(f"a protocol should be a generator that yields the events it waits for (got {protocol!r})")
+        raise wrong_answer(f"{PROCESS} should be a generator that yields the events it waits for", behaviour, protocol)
     return behaviour

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from desim.config.arrays import Points
 from desim.kernel.core.units import seconds
 from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE, EvaderBody
+from desim.pursuit.motion.dynamics import steered_with
 from desim.pursuit.motion.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.sensing.noisy_sensing import Sensor
 from desim.pursuit.sensing.world_state import Actions, WorldState
@@ -143,7 +144,7 @@ class Steering:
         command = guided_velocity(self._law, gap, aim, evader_velocity - wind, speed)
         if not self._has_inertia:
             return command
-        return self._dynamics.steered(command, self._players.course(pursuer), aim, self._radius)
+        return steered_with(self._dynamics, command, self._players.course(pursuer), aim, self._radius)
 
     def _drift(self, player: int, command: complex, now: int, duration: float) -> complex:
         """Return the mean velocity of the flow, m/s, along the path of a player from now (ns) for a duration (s)."""

@@ -21,6 +21,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from desim.config.answers import wrong_answer
 from desim.config.model import Period, Rate, Value
 from desim.pursuit.team.agent import Agent, Process
 
@@ -186,13 +187,11 @@ def turns(schedule: Schedule, me: Agent, revise: Callable[[], None]) -> Process:
     """Return the process of a schedule for one pursuer.
 
     Raises:
-        TypeError: if a user's schedule returns no generator.
+        AnswerError: if a user's schedule returns no generator.
     """
     process = schedule(me, revise)
     if not isinstance(process, Iterator):
-        raise TypeError(
-            f"a schedule should be a generator that yields the events it waits for, got {process!r} from {schedule!r}"
-        )
+        raise wrong_answer("a schedule should be a generator that yields the events it waits for", process, schedule)
     return process
 
 
@@ -205,7 +204,7 @@ def slot_length(schedule: Schedule, me: Agent) -> float:
     mean_slot: Any = schedule.mean_slot
     slot = mean_slot(me) if callable(mean_slot) else None
     if not isinstance(slot, float | int | np.number) or not 0.0 < slot < inf:
-        raise ValueError(f"mean_slot(me) should return a finite time > 0 s, got {slot!r} from {schedule!r}")
+        raise wrong_answer("mean_slot(me) should return a finite time > 0 s", slot, schedule)
     return float(slot)
 
 

@@ -31,7 +31,9 @@ class Synchronous(Value):
     kind: Literal["synchronous"] = "synchronous"
     schedule: Annotated[
         Schedule,
-        OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"), traits=ScheduleTraits),
+        OneOf(
+            SharedSeed, TokenRing, TokenWalk, needs=("mean_slot(me)",), takes=("me", "revise"), traits=ScheduleTraits
+        ),
     ] = SharedSeed()
     """The other schedule; all pursuers revise once in each of its slots."""
 

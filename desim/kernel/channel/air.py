@@ -5,6 +5,7 @@ At the end of a frame all frames that overlap it are known, and the model of int
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.errors import KeyedError, Problem
 from desim.kernel.core.clock import Clock
@@ -102,10 +103,8 @@ class Air:
         )
         received = np.asarray(self._interference(overlap))
         if received.dtype != bool or received.shape != nodes.shape:
-            raise ValueError(
-                f"a model of interference should return a boolean for each of {len(nodes)} receivers, got {received!r}"
-                f" from {self._interference!r}"
-            )
+            expected = f"a model of interference should return a boolean for each of {len(nodes)} receivers"
+            raise wrong_answer(expected, received, self._interference)
         if frame.locked is not None:
             received = received & frame.locked[nodes]
         cause: Cause = self._cause if frame.overlapping else "loss"

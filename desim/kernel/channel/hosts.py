@@ -80,4 +80,4 @@ def _delays(env: Clock, model: Latency, size: int, seed: int) -> Callable[[int],
     rng, of_run = stream(seed, "processing"), model_of_run(model, size)
     if (buffer := buffered(of_run, rng, as_nanoseconds)) is not None:
         return lambda _: int(buffer.take(1)[0])
-    return lambda src: int(times_of(of_run(LinkContext(src, np.array([src]), env.now / SECOND), rng), 1).item())
+    return lambda src: int(times_of(of_run(LinkContext(src, np.array([src]), env.now / SECOND), rng), 1, of_run).item())

@@ -131,7 +131,7 @@ class LinkSampler:
         elif self._loss_buffer is not None:
             lost = self._loss_buffer.take(len(dst)).tolist()
         else:
-            lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
+            lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst), self._loss)
         overrides = self._loss_overrides.get(src)
         if overrides is None:
             return lost
@@ -139,19 +139,19 @@ class LinkSampler:
             if node in overrides:
                 lost = lost or [False] * len(dst)
                 context = self._context(src, [node], now, size)
-                (lost[k],) = booleans_of(overrides[node](context, self._override_loss_rng), 1)
+                (lost[k],) = booleans_of(overrides[node](context, self._override_loss_rng), 1, overrides[node])
         return lost
 
     def _without_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
         """Return for each receiver whether its latency model loses the message."""
         lost = [False] * len(dst)
         if self._is_lost is not None:
-            lost = booleans_of(self._is_lost(self._context(src, dst, now, size)), len(dst))
+            lost = booleans_of(self._is_lost(self._context(src, dst, now, size)), len(dst), self._is_lost)
         overrides = self._is_lost_overrides.get(src, {})
         for k, node in enumerate(dst) if overrides else ():
             if node in overrides:
                 is_lost, context = overrides[node], self._context(src, [node], now, size)
-                lost[k] = is_lost is not None and booleans_of(is_lost(context), 1)[0]
+                lost[k] = is_lost is not None and booleans_of(is_lost(context), 1, is_lost)[0]
         return lost
 
     def duplicates(self, src: int, dst: list[int], now: int, size: int) -> list[int]:
@@ -161,7 +161,7 @@ class LinkSampler:
             ValueError: if the model returns invalid booleans.
         """
         drawn = self._duplicate(self._context(src, dst, now, size), self._duplicate_rng)
-        return list(compress(dst, booleans_of(drawn, len(dst))))
+        return list(compress(dst, booleans_of(drawn, len(dst), self._duplicate)))
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
         """Draw the arrival time (ns) at each receiver of a message whose transmission starts now.
@@ -179,14 +179,16 @@ class LinkSampler:
         if self._latency_buffer is not None:
             delays = self._latency_buffer.take(len(dst))
         else:
-            delays = times_of(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
+            drawn = self._latency(self._context(src, dst, now, size), self._latency_rng)
+            delays = times_of(drawn, len(dst), self._latency)
         if overrides:
             # A copy: the buffer hands out a view of its block, and one number may stand for all receivers.
             delays = np.array(np.broadcast_to(delays, len(dst)))
             for k, node in enumerate(dst):
                 if node in overrides:
                     context = self._context(src, [node], now, size)
-                    delays[k] = times_of(overrides[node](context, self._override_latency_rng), 1).item()
+                    model = overrides[node]
+                    delays[k] = times_of(model(context, self._override_latency_rng), 1, model).item()
         arrivals: Arrival = (delays + start).tolist()  # takes less memory than sums of integers of Python, by a third
         return arrivals
 

@@ -11,15 +11,17 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
 from math import inf
+from operator import index
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from desim.config.choice import OneOf, definition_of, import_name
+from desim.config.answers import wrong_answer
+from desim.config.choice import OneOf, check_call, definition_of, import_name
 from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, NotEmpty, Rate, Time, Value
-from desim.config.traits import inherits
+from desim.config.traits import inherits, positions
 from desim.kernel.core.events import Cause, Nanoseconds
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.graphs import Node
@@ -128,6 +130,14 @@ class Fault(Window):
     def begin(self, site: FaultSite) -> Undo:
         """Begin the fault at its start time; return the function that ends it."""
         raise NotImplementedError
+
+    @model_validator(mode="after")
+    def _can_begin(self) -> Self:
+        if inherits(self, Fault):  # a class of a user that draws other faults need not begin itself
+            if not positions(type(self), "begin"):
+                raise ValueError("should have a method begin(site), which returns the function that ends the fault")
+            check_call(self.begin, ("site",), self)
+        return self
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator["Fault"]:
         """Yield the fault itself."""
@@ -320,12 +330,14 @@ def traced(fault: Fault) -> TracedFault:
         if inherits(fault, base, "begin"):
             fields = {name: getattr(fault, name) for name in base.model_fields if name != "kind"}
             return fault if type(fault) is base else base(**fields)  # type: ignore[return-value]
-    nodes = tuple(node for named in fault.named().values() for node in named)
-    sketch = fault.sketch()
+    nodes = tuple(node for named in nodes_of(fault).values() for node in named)
+    sketch: Any = fault.sketch()
+    if not isinstance(sketch, dict):
+        raise wrong_answer("sketch() of a fault should return a dictionary of what a page draws", sketch, fault)
     try:
         drawn = json.loads(json.dumps(sketch, allow_nan=False))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{fault.label}: sketch() should return JSON values ({error}), got {sketch!r}") from error
+        raise wrong_answer(f"sketch() of a fault should return JSON values ({error})", sketch, fault) from error
     model = import_name(definition_of(fault))
     return CustomFault(start=fault.start, end=fault.end, model=model, nodes=nodes, drawn=drawn)
 
@@ -337,9 +349,20 @@ def cause_of(fault: Fault) -> Cause:
 
 
 def nodes_of(fault: object) -> NamedNodes:
-    """Return the nodes that a fault, a clock error or a plan names, by key."""
-    named = FaultTraits.of(fault).named
-    return NO_NODES if named is None else named()
+    """Return the nodes that a fault, a clock error or a plan names, by key.
+
+    Raises:
+        ValueError: if `named` of a user's fault returns anything else.
+    """
+    method = FaultTraits.of(fault).named
+    if method is None:
+        return NO_NODES
+    named: Any = method()
+    try:
+        return {str(key): tuple(map(index, nodes)) for key, nodes in named.items()}
+    except (AttributeError, TypeError) as error:
+        expected = 'the numbers of nodes by key, such as {"node": [3]}'
+        raise wrong_answer(f"named() of a fault should return {expected}", named, fault) from error
 
 
 class FaultStarted(NamedTuple):
@@ -491,6 +514,6 @@ def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, hor
             answer: Any = entry(size, horizon, stream(seed, "faults", next(number)))
             planned: list[Any] = [*answer] if isinstance(answer, Iterable) else [answer]
             if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
-                raise ValueError(f"the plan {entry!r} should return or yield faults, got {strange[0]!r}")
+                raise wrong_answer("a plan should return or yield faults of the network", strange[0], entry)
             faults += planned
     return faults

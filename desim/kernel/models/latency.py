@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Protocol, Self
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import FirstError, NotEmpty, Speed, Time, Value
@@ -254,7 +255,7 @@ def mean_latency(model: Latency) -> float | None:
     try:
         return None if latency is None else float(latency)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"mean_latency of {model!r} should return a number, s, or None, got {latency!r}") from error
+        raise wrong_answer("mean_latency() should return a number, s, or None", latency, model) from error
 
 
 def mean_of(model: Latency, seed: int) -> float:
@@ -262,5 +263,5 @@ def mean_of(model: Latency, seed: int) -> float:
     if (mean := mean_latency(model)) is not None:
         return mean
     rng, of_run = stream(seed, "typical processing"), model_of_run(model, 1)
-    draws = (as_seconds(of_run(LinkContext(0, np.zeros(1, dtype=np.intp)), rng)).item() for _ in range(1000))
+    draws = (as_seconds(of_run(LinkContext(0, np.zeros(1, dtype=np.intp)), rng), model).item() for _ in range(1000))
     return fsum(draws) / 1000

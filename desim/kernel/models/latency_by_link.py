@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ValidationInfo, model_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
@@ -60,16 +61,14 @@ class PerPair(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        return self.base_latencies(context) + as_seconds(self.jitter(context, rng))
+        return self.base_latencies(context) + as_seconds(self.jitter(context, rng), self.jitter)
 
     def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies, s, of the links."""
         u = context.uniform("pair latency", symmetric=self.symmetric)
         latencies = np.asarray(self.base.quantile(u))
         if latencies.shape != u.shape:
-            raise ValueError(
-                f"quantile(u) should return a latency for each of {len(u)} u, got {latencies!r} from {self.base!r}"
-            )
+            raise wrong_answer(f"quantile(u) should return a latency for each of {len(u)} u", latencies, self.base)
         return latencies
 
     def mean_latency(self) -> float | None:
@@ -101,7 +100,7 @@ class _Pairs:
             self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
         kept = self._base.get(context.src)
         base = self._model.base_latencies(context) if kept is None else kept[context.dst]
-        return base + as_seconds(self._model.jitter(context, rng))
+        return base + as_seconds(self._model.jitter(context, rng), self._model.jitter)
 
 
 class LatencyMatrix(Value):
@@ -197,7 +196,7 @@ class _PlayedMatrix:
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
         base: Floats = self._base[context.src, context.dst]
-        return base + as_seconds(self._jitter(context, rng))
+        return base + as_seconds(self._jitter(context, rng), self._jitter)
 
 
 LATENCIES = OneOf(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.model import MAX_TIME
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.traits import LinkTraits
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Draw = Callable[[int, np.random.Generator], NDArray[Any]]
+    Convert = Callable[[Any, object], NDArray[Any]]
 
 BLOCK = 4096
 """Minimum number of draws per block."""
@@ -27,8 +29,8 @@ BLOCK = 4096
 class Buffer:
     """A buffer of draws from a model whose draws are independent of the link."""
 
-    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]"):
-        self._draw, self._rng, self._convert = draw, rng, convert
+    def __init__(self, model: object, draw: "Draw", rng: np.random.Generator, convert: "Convert"):
+        self._model, self._draw, self._rng, self._convert = model, draw, rng, convert
         self._block: NDArray[Any] | None = None
         self._next = self._end = 0
 
@@ -39,9 +41,8 @@ class Buffer:
             size = max(BLOCK, count)
             drawn: Any = self._draw(size, self._rng)
             if np.shape(drawn) != (size,):
-                got = f"an array of shape {np.shape(drawn)}" if isinstance(drawn, np.ndarray) else repr(drawn)
-                raise ValueError(f"draw({size}, rng) should return an array of {size} draws, got {got}")
-            fresh = self._convert(drawn)
+                raise wrong_answer(f"draw({size}, rng) should return an array of {size} draws", drawn, self._model)
+            fresh = self._convert(drawn, self._model)
             self._block = fresh if self._block is None else np.concatenate((self._block[begin:], fresh))
             begin, end, self._end = 0, count, len(self._block)
         self._next = end
@@ -49,35 +50,39 @@ class Buffer:
 
 
 def buffered(
-    model: object, rng: np.random.Generator, convert: "Callable[[Any], NDArray[Any]]" = np.asarray
+    model: object, rng: np.random.Generator, convert: "Convert" = lambda drawn, _: np.asarray(drawn)
 ) -> Buffer | None:
     """Return a buffer of the converted draws of a model; None if its draws may depend on the link."""
     draw = LinkTraits.of(model).draw
-    return Buffer(draw, rng, convert) if draw is not None else None
+    return Buffer(model, draw, rng, convert) if draw is not None else None
 
 
-def as_seconds(delays: Any) -> "NDArray[np.float64]":
-    """Return delays, one number or several, s, as an array; raise ValueError if they are not numbers."""
+def as_seconds(delays: Any, model: object) -> "NDArray[np.float64]":
+    """Return the delays that a model returned, one number or several, s, as an array.
+
+    Raises:
+        ValueError: if they are not numbers.
+    """
     try:
         return np.asarray(delays, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"latencies should be finite times >= 0 s, got {delays!r}") from None
+        raise wrong_answer("latencies should be finite times >= 0 s", delays, model) from None
 
 
-def as_nanoseconds(delays: Any) -> "NDArray[np.int64]":
-    """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
+def as_nanoseconds(delays: Any, model: object) -> "NDArray[np.int64]":
+    """Convert the delays that a model returned (one number or several, s) to whole ns, limited to `MAX_TIME`.
 
     Raises:
         ValueError: if a delay is negative, infinite or NaN.
     """
-    seconds = as_seconds(delays)
+    seconds = as_seconds(delays, model)
     if not ((seconds >= 0.0) & (seconds < inf)).all():
-        raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
+        raise wrong_answer("latencies should be finite times >= 0 s", delays, model)
     times: NDArray[np.int64] = np.rint(np.minimum(seconds, MAX_TIME) * SECOND).astype(np.int64)
     return times
 
 
-def as_booleans(losses: Any) -> "NDArray[np.bool_]":
+def as_booleans(losses: Any, model: object) -> "NDArray[np.bool_]":
     """Return the losses that a model drew.
 
     Raises:
@@ -85,11 +90,11 @@ def as_booleans(losses: Any) -> "NDArray[np.bool_]":
     """
     booleans = np.asarray(losses)
     if booleans.dtype != bool:
-        raise ValueError(f"losses should be booleans, got {losses!r}")
+        raise wrong_answer("losses should be booleans", losses, model)
     return booleans
 
 
-def times_of(answer: Any, count: int) -> "NDArray[np.int64]":
+def times_of(answer: Any, count: int, model: object) -> "NDArray[np.int64]":
     """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link.
 
     Raises:
@@ -97,12 +102,11 @@ def times_of(answer: Any, count: int) -> "NDArray[np.int64]":
     """
     shape = np.shape(answer)
     if shape not in {(), (count,)}:
-        got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
-        raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
-    return as_nanoseconds(answer)
+        raise wrong_answer(f"latencies should be one number or one for each of {count} links", answer, model)
+    return as_nanoseconds(answer, model)
 
 
-def booleans_of(answer: Any, count: int) -> list[bool]:
+def booleans_of(answer: Any, count: int, model: object) -> list[bool]:
     """Convert the losses that a model returned for `count` links to a list with one boolean per link.
 
     Raises:
@@ -110,6 +114,6 @@ def booleans_of(answer: Any, count: int) -> list[bool]:
     """
     booleans = np.asarray(answer)
     if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
-        raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
+        raise wrong_answer(f"losses should be one boolean or one for each of {count} links", answer, model)
     lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us
     return [lost] * count if isinstance(lost, bool) else lost

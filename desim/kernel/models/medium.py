@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeGuard
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
@@ -283,7 +284,7 @@ def _checked(airtime: Any, medium: Medium) -> float:
             return min(float(airtime), MAX_TIME)
     except (TypeError, ValueError):  # not a number
         pass
-    raise ValueError(f"an airtime should be a finite time >= 0 s, got {airtime!r} from {medium!r}")
+    raise wrong_answer("an airtime should be a finite time >= 0 s", airtime, medium)
 
 
 MEDIA = OneOf(

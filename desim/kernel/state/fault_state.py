@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import compress
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers
 from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionFunction, as_position_source
@@ -182,8 +183,20 @@ class FaultState:
         )
 
     def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Cut:
-        """Block the links from a sender to a receiver where a function says so; return the cut, which `rejoin` ends."""
-        return self._cut(lambda senders, nodes: [bool(blocked) for blocked in map(is_blocked, senders, nodes)], cause)
+        """Block the links from a sender to a receiver where a function says so; return the cut, which `rejoin` ends.
+
+        Raises:
+            ValueError: at a transmission, if the function returns no boolean.
+        """
+
+        def blocked(senders: list[int], nodes: list[int]) -> list[bool]:
+            answers: list[Any] = [*map(is_blocked, senders, nodes)]
+            for answer in answers:
+                if answer is not True and answer is not False and not isinstance(answer, np.bool_):
+                    raise wrong_answer("is_blocked(src, dst) should return True or False", answer, is_blocked)
+            return [bool(answer) for answer in answers]
+
+        return self._cut(blocked, cause)
 
     def _cut(self, blocked: Callable[[list[int], list[int]], list[bool]], cause: Cause) -> Cut:
         self._require_change()

@@ -6,6 +6,7 @@ Kept equal to a comparison of each distance with the range by
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
@@ -92,7 +93,5 @@ def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:
     is_numeric = probabilities.dtype.kind in "biuf" and probabilities.shape in {(), (count,)}
     if is_numeric and ((probabilities >= 0.0) & (probabilities <= 1.0)).all():
         return probabilities
-    raise ValueError(
-        f"a model of reception should return a probability in [0, 1] for each of {count} links, got {answer!r} from"
-        f" {model!r}"
-    )
+    expected = f"a model of reception should return a probability in [0, 1] for each of {count} links"
+    raise wrong_answer(expected, answer, model)

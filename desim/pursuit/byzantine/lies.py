@@ -10,19 +10,22 @@ from cmath import isfinite
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isnan
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, runtime_checkable
 
 import numpy as np
 from pydantic import model_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probability, Rate, Value
 from desim.config.python_numbers import real
+from desim.config.traits import kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, NamedNodes, Window
 from desim.kernel.models.graphs import Node
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
+from desim.pursuit.core.traits import PursuerFaultTraits
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
@@ -103,7 +106,11 @@ class Speaker:
 
 
 class ByzantineFault(Window):
-    """Base of the Byzantine faults: the pursuers concerned, and how they act."""
+    """Base of the Byzantine faults: the pursuers concerned, and how they act.
+
+    A class of a user derives from it, or from one of its kinds, and is then a kind "module:Name". The methods below say
+    what such a pursuer sends; each that is not overridden is honest. A plan of such faults derives from `RandomLies`.
+    """
 
     is_silent: ClassVar[bool] = False
     """Whether a pursuer sends nothing."""
@@ -122,6 +129,10 @@ class ByzantineFault(Window):
         if (self.node is None) == (self.share is None):
             raise ValueError("should have a node or a share of the team, and not both")
         return self
+
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator["ByzantineFault"]:
+        """Yield the fault itself."""
+        yield self
 
     def liars(self, size: int, rng: np.random.Generator) -> list[int]:
         """Return the pursuers concerned, in a team of `size` pursuers."""
@@ -335,11 +346,11 @@ class RandomLies(Value):
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
 """The Byzantine faults."""
-PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies, takes=PLANNED_WITH)
+PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies, takes=PLANNED_WITH, traits=PursuerFaultTraits)
 """The kinds of `[[fault]]` in a scenario: those of the network, and the Byzantine faults."""
 
 
-def is_lie(fault: object) -> bool:
+def is_lie(fault: object) -> TypeGuard[ByzantineFault | RandomLies]:
     """Return whether a fault of a scenario is a Byzantine fault, or a plan of them."""
     return isinstance(fault, ByzantineFault | RandomLies)
 
@@ -355,10 +366,10 @@ def draw_lies(
     for number, fault in enumerate(faults):
         if is_lie(fault):
             rng = stream(seed, "faults of word", number)
-            models = fault(size, horizon, rng) if isinstance(fault, RandomLies) else [fault]
-            for model in models:
-                assert isinstance(model, ByzantineFault)
-                kind = str(dict(model)["kind"])
+            for model in fault(size, horizon, rng):
+                if not isinstance(model, ByzantineFault):
+                    raise wrong_answer("a plan of lies should return or yield Byzantine faults", model, fault)
+                kind = kind_of(model)
                 for pursuer in model.liars(size, rng):
                     misbehaviour = Misbehaviour(
                         node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn)

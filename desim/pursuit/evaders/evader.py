@@ -8,6 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.geometry import SMALLEST
@@ -91,9 +92,9 @@ class EvaderController:
             observation = observation.only(observation.distances <= self._sensing_range)
         heading = self._strategy(observation, self._rng)
         if type(heading) is not complex and not isinstance(heading, (int, float, complex, np.number)):
-            raise ValueError(f"a heading should be a complex number, got {heading!r} from {self._strategy!r}")
+            raise wrong_answer("a heading should be a complex number", heading, self._strategy)
         if not abs(heading) <= 1.0 + 1e-9:
-            raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
+            raise wrong_answer("a heading should have length at most 1", heading, self._strategy)
         self._heading, self._since = complex(heading), state.stamp
         return heading
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
 from desim.pursuit.core.geometry import SMALLEST
-from desim.pursuit.motion.dynamics import Course, Dynamics
+from desim.pursuit.motion.dynamics import Course, Dynamics, steered_with
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.guidance import Guidance, guided_velocity
 
@@ -120,7 +120,7 @@ class EvaderTrack:
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
         if course is not None:
-            command = self._dynamics.steered(command, course, aim, self._radius)
+            command = steered_with(self._dynamics, command, course, aim, self._radius)
         drift = self._environment.drift(place, command, begin, step)
         if course is None:
             return MotionState(place + (command + drift) * duration)

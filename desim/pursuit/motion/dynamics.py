@@ -5,13 +5,14 @@ velocity: their acceleration or their turn rate is limited. In each case the mot
 then a straight line. It is a `Piece`.
 """
 
-from cmath import phase, rect
+from cmath import isfinite, phase, rect
 from math import pi, sin
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Value
@@ -302,12 +303,24 @@ def capture_times_with(
     if is_ours(type(dynamics)):
         return times
     array = np.asarray(times)
-    if array.shape != speeds.shape or array.dtype.kind not in "iuf" or np.isnan(array).any():
-        raise ValueError(
-            f"capture_times of dynamics should return a time in s, or inf, for each of {len(speeds)} pursuers, got"
-            f" {times!r} from {dynamics!r}"
-        )
+    if array.shape != speeds.shape or array.dtype.kind not in "iuf" or not (array >= 0.0).all():
+        expected = f"a time >= 0 s, or inf, for each of {len(speeds)} pursuers"
+        raise wrong_answer(f"capture_times of dynamics should return {expected}", times, dynamics)
     return array.astype(float)
+
+
+def steered_with(dynamics: Dynamics, command: complex, course: Course, aim: complex, radius: float) -> complex:
+    """Return the command, m/s, that a pursuer with some dynamics follows; see `Dynamics.steered`.
+
+    Raises:
+        ValueError: if the dynamics of a user return no finite complex number.
+    """
+    steered: Any = dynamics.steered(command, course, aim, radius)
+    if is_ours(type(dynamics)):
+        return steered  # type: ignore[no-any-return]
+    if not isinstance(steered, complex | float | int | np.number) or not isfinite(complex(steered)):
+        raise wrong_answer("steered of dynamics should return a finite complex number, in m/s", steered, dynamics)
+    return complex(steered)
 
 
 def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> list[complex]:
@@ -321,16 +334,19 @@ def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> l
         return headings
     array = np.asarray(headings)
     if array.shape != (count,) or array.dtype.kind not in "iufc" or not np.allclose(np.abs(array), 1.0):
-        raise ValueError(
-            f"headings of dynamics should return a complex number of length 1 for each of {count} players, got"
-            f" {headings!r} from {dynamics!r}"
-        )
+        expected = f"a complex number of length 1 for each of {count} players"
+        raise wrong_answer(f"headings of dynamics should return {expected}", headings, dynamics)
     return array.astype(complex).tolist()  # type: ignore[no-any-return]
 
 
 DYNAMICS = OneOf(
     *(Simple, Acceleration, TurnRate),
-    needs=("is_simple", "headings", "steered", "capture_times"),
+    needs=(
+        "is_simple",
+        "headings(rng, count)",
+        "steered(command, course, aim, radius)",
+        "capture_times(offsets, courses, speeds, evader_speed, radius)",
+    ),
     takes=("position", "course", "command"),
     traits=DynamicsTraits,
 )

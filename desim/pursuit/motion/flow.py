@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard,
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
@@ -375,10 +376,8 @@ class Environment(Value):
             return velocities
         checked = np.asarray(velocities)
         if checked.dtype.kind not in "iufc" or checked.shape != places.shape or not np.isfinite(checked).all():
-            raise ValueError(
-                f"a flow should return an array of {len(places)} finite velocities, complex numbers in m/s, one for"
-                f" each place, got {velocities!r} from {self.flow!r}"
-            )
+            expected = f"an array of {len(places)} finite velocities, complex numbers in m/s, one for each place"
+            raise wrong_answer(f"a flow should return {expected}", velocities, self.flow)
         return checked
 
     def relative(self, target: complex, places: Points, t: float) -> Points:

@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.model import Value
 from desim.config.traits import is_ours
@@ -134,12 +135,10 @@ def guided_velocities(
         return velocities
     checked = np.asarray(velocities)
     if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
-        raise ValueError(
-            f"a guidance law should return an array of {len(speeds)} velocities, complex numbers in m/s, one for each"
-            f" pursuer in the call, got {velocities!r} from {law!r}"
-        )
+        expected = f"an array of {len(speeds)} velocities, complex numbers in m/s, one for each pursuer in the call"
+        raise wrong_answer(f"a guidance law should return {expected}", velocities, law)
     if not (lengths(checked) <= speeds * (1.0 + 1e-9)).all():
-        raise ValueError(f"velocities should be within the speeds {speeds} m/s, got {velocities} from {law!r}")
+        raise wrong_answer(f"velocities should be within the speeds {speeds} m/s", velocities, law)
     return checked
 
 

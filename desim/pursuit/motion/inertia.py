@@ -6,6 +6,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers, Points
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
@@ -112,7 +113,7 @@ class InertialKinematics(Kinematics):
         """Return the piece of a player if a velocity (m/s) is commanded now."""
         made = self._dynamics[player](self.position(player), self.course(player), command)
         if not isinstance(made, Piece):
-            raise ValueError(f"dynamics should return a Piece, got {made!r} from {self._dynamics[player]!r}")
+            raise wrong_answer("dynamics should return a Piece", made, self._dynamics[player])
         return made._replace(drift=drift) if drift else made
 
 

@@ -91,7 +91,7 @@ class RangeBearingNoise(Value):
 Noise = Noiseless | PositionNoise | RangeBearingNoise
 NOISES = OneOf(
     *(Noiseless, PositionNoise, RangeBearingNoise),
-    needs=("covariance",),
+    needs=("covariance(offset)",),
     takes=("offset", "first", "second"),
     number=("position", "deviation"),
 )

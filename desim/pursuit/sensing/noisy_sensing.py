@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.seeds import stream
@@ -125,10 +126,8 @@ class NoisySensor:
                 if not broken and abs(offset) <= radius:
                     measured: Any = self._noise(offset, first, second)
                     if not isinstance(measured, (complex, float, int, np.number)) or measured != measured:
-                        raise ValueError(
-                            f"a noise should return the measured vector, a complex number in m, got {measured!r} from"
-                            f" {self._noise!r}"
-                        )
+                        expected = "a noise should return the measured vector, a complex number in m"
+                        raise wrong_answer(expected, measured, self._noise)
                     view.measure(evader, complex(measured), self.covariance_at(complex(measured)))
 
     def covariance_at(self, offset: complex) -> Covariance:
@@ -146,10 +145,8 @@ class NoisySensor:
             covariance = Covariance(nan, nan, nan)
         xx, xy, yy = covariance
         if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
-            raise ValueError(
-                "covariance(offset) of a noise should return the entries xx, xy and yy of a positive definite matrix,"
-                f" in m^2, got {entries!r} from {self._noise!r}"
-            )
+            expected = "the entries xx, xy and yy of a positive definite matrix, in m^2"
+            raise wrong_answer(f"covariance(offset) of a noise should return {expected}", entries, self._noise)
         return covariance
 
 

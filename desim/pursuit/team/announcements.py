@@ -230,7 +230,9 @@ class Eavesdropper:
             self._until = max(self._until, last_arrival)
 
 
-DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",), takes=("me",), traits=DisseminationTraits)
+DISSEMINATIONS = OneOf(
+    group="desim.disseminations", needs=("broadcast(me, announcement)",), takes=("me",), traits=DisseminationTraits
+)
 """The installed ways to disseminate announcements."""
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
 from desim.kernel.core.clock import NodeClock
@@ -23,7 +24,7 @@ from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcements, Located, TimedAssignment
 from desim.pursuit.team.knowledge import Knowledge
-from desim.pursuit.team.trust import Judge, ignored_by
+from desim.pursuit.team.trust import Judge, ignored_by, is_believed
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
 """The orders that a pursuer, as a server, has sent to each teammate: [(t, action)], ascending. An action holds from the
@@ -104,7 +105,7 @@ class Beliefs(Knowledge):
         fresh = {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
         if self._judge is None:
             return fresh
-        return {j: record for j, record in fresh.items() if self._judge.believes(record)}
+        return {j: record for j, record in fresh.items() if is_believed(self._judge, record)}
 
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
@@ -130,7 +131,7 @@ class Beliefs(Knowledge):
         # bit.
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self._judge is not None:
-            chasing = [j for j in chasing if self._judge.believes(matching[j][1])]
+            chasing = [j for j in chasing if is_believed(self._judge, matching[j][1])]
         if self.senses_others:
             own_time, *times = self._view.capture_times_of([self.id, *chasing], evader)
         else:
@@ -209,7 +210,7 @@ class Beliefs(Knowledge):
         if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
             return gain
         if not isinstance(gain, (float, int, np.number)) or gain != gain:
-            raise ValueError(f"a utility should return a gain, a number in s, got {gain!r} from {utility!r}")
+            raise wrong_answer("a utility should return a gain, a number in s", gain, utility)
         return float(gain)
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:

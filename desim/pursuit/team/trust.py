@@ -11,8 +11,10 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 from pydantic import Field
 
-from desim.config.choice import OneOf
+from desim.config.answers import wrong_answer
+from desim.config.choice import OneOf, check_method
 from desim.config.model import Duration, Limit, Period, Probability, Value
+from desim.config.traits import Traits, is_ours
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
@@ -80,8 +82,13 @@ class Judge:
         """Forget all evidence, after a crash without memory."""
 
 
-JUDGES = ("believes", "ignored", "report", "forget")
-"""The methods of a judge."""
+JUDGES: Mapping[str, tuple[str, ...]] = {
+    "believes": ("record",),
+    "ignored": ("own_time", "claims"),
+    "report": (),
+    "forget": (),
+}
+"""The methods of a judge, and their arguments."""
 
 
 class Trust(Protocol):
@@ -95,6 +102,13 @@ class Trust(Protocol):
     def judge(self, witness: Observer) -> Judge | None:
         """Create the judge of a pursuer, given what it observes; None: it believes everything."""
         ...
+
+
+class TrustTraits(Traits):
+    """The attribute of a trust that must be valid, in addition to `judge`."""
+
+    period: Period | None = None
+    """Time between two reports of a judge, s; None: judges do not report."""
 
 
 def may_distrust(trust: Trust) -> bool:
@@ -111,11 +125,24 @@ def judge_of(trust: Trust, witness: Observer) -> Judge | None:
     judge: Any = trust.judge(witness)
     missing = [name for name in JUDGES if not callable(getattr(judge, name, None))]
     if judge is not None and missing:
-        raise ValueError(
-            f"judge(witness) of a trust should return None, or an object with the methods {', '.join(JUDGES)} such as a"
-            f" Judge, got {judge!r} from {trust!r}"
-        )
+        expected = f"None, or an object with the methods {', '.join(JUDGES)} such as a Judge"
+        raise wrong_answer(f"judge(witness) of a trust should return {expected}", judge, trust)
+    if judge is not None and not is_ours(type(judge)):
+        for name, takes in JUDGES.items():
+            check_method(judge, name, takes)
     return judge  # type: ignore[no-any-return]
+
+
+def is_believed(judge: Judge, record: Record) -> bool:
+    """Return whether a judge believes a record; see `Judge.believes`.
+
+    Raises:
+        ValueError: if the judge of a user returns no boolean.
+    """
+    believed: Any = judge.believes(record)
+    if believed is not True and believed is not False:
+        raise wrong_answer("believes(record) of a judge should return True or False", believed, judge)
+    return bool(believed)
 
 
 def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Collection[int]:
@@ -126,9 +153,7 @@ def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Co
     """
     ignored: Any = judge.ignored(own_time, claims)
     if not isinstance(ignored, Collection) or isinstance(ignored, str):
-        raise ValueError(
-            f"ignored(own_time, claims) of a judge should return a collection of pursuers, got {ignored!r}"
-        )
+        raise wrong_answer("ignored(own_time, claims) should return a collection of pursuers", ignored, judge)
     return ignored
 
 
@@ -265,6 +290,7 @@ TRUSTS = OneOf(
     needs=("judge", "period"),
     takes=("witness",),
     called="judge",
+    traits=TrustTraits,
 )
 
 

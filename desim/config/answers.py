@@ -1,0 +1,75 @@
+"""The error about what a model of a user returned: it names the model, and where it is defined."""
+
+import os
+import re
+from functools import partial
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from desim.config.errors import AnswerError
+from desim.config.traits import is_ours
+
+_ADDRESS = re.compile(r"<(?:function )?(?:[^<>]*\.)?(\w+)(?: object)? at 0x[0-9a-fA-F]+>")
+"""Matches the default representation of an object or a function; its name is the group."""
+MAX_ITEMS = 8
+"""Maximum number of items of an array whose shape is not named."""
+LONGEST = 300
+"""Maximum length of a returned value in an error message, characters."""
+
+
+def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
+    """Return the error about what a model returned.
+
+    Args:
+        expected: what should be returned by what, for example "a heading should be a complex number".
+        answer: what was returned.
+        model: the model or the function that returned it.
+    """
+    text = _shown(answer)
+    if isinstance(answer, np.ndarray) and answer.size > MAX_ITEMS:
+        text = f"an array of shape {answer.shape}, {text}"
+    text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return AnswerError(f"{expected}, got {text} from {described(model)}")
+
+
+def _shown(value: object) -> str:
+    """Return the representation of a value as one line, in which objects and functions have no addresses."""
+    return _ADDRESS.sub(r"\1", " ".join(repr(value).split()))
+
+
+def described(model: object) -> str:
+    """Return the name of a model, with its parameters if it is a frozen model; of a user's, also its file and line."""
+    while isinstance(model, partial):
+        model = model.func
+    if isinstance(model, BaseModel):
+        name = _shown(model)
+    elif isinstance(model, FunctionType | MethodType):
+        name = model.__qualname__.rpartition("<locals>.")[2]
+    else:
+        name = model.__qualname__ if isinstance(model, type) else type(model).__qualname__
+    place = _place(model)
+    return f"{name} ({place})" if place else name
+
+
+def _place(model: object) -> str:
+    """Return the file and the line where the class or function of a user begins; "" if they are not known."""
+    if isinstance(model, FunctionType | MethodType):
+        code: Any = getattr(model, "__code__", None)
+        return _named(code) if code is not None and not is_ours(type("", (), {"__module__": model.__module__})) else ""
+    theirs = model if isinstance(model, type) else type(model)
+    if is_ours(theirs):
+        return ""
+    methods = (getattr(getattr(value, "__func__", value), "__code__", None) for value in vars(theirs).values())
+    codes = [code for code in methods if code is not None and code.co_name in vars(theirs)]
+    return _named(min(codes, key=lambda code: code.co_firstlineno)) if codes else ""
+
+
+def _named(code: Any) -> str:
+    """Return the file, relative to the working directory if it is below it, and the line of a function."""
+    file = Path(code.co_filename)
+    with_folder = file.is_absolute() and file.is_relative_to(Path.cwd())
+    return f"{os.path.relpath(file) if with_folder else file}, line {code.co_firstlineno}"
