@@ -4,8 +4,6 @@ import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from desim.kernel.core.seeds import seed_of, stream
 from desim.kernel.stepped_network import SteppedNetwork
 
@@ -53,7 +51,8 @@ class EnvNetwork:
         self.network.reset(0)
         self.node = {agent: k if graph is None else agent for k, agent in enumerate(self._agents)}
         """The node of each agent."""
-        self._places: Any = None
+        self._places: dict[Any, Any] = {}
+        """The last place of each node in this episode."""
 
     def reset(self, seed: int | None) -> None:
         """Begin an episode.
@@ -70,7 +69,7 @@ class EnvNetwork:
         else:
             drawn = self._root
         self._episodes += 1
-        self._places = None
+        self._places = {}
         self.network.reset(drawn, positions=self._read_positions())
 
     def step(self) -> None:
@@ -78,20 +77,13 @@ class EnvNetwork:
         self.network.step(self._dt, self._read_positions())
 
     def _read_positions(self) -> Any:
-        """Return the positions of the agents now, in the order of the nodes; None if there is no function for them."""
+        """Return the positions of the nodes now, by node; None if there is no function for them."""
         if self._positions_of is None:
             return None
         places = self._positions_of(self._env)
         if not isinstance(places, Mapping):
-            places = dict(zip(self._agents, self._rows(places), strict=True))
-        self._places = {**(self._places or {}), **places}
-        if missing := [agent for agent in self._agents if agent not in self._places]:
-            raise ValueError(f"positions should have a place for {missing[0]!r} in the first step of an episode")
-        agent_at = {node: agent for agent, node in self.node.items()}
-        return np.array([self._places[agent_at[node]] for node in self.network.nodes])
-
-    def _rows(self, places: Any) -> Any:
-        """Return positions with a row for each agent."""
-        if len(places) != len(self._agents):
-            raise ValueError(f"positions should have {len(self._agents)} rows, one per agent (got {len(places)})")
-        return places
+            if len(places) != len(self._agents):
+                raise ValueError(f"positions should have {len(self._agents)} rows, one per agent (got {len(places)})")
+            places = dict(zip(self._agents, places, strict=True))
+        self._places |= {self.node[agent]: place for agent, place in places.items()}
+        return self._places

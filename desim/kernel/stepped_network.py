@@ -17,24 +17,35 @@ only `step` moves, and runs the same network: the same links, faults and draws.
 """
 
 from collections.abc import Hashable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 
 from desim.config.arrays import Floats
 from desim.config.fresh import fresh_copy
-from desim.config.model import MAX_TIME
+from desim.config.model import MAX_TIME, Value
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import NEVER, RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
+from desim.kernel.core.message_size import HEADER, size_of
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.graph_files.node_names import numbered
-from desim.kernel.models.faults import ClockSkew, Crash, Fault, FaultEnded, FaultStarted, draw_faults, is_skewed
+from desim.kernel.models.faults import (
+    FAULTS,
+    ClockSkew,
+    Crash,
+    Fault,
+    FaultEnded,
+    FaultStarted,
+    draw_faults,
+    is_skewed,
+)
 from desim.kernel.models.graphs import Complete, Edges, is_networkx
 from desim.kernel.models.links import Links
+from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.transport import Transport
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
@@ -88,9 +99,10 @@ class SteppedNetwork:
     only the newest value matters: `latest` returns it, at half the cost. Two bounds need no model of their own: with
     `Links()` everything arrives at once, and with `Links(loss=1.0)` nothing ever arrives.
 
-    Nodes are named by the labels of the graph, or 0 .. n - 1. Positions have a row for each node, in the order of
-    `nodes`. They are read when they are given, and at each step; an array may be changed in place. During a step every
-    node moves in a straight line from where it was to where it is at the end.
+    Nodes are named by the labels of the graph, or 0 .. n - 1; faults have their numbers, the indices in `nodes`.
+    Positions have a row for each node, in the order of `nodes`, or are a dict by node. They are read when they are
+    given, and at each step; they may be changed in place. During a step every node moves in a straight line from where
+    it was to where it is at the end.
 
     In a `with` block the network is closed at the end, and Python collects garbage less often, as in `desim.run`. This
     saves time if many messages are in flight.
@@ -102,9 +114,10 @@ class SteppedNetwork:
         nodes: number of nodes, or a networkx graph: its nodes have any labels, and its edges the attributes of
             `desim.kernel.models.graphs.Edge`.
         links: the models of the links, or a table `[network]` as a dict; an ideal network if None.
-        faults: faults of nodes and links, or plans that draw them (`desim.kernel.models.faults`).
+        faults: faults of nodes and links, or plans that draw them (`desim.kernel.models.faults`), or tables `[[fault]]`
+            as dicts.
         seed: the seed of all random draws.
-        positions: (n, 2) positions at the start, m; needed for what depends on them, such as a range.
+        positions: (n, 2) positions at the start, m, or a dict; needed for what depends on them, such as a range.
         trace: receives the events of messages and faults, and shows them to its watchers.
         horizon: the time until which plans draw faults, s.
         can_leave: whether nodes may `leave` and `join`. Every arrival is then decided when it is due, which is slower.
@@ -125,9 +138,8 @@ class SteppedNetwork:
         horizon: float | None = None,
         can_leave: bool = False,
     ):
-        links = Links() if links is None else links if isinstance(links, Links) else Links(**links)
-        self._links, self._nodes, self._numbers = _described(nodes, links)
-        self._faults, self._can_leave, self._horizon = tuple(faults), can_leave, _horizon(horizon)
+        self._links, self._nodes, self._numbers = _described(nodes, _links_of(links))
+        self._faults, self._can_leave, self._horizon = _faults_of(faults), can_leave, _horizon(horizon)
         is_plan = [not isinstance(fault, Fault | ClockSkew) for fault in self._faults]
         if horizon is None and any(is_plan):
             raise ValueError(f"{self._faults[is_plan.index(True)]!r} needs horizon=, the time until which it draws, s")
@@ -139,7 +151,7 @@ class SteppedNetwork:
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
         self._seed, self._trace, size = seed_of(seed), trace, len(self._nodes)
         self._clock = clock = Clock()
-        self._positions = SteppedPositions(clock, size)
+        self._positions = SteppedPositions(clock, self._nodes)
         if positions is not None:
             self._positions.place(positions)
         with fresh_copy((self._links, self._faults)) as (links, entries):
@@ -162,6 +174,7 @@ class SteppedNetwork:
         self._lost: list[LostMessage] = []
         self._away: dict[int, Crash] = {}
         self._is_unused, self._problem = True, ""
+        self._is_unlimited = self._links.medium == Unlimited()
 
     def _create_queue(self, clock: Clock, size: int) -> MessageQueue:
         self._queue = MessageQueue(clock, size)
@@ -185,7 +198,8 @@ class SteppedNetwork:
             src: the sender.
             dst: the receiver; None: all neighbours.
             body: any object that can be copied. Each receiver gets a copy, unless it is immutable.
-            size: bytes; computed from the body if None, see `desim.kernel.core.message_size`.
+            size: bytes; computed from the body if None, see `desim.kernel.core.message_size`. Over a medium without
+                airtime, a body of unknown size, such as a function, counts as none.
             port: a name by which the receiver tells kinds of messages apart.
             transport: how it is carried, see `desim.kernel.models.transport`; None: that of the links.
 
@@ -198,6 +212,8 @@ class SteppedNetwork:
         self._is_unused = False
         if self._numbers is not None:
             src, dst = self._number(src), None if dst is None else self._number(dst)
+        if size is None and self._is_unlimited:
+            size = _size_of(body)
         self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
@@ -208,6 +224,8 @@ class SteppedNetwork:
         if self._problem:
             raise RuntimeError(self._problem)
         self._is_unused = False
+        if size is None and self._is_unlimited:
+            size = _size_of(body)
         self._network.publish(src if self._numbers is None else self._number(src), body, size)  # type: ignore[arg-type]
 
     def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
@@ -308,7 +326,8 @@ class SteppedNetwork:
 
     def neighbours(self, node: Hashable) -> list[Any]:
         """Return the nodes that receive from a node where they are now."""
-        return [self._nodes[other] for other in self._network.topology.neighbours(self._live(node)).tolist()]
+        number = self._live(node)
+        return [self._nodes[other] for other in self._network.topology.neighbours(number).tolist()]
 
     def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Note the losses of a transmission."""
@@ -468,6 +487,39 @@ def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNet
     ) = configuration
     network._start(*start)
     return network
+
+
+class _Faults(Value):
+    """Faults as in a scenario file."""
+
+    fault: tuple[Annotated[Any, FAULTS], ...] = ()
+
+
+def _faults_of(faults: Any) -> tuple[Any, ...]:
+    """Return faults, of which some may be given as dicts."""
+    if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
+        raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
+    return _Faults(fault=tuple(faults)).fault
+
+
+def _links_of(links: Any) -> Links:
+    """Return links, which may be given as a dict."""
+    if links is None or isinstance(links, Links):
+        return links or Links()
+    if not isinstance(links, Mapping):
+        raise ValueError(
+            f"links should be Links(...), or a table [network] as a dict (got {links!r}); those of a scenario file are"
+            " load(file).network"
+        )
+    return Links(**links)
+
+
+def _size_of(body: Any) -> int:
+    """Return the size of a message, bytes; that of its header if the body has none."""
+    try:
+        return size_of(body)
+    except ValueError:
+        return HEADER
 
 
 def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:

@@ -1,6 +1,6 @@
 """The positions of nodes that another program moves, one step at a time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,13 @@ class SteppedPositions(PositionSource):
 
     Args:
         clock: the clock of the simulation.
-        size: number of nodes.
+        nodes: the labels of the nodes, in the order of the rows.
     """
 
     looks_back = True
 
-    def __init__(self, clock: Clock, size: int):
-        self._clock, self._size = clock, size
+    def __init__(self, clock: Clock, nodes: Sequence[Hashable]):
+        self._clock, self._nodes, self._size = clock, nodes, len(nodes)
         self._array: Any = None
         """The array of the caller, which is not copied; it is read at the beginning of each step."""
         self._first: Floats | None = None
@@ -117,6 +117,10 @@ class SteppedPositions(PositionSource):
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""
+        if isinstance(positions, Mapping):
+            if (missing := next((node for node in self._nodes if node not in positions), self)) is not self:
+                raise ValueError(f"positions should have a place for each node: there is none for {missing!r}")
+            positions = [positions[node] for node in self._nodes]
         try:
             view = np.asarray(positions)
         except ValueError:  # rows of different lengths

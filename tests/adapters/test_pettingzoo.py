@@ -263,7 +263,7 @@ def test_a_wrong_environment_action_message_or_place_is_refused():
     with pytest.raises(ValueError, match="the message of 'ann' should be in Box"):
         env.step({name: {"action": 0, "message": [float("nan")]} for name in NAMES})
     for places, why in (
-        ({"ann": (0.0, 0.0)}, "a place for 'bob'"),
+        ({"ann": (0.0, 0.0)}, "there is none for 1"),
         (np.zeros((2, 2)), "3 rows"),
         (np.zeros((3, 3)), r"shape \(3, 2\)"),
     ):

@@ -346,6 +346,30 @@ def test_any_labels_name_the_nodes():
         network.send(["unhashable"], None, "")
 
 
+def test_positions_may_be_a_dict_by_node_and_are_read_at_each_step():
+    graph = nx.complete_graph(["c", "a", "b"])
+    places = {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": np.array([2.0, 0.0])}
+    network = SteppedNetwork(graph, Links(range=1.5), positions=places)
+    assert network.neighbours("a") == ["b"]
+    places["b"] = (9.0, 0.0)
+    places["c"][0] = 1.0
+    network.step(0.1)
+    assert network.neighbours("a") == ["c"]
+    assert len(network.step(0.1, {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (9.0, 0.0), "other": None})) == 0
+    assert network.neighbours("a") == ["b"]
+    with pytest.raises(ValueError, match="a place for each node: there is none for 'b'"):
+        network.step(0.1, {"a": (0.0, 0.0), "c": (9.0, 0.0)})
+
+
+def test_a_body_is_anything_where_its_size_does_not_matter():
+    network = SteppedNetwork(2)
+    network.send(0, 1, len)
+    network.publish(0, len)
+    assert [message.body for message in network.step(0.1)] == [len]
+    assert network.latest(1)[0].body is len
+    assert network.counts().bytes_sent == 2 * 16
+
+
 def test_a_receiver_may_change_what_it_gets():
     network = SteppedNetwork(3)
     body = {"path": [1]}
@@ -525,6 +549,16 @@ def test_what_a_network_cannot_do_is_said():
         SteppedNetwork(nx.path_graph(3), Links(graph=nx.path_graph(3)))
     with pytest.raises(ValueError, match="horizon="):
         SteppedNetwork(3, faults=[RandomCrashes()])
+    for faults in ("crash", {"kind": "crash", "node": 1, "start": 0.5}, 3):
+        with pytest.raises(ValueError, match="faults should be a list of faults"):
+            SteppedNetwork(3, faults=faults)
+    with pytest.raises(ValueError, match="should be an integer"):
+        SteppedNetwork(3, faults=[{"kind": "crash", "node": "b", "start": 0.5}])
+    for links in (0.1, "radio.toml", [0.1]):
+        with pytest.raises(ValueError, match=r"links should be Links\(\.\.\.\), or a table"):
+            SteppedNetwork(3, links)
+    with pytest.raises(ValueError, match="trace should be"):
+        SteppedNetwork(3, trace=True)
     with pytest.raises(ValueError, match="there is no node 7"):
         SteppedNetwork(3, faults=[Crash(start=0.0, node=7)])
     with pytest.raises(ValueError, match="latencyy"):
@@ -547,6 +581,9 @@ def test_a_closed_network_says_so():
         network.ages,
         network.lost,
         network.counts,
+        lambda: network.neighbours(0),
+        network.transport_counts,
+        lambda: network.leave(0),
         lambda: network.reset(1),
     ):
         with pytest.raises(RuntimeError, match="closed"):
@@ -589,7 +626,7 @@ def test_a_table_of_a_scenario_file_is_enough(tmp_path):
     file.write_text('[network]\nlatency = 0.1\nloss = 0.2\n\n[[fault]]\nkind = "crash"\nnode = 1\nstart = 0.5\n')
     scenario = load(file)
     network = SteppedNetwork(4, scenario.network, faults=scenario.network_faults)
-    same = SteppedNetwork(4, {"latency": 0.1, "loss": 0.2}, faults=[Crash(start=0.5, node=1)])
+    same = SteppedNetwork(4, {"latency": 0.1, "loss": 0.2}, faults=[{"kind": "crash", "start": 0.5, "node": 1}])
     assert episode(network) == episode(same)
     assert network.counts().lost_by.keys() == {"loss", "crash"}
 
