@@ -39,8 +39,6 @@ class EnvNetwork:
     ):
         if positions is not None and not callable(positions):
             raise ValueError("positions should be a function of the environment, which is called after each step of it")
-        if "trace" in arguments:
-            raise ValueError("a trace is of one episode, and an environment has many: ask env.network instead")
         self._env, self._agents, self._dt, self._positions_of = env, tuple(agents), dt, positions
         self._root = None if seed is None else seed_of(seed)
         self._episodes = 0

@@ -4,6 +4,10 @@ from typing import Any
 
 from desim.config.extras import naming_extras
 
+ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave")
+TALKS, OPERATES = ("message", "graph", *ALL), ("idle", *ALL)
+"""The options for an environment of PettingZoo, and for one of Gymnasium."""
+
 
 @naming_extras()
 def wrap(env: Any, links: Any = None, **options: Any) -> Any:
@@ -30,10 +34,10 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
         graph: a networkx graph whose nodes are the agents; all hear each other if None. PettingZoo only.
         seed: the seed of the network until `reset` is given one; drawn anew by each `reset` if None.
         size: bytes of a message; computed from its content if None.
-        **options: the above, and further arguments of `SteppedNetwork`, such as `faults` and `horizon`.
+        **options: the above, and `faults`, `horizon` and `can_leave` as in `SteppedNetwork`.
 
     Raises:
-        TypeError: if the environment is of another kind.
+        TypeError: if the environment is of another kind, or there is no such option for it.
         ValueError: if an argument is not valid, or arguments do not fit together.
         ModuleNotFoundError: if pettingzoo or gymnasium is not installed (the extra `rl`).
     """
@@ -43,17 +47,24 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
     if isinstance(env, pettingzoo.ParallelEnv):
         from desim.adapters.pettingzoo_wrappers import ParallelMessages
 
-        return ParallelMessages(env, links, **options)
+        return ParallelMessages(env, links, **_checked(options, TALKS, "environment of PettingZoo"))
     if isinstance(env, pettingzoo.AECEnv):
         from desim.adapters.pettingzoo_wrappers import TurnMessages
 
-        return TurnMessages(env, links, **options)
+        return TurnMessages(env, links, **_checked(options, TALKS, "environment of PettingZoo"))
     if isinstance(env, gymnasium.Env):
         from desim.adapters.remote_control import RemoteControl
 
-        return RemoteControl(env, links, **options)
+        return RemoteControl(env, links, **_checked(options, OPERATES, "environment of Gymnasium"))
     name = f"{type(env).__module__}.{type(env).__qualname__}"
     raise TypeError(
         f"wrap takes a pettingzoo.ParallelEnv, a pettingzoo.AECEnv or a gymnasium.Env, got {name}: a simulator of"
         " another kind steps a SteppedNetwork in its own loop"
     )
+
+
+def _checked(options: dict[str, Any], names: tuple[str, ...], kind: str) -> dict[str, Any]:
+    """Return options; raise TypeError if one has none of some names."""
+    if unknown := next((name for name in options if name not in names), None):
+        raise TypeError(f"wrap takes no {unknown}= for an {kind}, but {', '.join(names)}")
+    return options

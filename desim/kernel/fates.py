@@ -1,7 +1,7 @@
 """The fates of messages that a program has logged: what a network would have done to each of them."""
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -71,7 +71,8 @@ def fates(
     (`Links.duplicate`) has its first arrival. One to all neighbours has a fate where it has arrived or been lost.
 
     Args:
-        messages: rows (t, src, dst, size), ascending in time: s, nodes, and bytes; the dst None is all neighbours.
+        messages: rows (t, src, dst, size), ascending in time: s, nodes, and bytes; the dst None is all neighbours. A
+            frame of pandas has these columns in this order; a dst that is missing there is None.
         nodes: as in `SteppedNetwork`.
         links: as in `SteppedNetwork`.
         wait: how long the network is observed after the last message, s.
@@ -94,9 +95,9 @@ def fates(
                     arrivals.setdefault((arrived.body, arrived.dst), arrived.arrived)
                 losses.update(((lost.body, lost.dst), lost.cause) for lost in network.lost())
 
-        for row, values in enumerate(messages):
+        for row, values in enumerate(_rows(messages)):
             try:
-                message = LoggedMessage(*values)
+                message = _logged(values)
                 time = real(message.t, "t")
                 if not (log[-1].t if log else 0.0) <= time <= MAX_TIME:
                     raise ValueError("t should be ascending, from 0 s on")
@@ -124,6 +125,26 @@ def fates(
         )
         for row, dst in sorted(told, key=lambda key: (key[0], number[key[1]]))
     ]
+
+
+def _rows(messages: Any) -> Iterable[Any]:
+    """Return the rows of messages, which may be a frame of pandas."""
+    return messages.itertuples(index=False, name=None) if hasattr(messages, "itertuples") else messages
+
+
+def _logged(values: Any) -> LoggedMessage:
+    """Return the message of a row.
+
+    Raises:
+        ValueError: if it is not one.
+    """
+    row = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
+    if len(row) != len(COLUMNS):
+        raise ValueError(f"a message should be {', '.join(COLUMNS)}")
+    t, src, dst, size = row
+    if isinstance(dst, float):  # pandas has no other column for integers of which one is missing
+        dst = None if isnan(dst) else int(dst) if dst.is_integer() else dst
+    return LoggedMessage(t, src, dst, size)
 
 
 def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:

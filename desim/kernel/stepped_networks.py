@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.kernel.stepped_network import ReceivedMessage, SteppedNetwork
@@ -48,12 +49,14 @@ class SteppedNetworks:
         count = whole(count, "the number of networks")
         if count < 1:
             raise ValueError(f"there should be at least 1 network (got {count})")
-        root, placed = seed_of(seed), self._rows(positions, count)
+        root = seed_of(seed)
         self._shape: tuple[int, ...] | None = None
         """Of the bodies of this episode; None before the first."""
-        self._networks = [
-            SteppedNetwork(nodes, links, seed=run_seed(root, e), positions=placed[e], **arguments) for e in range(count)
-        ]
+        self._networks = [SteppedNetwork(nodes, links, seed=run_seed(root, e), **arguments) for e in range(count)]
+        self._array: Any = None
+        """The positions that were given last, which are read at each step."""
+        if positions is not None:
+            self.reset(root, positions=positions)
 
     def send(self, bodies: Any) -> None:
         """Let every node broadcast a row of an array (E, n) or (E, n, k) as a message; see `SteppedNetwork.send`."""
@@ -78,7 +81,7 @@ class SteppedNetworks:
             dt: the duration, s.
             positions: (E, n, 2) the positions at the end, m; None: those that the last array then has.
         """
-        placed = self._rows(positions, len(self))
+        placed = self._rows(positions)
         return [network.step(dt, place) for network, place in zip(self._networks, placed, strict=True)]
 
     def latest(self) -> Floats:
@@ -107,7 +110,7 @@ class SteppedNetworks:
 
     def reset(self, seed: int, *, positions: Any = None) -> None:
         """Begin all networks anew, exactly as new ones with this seed would; see `SteppedNetwork.reset`."""
-        placed, self._shape = self._rows(positions, len(self)), None
+        placed, self._shape = self._rows(positions), None
         for e, network in enumerate(self._networks):
             network.reset(run_seed(seed_of(seed), e), positions=placed[e])
 
@@ -128,13 +131,23 @@ class SteppedNetworks:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _rows(self, positions: Any, count: int) -> Sequence[Any]:
-        """Return the positions for each network; None for each if there are none."""
-        if positions is None:
-            return [None] * count
-        array = np.asarray(positions)
-        if array.ndim != 3 or len(array) != count:
-            raise ValueError(f"positions should have the shape ({count}, n, 2), m (got {array.shape})")
+    def _rows(self, positions: Any) -> Sequence[Any]:
+        """Return the positions for each network, so that all are right or no network steps; None for each if none."""
+        self._array = self._array if positions is None else positions
+        if self._array is None:
+            return [None] * len(self)
+        array, shape = np.asarray(self._array), (len(self), len(self[0].nodes), 2)
+        if array.shape != shape or array.dtype.kind not in "iuf":
+            raise ValueError(
+                f"positions should be an array of numbers of the shape {shape}, m"
+                f" (got shape {array.shape}, dtype {array.dtype})"
+            )
+        if not (np.abs(array) <= MAX_COORDINATE).all():
+            e, row, _ = np.argwhere(~(np.abs(array) <= MAX_COORDINATE))[0].tolist()
+            raise ValueError(
+                f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {array[e, row].tolist()} of node"
+                f" {row} in network {e})"
+            )
         return array  # type: ignore[return-value]  # indexing gives views, not copies
 
     def _bodies(self, bodies: Any) -> list[list[Any]]:

@@ -116,6 +116,8 @@ def test_a_wrong_option_is_refused():
         desim.wrap(env)
     with pytest.raises(ValueError, match="dt should be"):
         desim.wrap(Counter(), dt=-1.0)
+    with pytest.raises(TypeError, match="wrap takes no message= for an environment of Gymnasium, but idle, dt"):
+        desim.wrap(Counter(), message=1)
     env = desim.wrap(Counter())
     env.reset(seed=0)
     env.close()

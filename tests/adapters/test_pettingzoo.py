@@ -14,7 +14,6 @@ from pettingzoo.utils import aec_to_parallel, parallel_to_aec
 import desim
 from desim import Crash, Links, Lognormal
 from desim.adapters.message_spaces import blank
-from desim.kernel.core.events import Trace
 from tests.adapters.environments import NAMES, Line, Turns
 
 LINKS = Links(latency=Lognormal(mean=0.1, cv=0.5), loss=0.1)
@@ -238,7 +237,7 @@ def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
         ({"positions": np.zeros((3, 2))}, "positions should be a function of the environment"),
         ({"graph": nx.path_graph(3)}, "the nodes of the graph should be the agents"),
         ({"seed": -1}, "the seed should be at least 0"),
-        ({"trace": Trace()}, "a trace is of one episode"),
+        ({"idle": 0}, "wrap takes no idle= for an environment of PettingZoo, but message, graph, dt"),
     ],
     ids=str,
 )

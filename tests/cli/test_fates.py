@@ -3,6 +3,7 @@
 import csv
 from math import isnan, nan
 
+import pandas as pd
 import pytest
 
 from desim import Crash, Links, Reliable, fates
@@ -75,3 +76,16 @@ def test_a_transport_repeats_a_logged_message_until_it_arrives():
     assert {row.fate for row in rows} == {"delivered"}
     assert len(rows) == 30
     assert any(row.arrived - row.t > 0.05 for row in rows)
+
+
+def test_the_rows_of_a_log_may_be_a_frame_of_pandas():
+    """Its column of receivers has floats if one is missing, and so has the rest of a row."""
+    frame = pd.DataFrame({"t": [0.0, 0.5], "src": [0, 1], "dst": [1, None], "size": [8, 9]})
+    expected = fates([(0.0, 0, 1, 8), (0.5, 1, None, 9)], 3, Links(latency=0.1))
+    assert fates(frame, 3, Links(latency=0.1)) == expected
+
+
+@pytest.mark.parametrize("rows", [[(0.0, 0, 1)], [3], ["abcd"], [(0.0, 0, 1, 8, 9)]])
+def test_a_row_that_is_no_message_is_refused(rows):
+    with pytest.raises(ValueError, match="message 0 .*: a message should be t, src, dst, size"):
+        fates(rows, 3)
