@@ -179,6 +179,12 @@ def test_the_correlation_of_delays_has_no_effect_as_in_linux(distribution):
 # Reordering.
 
 
+def test_without_a_gap_all_are_reordered_if_the_probability_is_1():
+    model = Netem(delay=0.1, jitter=0.02, reorder=1.0)
+    assert model.quantile(np.array([0.0, 0.5, 1.0])).tolist() == [0.0, 0.0, 0.0]
+    assert model.mean_latency() == 0.0
+
+
 def test_every_gap_th_message_is_reordered_if_the_probability_is_1():
     """The first two of three are delayed, on each link for itself, whichever receivers a message has."""
     run, rng = Netem(delay=0.1, reorder=1.0, gap=3).start_run(0), np.random.default_rng(0)

@@ -378,6 +378,9 @@ def test_a_file_of_velocities(tmp_path):
         RecordedFlow(file=str(tmp_path / "none.csv"))
     with pytest.raises(KeyedError, match="not both"):
         RecordedFlow(file=str(file), velocities=((0.0, 0.0, 0.0),))
+    for unit in ("h", 1.0, None):
+        with pytest.raises(KeyedError, match=r"time_unit: .*should be 's', 'ms', 'us' or 'ns'"):
+            RecordedFlow(file=str(file), time_unit=unit)
 
 
 def test_what_no_capture_time_is_known_for_is_refused():

@@ -1,6 +1,7 @@
 """Teams whose eyes err: what a pursuer knows, reports and forgets, and that captures follow the truth."""
 
 from itertools import cycle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
 from desim.pursuit.sensing.noise import PositionNoise, RangeBearingNoise
-from desim.pursuit.sensing.noisy_sensing import Sighted, Tracked
+from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sighted, Tracked
 from desim.pursuit.sensing.sensing import Sensing, spiral
 from desim.pursuit.sensing.tracking import AlphaBeta, Kalman
 from desim.pursuit.team.announcements import Announcements
@@ -50,6 +51,22 @@ def looked(sensing, at, look, seed=1, **changes):
 
     run(scenario(sensing, protocol=watch, **changes), seed, lambda event: event.t > (at[-1] + 0.05) * SECOND)
     return found
+
+
+def sensed_covariance(entries):
+    """Return the covariance that a sensor takes from the noise of a user."""
+    noise = SimpleNamespace(covariance=lambda offset: entries)
+    return NoisySensor.covariance_at(SimpleNamespace(_noise=noise), 1j)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [(1, 2, 1), (1, -1, 1), (0, 0, 1), (-1, 0, -1), (1, 0, np.inf), (np.inf, 0, 1), (np.nan, 0, 1), (1, 0), 3],
+)
+def test_the_covariance_of_a_users_noise_is_positive_definite(entries):
+    assert sensed_covariance(np.array([2, -1, 1])) == (2.0, -1.0, 1.0)
+    with pytest.raises(ValueError, match=r"xx, xy and yy of a positive definite matrix, in m\^2, got"):
+        sensed_covariance(entries)
 
 
 def test_the_error_of_a_sighting_is_proportional_to_the_deviation():

@@ -128,6 +128,21 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
     assert ("sensing.estimator.velocity_diffusion" in found) == is_warned_of
 
 
+@pytest.mark.parametrize("speeds", [(1.0, 3.0), (3.0, 1.0)])
+def test_of_several_players_the_fastest_counts(speeds):
+    """An evader at 3 m/s beside one at 1 m/s, and such pursuers; steps of 1 s are more than a disc of 0.2 m."""
+    noisy = {"noise": 0.5, "estimator": {"kind": "kalman", "velocity_diffusion": 0.1}}
+    sampled = {"motion": {"step": 1.0}, "capture": {"test": "sample"}}
+    evaders = [{"speed": speed, "position": (5.0, speed)} for speed in speeds]
+    found = dict(warned(evader=evaders, sensing=noisy, team={"count": 2, "speeds": 2.0}, **sampled))
+    assert "2 v_e = 6 m/s" in found["sensing.estimator.velocity_diffusion"]
+    assert "step x speed = 3 m" in found["motion.step"]
+    assert "than 1 of the 2 evaders: the fastest moves at 2.0 m/s, the slowest of these at 3.0" in found["team.speeds"]
+    found = dict(warned(evader={"speed": 1.0}, team={"count": 2, "speeds": list(speeds)}, **sampled))
+    assert "step x speed = 3 m" in found["motion.step"]
+    assert "team.speeds" not in found
+
+
 @pytest.mark.parametrize(
     ("given", "key", "why"),
     [

@@ -87,6 +87,7 @@ def test_the_frames_of_robots_with_inertia_are_turned_to_their_headings(tmp_path
     samples = [started(result), *result.trace.of(Sampled)]
     for (_, content), sample in zip(read(tmp_path / "x.mcap")["/tf"], samples, strict=True):
         rotations = [complex(each["rotation"]["w"], each["rotation"]["z"]) for each in content["transforms"]]
+        assert {(each["rotation"]["x"], each["rotation"]["y"]) for each in content["transforms"]} == {(0.0, 0.0)}
         assert [each**2 for each in rotations] == pytest.approx(headings.at(sample))
         turned += rotations != [1.0] * len(rotations)
     assert turned == len(samples)
