@@ -22,7 +22,6 @@ NEEDED: dict[str, dict[str, Any]] = {
     "Edge": {"src": 0, "dst": 1},
     "Empirical": {"values": [0.5]},
     "Equivocate": {"start": 1.0, "node": 0},
-    "Fault": {"start": 1.0},
     "FalseAnnouncements": {"start": 1.0, "node": 0},
     "GyreFlow": {"speed": 0.5, "size": 2.0},
     "HarmonicFlow": {"amplitude": [0.5, 0.0], "period": 2.0},
@@ -53,7 +52,7 @@ NEEDED: dict[str, dict[str, Any]] = {
 """The arguments without which a class has no valid object, by its name."""
 
 
-ABSTRACT = {"LinkTrace", "_LossTrace"}
+ABSTRACT = {"Fault", "LinkTrace", "_LossTrace"}
 """Classes without objects."""
 
 

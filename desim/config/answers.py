@@ -33,7 +33,7 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
     if isinstance(answer, np.ndarray) and answer.size > MAX_ITEMS:
         text = f"an array of shape {answer.shape}, {text}"
     text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-    return AnswerError(f"{expected}, got {text} from {described(model)}")
+    return AnswerError(f"{expected}, got {text} from {with_place(model)}")
 
 
 def _shown(value: object) -> str:
@@ -41,7 +41,7 @@ def _shown(value: object) -> str:
     return _ADDRESS.sub(r"\1", " ".join(repr(value).split()))
 
 
-def described(model: object) -> str:
+def with_place(model: object) -> str:
     """Return the name of a model, with its parameters if it is a frozen model; of a user's, also its file and line."""
     while isinstance(model, partial):
         model = model.func

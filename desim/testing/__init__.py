@@ -1,4 +1,4 @@
-"""Checks of what users write: protocols, schedules, models of links, bodies, strategies of evaders, metrics.
+"""Checks of what users write: protocols, models of links, faults, bodies, flows, trust, evaders, metrics, exporters.
 
 If you are unsure whether your latency is right, run `check_latency(...)`: it raises an error that says what is wrong.
 Watchers check the invariants of messages and of pursuits in any run. Nothing here needs pytest.
@@ -12,20 +12,28 @@ if TYPE_CHECKING:
     from desim.testing.decisions import check_protocol as check_protocol
     from desim.testing.decisions import check_schedule as check_schedule
     from desim.testing.evaders import check_evader as check_evader
+    from desim.testing.exporters import check_exporter as check_exporter
+    from desim.testing.faults import check_fault as check_fault
+    from desim.testing.flows import check_flow as check_flow
     from desim.testing.judging import ContractError as ContractError
     from desim.testing.links import check_latency as check_latency
     from desim.testing.links import check_loss as check_loss
     from desim.testing.metrics import check_metric as check_metric
     from desim.testing.pursuits import watched as watched
+    from desim.testing.trust import check_trust as check_trust
 
 _NAMES = {
     "bodies": ("check_body",),
     "decisions": ("check_protocol", "check_schedule"),
     "evaders": ("check_evader",),
+    "exporters": ("check_exporter",),
+    "faults": ("check_fault",),
+    "flows": ("check_flow",),
     "judging": ("ContractError",),
     "links": ("check_latency", "check_loss"),
     "metrics": ("check_metric",),
     "pursuits": ("watched",),
+    "trust": ("check_trust",),
 }
 """The public names by module. Each is imported on first access."""
 _HOMES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}

@@ -10,19 +10,21 @@ import pytest
 
 import desim
 from desim import Evader, Links, Scenario, Team, explain, run, summary
-from desim.kernel.core.events import Lost
+from desim.kernel.core.events import Broadcast, Lost
 from desim.kernel.models.faults import CustomFault, FaultEnded, FaultStarted
+from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.flow import Environment
-from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.announcements import Announcements, Assignment
 from desim.results import run_folder
 from desim.scenario.scenario import Recording
-from desim.scenario.toml import load
+from desim.scenario.toml import dump, load
 from desim.testing.messages import Conservation
 from desim.view.formats.perfetto import perfetto
 from desim.view.pages.replay import replay_page
 from protocols import SpatialAdaptivePlay
 from tests.command import accepted, refused
 
+MESSAGES = Recording(messages=True)
 MODULE = Path(__file__).parent / "own_kinds.py"
 IN_FLOW = """
 horizon = 3.0
@@ -196,7 +198,20 @@ def test_a_node_that_does_not_exist_is_reported_at_the_key_of_the_fault(own):
 @pytest.mark.parametrize(
     ("body", "why"),
     [
-        ({"begin": lambda self, site: None}, r"begin\(\) of Bad should return a function without arguments"),
+        (
+            {"begin": lambda self, site: None},
+            r"begin\(site\) of a fault should return a function without arguments.* from Bad",
+        ),
+        ({"begin": lambda self, site: lambda late: None}, r"should accept a call without arguments; <lambda> \(tests"),
+        (
+            {"begin": lambda self, site: site.block(lambda src, dst: "no")},
+            r"should return True or False, got 'no' from",
+        ),
+        ({"begin": lambda self, site: site.block(lambda src: True)}, r"should accept a call with \(src, dst\)"),
+        ({"begin": lambda self, site: site.block(3)}, "should be given a function of two nodes"),
+        ({"begin": lambda self, site: site.partition([[0, 77]])}, "there is no node 77"),
+        ({"begin": lambda self, site: site.jam((0.0, 0.0), float("nan"))}, "radius: should be a finite number"),
+        ({"begin": lambda self, site: print, "sketch": lambda self: 3}, r"sketch\(\) of a fault should return a dict"),
         ({"begin": lambda self, site: print, "sketch": lambda self: {"at": 1j}}, "should return JSON values"),
     ],
 )
@@ -244,3 +259,49 @@ def test_an_explanation_removes_kinds_of_users(own, tmp_path):
         "explain", own / "flow.toml", "--allow-import", "--set", "horizon=1.0", "-n", 2, "--json", "-o", tmp_path / "e"
     ).stdout
     assert json.loads(told)
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ({}, r"should have a method begin\(site\)"),
+        ({"begin": lambda self: print}, r"should accept a call with \(site\); Bad"),
+        (
+            {"begin": lambda self, site: print, "named": lambda self: [0]},
+            r"named\(\) of a fault should return the numb",
+        ),
+        ({"begin": lambda self, site: print, "breaks": frozenset({"no_crash"})}, "breaks of Bad: .*'no_crashes'"),
+    ],
+)
+def test_a_fault_that_cannot_be_one_is_refused_before_the_run(body, why):
+    with pytest.raises(ValueError, match=why):
+        Scenario(fault=(type("Bad", (desim.Fault,), {"__module__": __name__, **body})(start=0.1),))
+
+
+def test_a_byzantine_fault_of_a_user_replaces_what_a_pursuer_says(own):
+    """It is named by its class, and everything that it does not override is honest."""
+
+    class Boaster(ByzantineFault):
+        evader: int = 0
+
+        def says(self, me, body):
+            return me.id, Assignment(self.evader)
+
+    silent = Scenario(horizon=1.0, team=Team(count=3, speeds=2.0), protocol=lambda me: iter(()), record=MESSAGES)
+    lying = silent.with_({"fault": (Boaster(node=1, start=0.0),), "announce.heartbeat": 0.1})
+    said = {event.src: event.body.active for event in run(lying, 1).trace.of(Broadcast)}
+    assert said[1] == 0
+    assert said[0] == said[2] == 1
+    assert {event.fault.label for event in run(lying, 1).trace.of(FaultStarted)} == {"Boaster 1"}
+
+
+def test_a_parameter_of_a_user_without_a_value_is_written_to_no_file(own):
+    """TOML has no null: a scenario with such a kind could be neither printed nor stored."""
+
+    class Perhaps(desim.config.model.Value):
+        wavelength: float | None = None
+
+        def __call__(self, context, rng):
+            return 0.1
+
+    assert "wavelength" not in dump(Scenario(network=Links(latency=Perhaps())))

@@ -9,20 +9,29 @@ import desim.testing
 from desim.analysis.metrics import METRICS
 from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, ByDistance, FourState, GilbertElliott
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS
 from desim.pursuit.evaders.evasion import STRATEGIES
 from desim.pursuit.motion.dynamics import DYNAMICS
+from desim.pursuit.motion.flow import FLOWS
+from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.scenario import PROTOCOLS
 from desim.testing import (
     ContractError,
     check_body,
     check_evader,
+    check_exporter,
+    check_fault,
+    check_flow,
     check_latency,
     check_loss,
     check_metric,
     check_protocol,
     check_schedule,
+    check_trust,
 )
+from desim.view.formats.export import EXPORTERS
 from protocols.rule import SCHEDULES
+from tests.models import NEEDED
 from tests.test_overrides import PARAMETERS
 
 CHECKS = [
@@ -32,6 +41,10 @@ CHECKS = [
     (check_evader, STRATEGIES),
     (check_schedule, SCHEDULES),
     (check_protocol, PROTOCOLS),
+    (check_fault, PURSUER_FAULTS),
+    (check_trust, TRUSTS),
+    (check_flow, FLOWS),
+    (check_exporter, EXPORTERS),
 ]
 CASES = [(check, kind, model) for check, family in CHECKS for kind, model in family.choices().items()]
 
@@ -41,7 +54,7 @@ CASES = [(check, kind, model) for check, family in CHECKS for kind, model in fam
     ("check", "kind", "model"), CASES, ids=[f"{check.__name__}-{kind}" for check, kind, _ in CASES]
 )
 def test_a_built_in_kind_passes_the_check_of_its_family(check, kind, model):
-    check(model(**PARAMETERS.get(model.__name__, {})))
+    check(model(**(PARAMETERS | NEEDED).get(model.__name__, {})))
 
 
 @pytest.mark.parametrize("kind", ["constant", "uniform", "matrix"])

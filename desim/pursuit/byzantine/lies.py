@@ -24,8 +24,9 @@ from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, NamedNodes, Window
 from desim.kernel.models.graphs import Node
+from desim.kernel.models.traits import FaultTraits
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
-from desim.pursuit.core.traits import PursuerFaultTraits
+from desim.pursuit.core.traits import AssumptionName
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
@@ -342,6 +343,12 @@ class RandomLies(Value):
         parameters["accused"] = (int(rng.integers(pursuer + 1)),)
         accepted = {key: value for key, value in parameters.items() if key in kind.model_fields}
         return kind(node=pursuer, acts=acts, **window, **accepted)
+
+
+class PursuerFaultTraits(FaultTraits):
+    """The optional attributes of a fault in a pursuit, in which the assumptions of protocols have names."""
+
+    breaks: frozenset[AssumptionName] = frozenset()
 
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 from desim.config.model import Flag
 from desim.config.traits import Follows, Parameter, Traits
-from desim.kernel.models.traits import FaultTraits
 
 AssumptionName = Literal[
     "undivided",
@@ -111,12 +110,6 @@ class DisseminationTraits(Assuming):
     def relays(self) -> bool:
         """Whether announcements travel over several hops."""
         return self.hops > 1
-
-
-class PursuerFaultTraits(FaultTraits):
-    """The optional attributes of a fault in a pursuit, in which the assumptions of protocols have names."""
-
-    breaks: frozenset[AssumptionName] = frozenset()
 
 
 class StrategyTraits(Traits):

@@ -1,0 +1,184 @@
+"""Wrong faults, trusts, flows and exporters: each is told what is wrong with it."""
+
+import random
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from desim import Crash, Fault
+from desim.config.model import Value
+from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
+from desim.pursuit.team.trust import Judge
+from desim.testing import ContractError, check_exporter, check_fault, check_flow, check_trust
+
+
+def a_kind(base, **methods):
+    """Return a user's class derived from a base, with some methods."""
+    return type("Mine", (base,), {"__module__": "mine", **methods})
+
+
+def endless(self, site):
+    site.block(lambda src, dst: dst == 0)
+    return lambda: None
+
+
+def half_ended(self, site):
+    ends = [site.block(lambda src, dst: dst == 0), site.block(lambda src, dst: dst == 1)]
+    return ends[0]
+
+
+FAULTS = [
+    (a_kind(Fault, begin=endless), "a run with it loses a message from . to 0 .* when no fault is active"),
+    (a_kind(Fault, begin=half_ended), "should end all that it has begun"),
+    (a_kind(Fault, begin=lambda self, site: None), "should return a function without arguments"),
+    (a_kind(Fault), r"should have a method begin\(site\)"),
+    (a_kind(Fault, begin=lambda self, site: site.block(lambda src, dst: 1)), "should return True or False, got 1"),
+    (a_kind(Fault, begin=lambda self, site: print, sketch=lambda self: {"at": 1j}), "should return JSON values"),
+    (a_kind(Fault, begin=lambda self, site: 1 / 0), "raises ZeroDivisionError"),
+    (lambda size, horizon, rng: [Crash(node=size, start=0.0)], "names node 1: expected nodes 0 .. size - 1"),
+    (lambda size, horizon, rng: [Crash(node=0, start=random.random())], "draws from the global generator|for an equal"),
+    (lambda size, horizon, rng: [3], "draws 3, expected faults"),
+    (lambda size, horizon, rng: None, "returns None, expected faults"),
+    (lambda size, horizon: [], r"should accept a call with \(size, horizon, rng\)"),
+]
+
+
+@pytest.mark.parametrize(("fault", "why"), FAULTS)
+def test_a_wrong_fault_is_told_what_is_wrong(fault, why):
+    with pytest.raises((ContractError, ValueError), match=why):
+        check_fault(fault, limit=60.0)
+
+
+def test_a_right_fault_of_a_user_passes():
+    def deaf(self, site):
+        return site.block(lambda src, dst: dst == 0)
+
+    check_fault(a_kind(Fault, begin=deaf), limit=60.0)
+    check_fault(lambda size, horizon, rng: [Crash(node=int(rng.integers(size)), start=0.1, end=0.2)], limit=60.0)
+
+
+def trust(create):
+    """Return a user's trust that creates judges."""
+    return a_kind(object, judge=lambda self, witness: create(witness), period=None)()
+
+
+def judge(**methods):
+    return a_kind(Judge, **methods)()
+
+
+SHARED = Judge()
+
+
+TRUSTS = [
+    (trust(lambda witness: SHARED), "returns the same object for two pursuers"),
+    (trust(lambda witness: 3), "should return None, or an object with the methods"),
+    (trust(lambda witness: judge(believes=lambda self, record: None)), "should return True or False, got None"),
+    (trust(lambda witness: judge(believes=lambda self: True)), r"believes should accept a call with \(record\)"),
+    (trust(lambda witness: judge(ignored=lambda self, own, claims: 3)), "should return a collection of pursuers"),
+    (trust(lambda witness: judge(ignored=lambda self, own, claims: [9])), "expected pursuers among"),
+    (trust(lambda witness: judge(forget=lambda self: 1 / 0)), r"forget\(\) raises ZeroDivisionError"),
+    (trust(lambda witness: judge(believes=lambda self, record: random.random() < 0.5)), "global generator"),
+    (a_kind(object, judge=lambda self, witness: None, period=-1.0)(), "period"),
+    (a_kind(object, judge=lambda self: None, period=None)(), r"should accept a call with \(witness\)"),
+]
+
+
+@pytest.mark.parametrize(("model", "why"), TRUSTS)
+def test_a_wrong_trust_is_told_what_is_wrong(model, why):
+    with pytest.raises(ContractError, match=why):
+        check_trust(model, limit=60.0)
+
+
+class Jet:
+    """A flow that is right."""
+
+    top_speed = 1.0
+
+    def __call__(self, places, t):
+        return np.exp(-(places.imag**2)) + 0j
+
+
+def flow(call, **attributes):
+    return a_kind(Jet, __call__=call, **attributes)()
+
+
+class Moving(UniformFlow):
+    """A flow whose displacement is not the integral of its velocity."""
+
+    top_speed: ClassVar[float] = 1.0
+
+    def velocity_at(self, t):
+        return complex(t / (1.0 + t))
+
+    def displacement(self, begin, end):
+        return complex(end - begin)
+
+    def trend(self, begin):
+        return 1 + 0j, 1.0
+
+
+FLOWS = [
+    (flow(lambda self, places, t: 0.1), "should return an array of 400 finite velocities"),
+    (flow(lambda self, places, t: np.full(len(places), np.nan + 0j)), "finite velocities"),
+    (flow(lambda self, places, t: np.zeros((len(places), 2))), "should return an array"),
+    (flow(lambda self, places, t: places / 10.0, top_speed=1.0), "expected at most top_speed = 1 m/s"),
+    (flow(lambda self, places, t: places * 0 + 1.0 / len(places)), "should depend on the place and the time only"),
+    (flow(lambda self, places, t: np.random.random(len(places)) + 0j), "global generator|returns others"),  # noqa: NPY002
+    (flow(lambda self, places, t: places.__imul__(0.0)), "changes the places"),
+    (flow(lambda self, places, t: 1 / 0), "raises ZeroDivisionError"),
+    (flow(lambda self, places: places), r"should accept a call with \(places, t\)"),
+    (Moving(), r"displacement\(0, 1\) is 1\+0j m, and the integral"),
+]
+
+
+@pytest.mark.parametrize(("model", "why"), FLOWS)
+def test_a_wrong_flow_is_told_what_is_wrong(model, why):
+    with pytest.raises(ContractError, match=why):
+        check_flow(model, limit=60.0)
+
+
+def test_right_flows_of_a_user_pass():
+    check_flow(Jet(), limit=60.0)
+    check_flow(a_kind(SteadyFlow)(velocity=(0.1, 0.2)), limit=60.0)
+
+
+def writes(text):
+    return lambda result, file: file.write_text(text(result))
+
+
+def refusing(result, file):
+    raise ValueError("a run should have what no run has")
+
+
+EXPORTERS = [
+    (lambda result, file: None, "does not write the file"),
+    (lambda result, file: file.write_text("x") and "one", "returns 'one', expected the number of items"),
+    (writes(lambda result: str(random.random())), "global generator|writes another file"),
+    (lambda result, file: 1 / 0, "raises ZeroDivisionError"),
+    (refusing, "refuses every run: a run should have what no run has"),
+    (lambda result: None, r"should accept a call with \(result, file\)"),
+]
+
+
+@pytest.mark.parametrize(("exporter", "why"), EXPORTERS)
+def test_a_wrong_exporter_is_told_what_is_wrong(exporter, why):
+    with pytest.raises(ContractError, match=why):
+        check_exporter(exporter, limit=60.0)
+
+
+@pytest.mark.slow
+def test_an_exporter_that_streams_is_given_the_events_of_a_file():
+    class Lines(Value):
+        streams: ClassVar[bool] = True
+
+        def __call__(self, result, file):
+            return file.write_text("".join(f"{event.t} {type(event).__name__}\n" for event in result.trace))
+
+    check_exporter(Lines(), limit=60.0)
+
+    def counts(self, result, file):
+        return file.write_text(str(len(result.trace)))
+
+    with pytest.raises(ContractError, match="raises TypeError"):  # what is read from a file has no length
+        check_exporter(a_kind(Lines, __call__=counts)(), limit=60.0)
