@@ -285,7 +285,9 @@ def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
     """Raise ValueError if a model has no method with a name and these arguments."""
     method: Any = getattr(value, name, None)
     if not callable(method):
-        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {with_place(value)})")
+        raise ValueError(
+            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {with_place(value)})"
+        )
     try:
         check_call(method, takes, value)
     except AnswerError as error:

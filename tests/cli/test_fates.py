@@ -87,5 +87,5 @@ def test_the_rows_of_a_log_may_be_a_frame_of_pandas():
 
 @pytest.mark.parametrize("rows", [[(0.0, 0, 1)], [3], ["abcd"], [(0.0, 0, 1, 8, 9)]])
 def test_a_row_that_is_no_message_is_refused(rows):
-    with pytest.raises(ValueError, match="message 0 .*: a message should be t, src, dst, size"):
+    with pytest.raises(ValueError, match=r"message 0 .*: a message should be t, src, dst, size"):
         fates(rows, 3)
