@@ -284,8 +284,9 @@ class SteppedNetwork:
     def latest(self, node: Hashable) -> dict[Any, ReceivedMessage]:
         """Return the newest state that a node has received from each other node, by source."""
         number, kind, new = self._live(node), ReceivedMessage, _new  # local names are faster
+        dst = self._nodes[number]
         latest = {
-            src: new(kind, (src, node, body, sent / SECOND, when / SECOND, ""))
+            src: new(kind, (src, dst, body, sent / SECOND, when / SECOND, ""))
             for src, (when, (_, _, sent, body)) in self._network.latest_records(number).items()
         }
         if self._numbers is None:
