@@ -1,7 +1,7 @@
 """What agents of an environment say and hear: the spaces of their messages, and the network that carries them.
 
 An action gains the key `message`, which the agent broadcasts as it acts. An observation gains two keys, with a row for
-each of `possible_agents`:
+each of `possible_agents`, or for each agent that appears, in their order:
 
 - `messages`: the newest message that has arrived from each agent;
 - `ages`: (n,) the time since it was said, s.
@@ -38,22 +38,33 @@ class AgentMessages(EnvNetwork):
 
     def __init__(self, env: Any, links: Any, *, message: Any = 1, size: int | None = None, **options: Any):
         agents: list[Hashable] | None = getattr(env, "possible_agents", None)
-        if not agents:
-            raise ValueError(f"{env} has no possible_agents: a network has a node for each agent that may appear")
+        if agents is not None and not agents:
+            raise ValueError(f"{env} has no agents: its possible_agents are empty")
         super().__init__(env, agents, links, **options)
         if type(message) is int and message > 0:
             message = spaces.Box(-1.0, 1.0, (message,), np.float32)
         if not isinstance(message, spaces.Space):
             raise ValueError(f"message should be a gymnasium space, or a number of floats from 1 on (got {message!r})")
-        self._message, self._blank, self._size, count = message, blank(message), size, len(agents)
-        ages = spaces.Box(UNHEARD, np.inf, (count,), np.float64)
-        heard = {"messages": batch_space(message, count), "ages": ages}
-        self.observation_spaces = {
-            agent: spaces.Dict(joined(env.observation_space(agent), "observation", heard)) for agent in agents
-        }
-        self.action_spaces = {
-            agent: ActionSpace(joined(env.action_space(agent), "action", {"message": message})) for agent in agents
-        }
+        self._message, self._blank, self._size = message, blank(message), size
+        ages = spaces.Box(UNHEARD, np.inf, (self.size,), np.float64)
+        self._heard = {"messages": batch_space(message, self.size), "ages": ages}
+        self._spaces: dict[Any, tuple[ActionSpace, spaces.Dict]] = {}
+        for agent in self.row:
+            self.spaces_of(agent)
+
+    def spaces_of(self, agent: Hashable) -> tuple[ActionSpace, spaces.Dict]:
+        """Return the spaces of the actions and of the observations of an agent, the same objects at each call."""
+        if agent not in self._spaces:
+            action = joined(self._env.action_space(agent), "action", {"message": self._message})
+            observation = joined(self._env.observation_space(agent), "observation", self._heard)
+            self._spaces[agent] = ActionSpace(action), spaces.Dict(observation)
+        return self._spaces[agent]
+
+    def reset(self, seed: int | None) -> None:
+        """Begin an episode; see `EnvNetwork.reset`."""
+        if self._is_open:
+            self._spaces.clear()
+        super().reset(seed)
 
     def say(self, agent: Hashable, action: Any) -> Any:
         """Broadcast the message of an agent's action, and return the action without it.
@@ -61,7 +72,7 @@ class AgentMessages(EnvNetwork):
         Raises:
             ValueError: if the action has no message, or one that is not in its space.
         """
-        keys = self.action_spaces[agent].keys()
+        keys = self.spaces_of(agent)[0].keys()
         if not isinstance(action, dict) or action.keys() != set(keys):
             raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(keys)} (got {action!r})")
         rest = {key: value for key, value in action.items() if key != "message"}
@@ -70,16 +81,15 @@ class AgentMessages(EnvNetwork):
                 message = np.asarray(message, self._message.dtype)
             if message not in self._message:
                 raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
-            self.network.publish(self.node[agent], message, size=self._size)
+            self.network.publish(self.node(agent), message, size=self._size)
         return rest["action"] if rest.keys() == {"action"} else rest
 
     def hear(self, agent: Hashable, observation: Any) -> Any:
         """Return an observation with what the agent has heard."""
-        latest = self.network.latest(self.node[agent])
-        messages, ages = [self._blank] * len(self._agents), np.full(len(self._agents), UNHEARD)
-        for row, other in enumerate(self._agents):
-            if (received := latest.get(self.node[other])) is not None:
-                messages[row], ages[row] = received.body, self.network.now - received.sent
+        messages, ages = [self._blank] * self.size, np.full(self.size, UNHEARD)
+        for node, received in self.network.latest(self.node(agent)).items():
+            row = self.row[node] if self._has_graph else node
+            messages[row], ages[row] = received.body, self.network.now - received.sent
         rows: Any = create_empty_array(self._message, len(messages))
         return joined(
             observation, "observation", {"messages": concatenate(self._message, messages, rows), "ages": ages}

@@ -4,8 +4,15 @@ import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
+from desim.config.model import MAX_COORDINATE
+from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
 from desim.kernel.stepped_network import SteppedNetwork
+
+CAPACITY = 100
+"""Default number of nodes for agents that are not known in advance."""
+NOWHERE = (MAX_COORDINATE / 2, MAX_COORDINATE / 2)
+"""The place of a node that no agent has yet, m: beyond the range of all others."""
 
 
 class EnvNetwork:
@@ -13,11 +20,12 @@ class EnvNetwork:
 
     Args:
         env: the environment, for `positions`.
-        agents: the agents, in the order of the rows of positions.
+        agents: the agents, in the order of the rows of positions; None if they are known only when they appear.
         links: as in `SteppedNetwork`.
         dt: duration of a step, s.
         positions: function of the environment that returns the positions of its agents: (n, 2), or a dict; or None.
-        graph: a networkx graph whose nodes are the agents; the nodes of the network are their numbers if None.
+        graph: a networkx graph whose nodes are the agents; the nodes of the network are their rows if None.
+        capacity: the number of nodes, if the agents are not known: each that appears in an episode takes one.
         seed: the seed of the network until `reset` is given one.
         **arguments: further arguments of `SteppedNetwork`, except a trace, which is of one episode.
 
@@ -28,29 +36,45 @@ class EnvNetwork:
     def __init__(
         self,
         env: Any,
-        agents: Sequence[Hashable],
+        agents: Sequence[Hashable] | None,
         links: Any,
         *,
         dt: float = 0.1,
         positions: Callable[[Any], Any] | None = None,
         graph: Any = None,
+        capacity: int = CAPACITY,
         seed: int | None = None,
         **arguments: Any,
     ):
         if positions is not None and not callable(positions):
             raise ValueError("positions should be a function of the environment, which is called after each step of it")
-        self._env, self._agents, self._dt, self._positions_of = env, tuple(agents), dt, positions
+        self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
         self._root = None if seed is None else seed_of(seed)
-        self._episodes = 0
-        if graph is not None and set(graph) != set(self._agents):
-            raise ValueError(f"the nodes of the graph should be the agents {list(self._agents)} (got {list(graph)})")
-        self.network = SteppedNetwork(len(self._agents) if graph is None else graph, links, **arguments)
+        self._episodes, self._is_open = 0, agents is None
+        self.row = {agent: row for row, agent in enumerate(agents or ())}
+        """The row of each agent that has appeared."""
+        self.size = whole(capacity, "capacity") if self._is_open else len(self.row)
+        if graph is not None and set(graph) != set(self.row):
+            raise ValueError(f"the nodes of the graph should be the agents {list(self.row)} (got {list(graph)})")
+        self.network = SteppedNetwork(self.size if graph is None else graph, links, **arguments)
         self.network.step(dt)  # a wrong duration is refused now, not in the first step
         self.network.reset(0)
-        self.node = {agent: k if graph is None else agent for k, agent in enumerate(self._agents)}
-        """The node of each agent."""
         self._places: dict[Any, Any] = {}
         """The last place of each node in this episode."""
+
+    def node(self, agent: Hashable) -> Any:
+        """Return the node of an agent.
+
+        Raises:
+            ValueError: if more agents have appeared than there are nodes.
+        """
+        if self._has_graph:
+            return agent
+        if self._is_open and agent not in self.row:
+            if len(self.row) == self.size:
+                raise ValueError(f"more than {self.size} agents have appeared in an episode: raise capacity=")
+            self.row[agent] = len(self.row)
+        return self.row[agent]
 
     def reset(self, seed: int | None) -> None:
         """Begin an episode.
@@ -68,6 +92,9 @@ class EnvNetwork:
             drawn = self._root
         self._episodes += 1
         self._places = {}
+        if self._is_open:
+            self.row.clear()
+            self._places = dict.fromkeys(self.network.nodes, NOWHERE)
         self.network.reset(drawn, positions=self._read_positions())
 
     def step(self) -> None:
@@ -80,8 +107,9 @@ class EnvNetwork:
             return None
         places = self._positions_of(self._env)
         if not isinstance(places, Mapping):
-            if len(places) != len(self._agents):
-                raise ValueError(f"positions should have {len(self._agents)} rows, one per agent (got {len(places)})")
-            places = dict(zip(self._agents, places, strict=True))
-        self._places |= {self.node[agent]: place for agent, place in places.items()}
+            if len(places) != len(self.row) or self._is_open:
+                rows = "be a dict by agent" if self._is_open else f"have {len(self.row)} rows, one per agent"
+                raise ValueError(f"positions should {rows} (got {len(places)} rows)")
+            places = dict(zip(self.row, places, strict=True))
+        self._places |= {self.node(agent): place for agent, place in places.items()}
         return self._places

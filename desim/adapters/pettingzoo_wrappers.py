@@ -10,7 +10,37 @@ from desim.adapters.agent_messages import AgentMessages
 from desim.kernel.stepped_network import SteppedNetwork
 
 
-class ParallelMessages(BaseParallelWrapper):  # type: ignore[misc]  # it has no types
+class _Talking:
+    """What both kinds of environments have: the network, and spaces with messages."""
+
+    env: Any
+    _messages: AgentMessages
+
+    @property
+    def network(self) -> SteppedNetwork:
+        """The network of this episode."""
+        return self._messages.network
+
+    @property
+    def rows(self) -> dict[Any, int]:
+        """The row of each agent in messages and ages."""
+        return self._messages.row.copy()
+
+    def action_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the actions of an agent, with a message."""
+        return self._messages.spaces_of(agent)[0]
+
+    def observation_space(self, agent: Hashable) -> Space[Any]:
+        """Return the space of the observations of an agent, with messages and their ages."""
+        return self._messages.spaces_of(agent)[1]
+
+    def close(self) -> None:
+        """Close the environment and the network."""
+        self.env.close()
+        self.network.close()
+
+
+class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # it has no types
     """A ParallelEnv whose agents talk over a network.
 
     In each step all agents speak as they act, the environment steps, the network carries what was said for `dt`
@@ -26,19 +56,6 @@ class ParallelMessages(BaseParallelWrapper):  # type: ignore[misc]  # it has no 
         super().__init__(env)
         self._messages = AgentMessages(env, links, **options)
 
-    @property
-    def network(self) -> SteppedNetwork:
-        """The network of this episode."""
-        return self._messages.network
-
-    def action_space(self, agent: Hashable) -> Space[Any]:
-        """Return the space of the actions of an agent, with a message."""
-        return self._messages.action_spaces[agent]
-
-    def observation_space(self, agent: Hashable) -> Space[Any]:
-        """Return the space of the observations of an agent, with messages and their ages."""
-        return self._messages.observation_spaces[agent]
-
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
         """Begin an episode; see `pettingzoo.ParallelEnv.reset`."""
         observations, infos = self.env.reset(seed=seed, options=options)
@@ -51,16 +68,11 @@ class ParallelMessages(BaseParallelWrapper):  # type: ignore[misc]  # it has no 
         self._messages.step()
         return self._heard(observations), *rest
 
-    def close(self) -> None:
-        """Close the environment and the network."""
-        self.env.close()
-        self.network.close()
-
     def _heard(self, observations: dict[Any, Any]) -> dict[Any, Any]:
         return {agent: self._messages.hear(agent, observation) for agent, observation in observations.items()}
 
 
-class TurnMessages(BaseWrapper):  # type: ignore[misc]  # it has no types
+class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no types
     """An AECEnv whose agents talk over a network.
 
     In its turn an agent speaks as it acts, the environment steps, and the network carries what was said for `dt`
@@ -75,19 +87,6 @@ class TurnMessages(BaseWrapper):  # type: ignore[misc]  # it has no types
     def __init__(self, env: Any, links: Any = None, **options: Any):
         super().__init__(env)
         self._messages = AgentMessages(env, links, **options)
-
-    @property
-    def network(self) -> SteppedNetwork:
-        """The network of this episode."""
-        return self._messages.network
-
-    def action_space(self, agent: Hashable) -> Space[Any]:
-        """Return the space of the actions of an agent, with a message."""
-        return self._messages.action_spaces[agent]
-
-    def observation_space(self, agent: Hashable) -> Space[Any]:
-        """Return the space of the observations of an agent, with messages and their ages."""
-        return self._messages.observation_spaces[agent]
 
     def observe(self, agent: Hashable) -> Any:
         """Return the observation of an agent now, with what it has heard."""
@@ -106,8 +105,3 @@ class TurnMessages(BaseWrapper):  # type: ignore[misc]  # it has no types
         else:
             self.env.step(self._messages.say(self.env.agent_selection, action))
             self._messages.step()
-
-    def close(self) -> None:
-        """Close the environment and the network."""
-        self.env.close()
-        self.network.close()

@@ -76,7 +76,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Transmit a command, let the robot act, and return what the operator knows; see `gymnasium.Env.step`."""
-        network, (robot, operator) = self.network, self._link.node.values()
+        network, robot, operator = self.network, self._link.node(ROBOT), self._link.node(OPERATOR)
         network.publish(operator, action, size=self._size)
         command = network.latest(robot).get(operator)
         age = UNHEARD if command is None else network.now - command.sent

@@ -5,7 +5,7 @@ from typing import Any
 from desim.config.extras import naming_extras
 
 ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave")
-TALKS, OPERATES = ("message", "graph", *ALL), ("idle", *ALL)
+TALKS, OPERATES = ("message", "graph", "capacity", *ALL), ("idle", *ALL)
 """The options for an environment of PettingZoo, and for one of Gymnasium."""
 
 
@@ -32,6 +32,8 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
             order of `possible_agents`, or as a dict by agent: one that is missing stays. Of Gymnasium, those of the
             robot and of its operator, (2, 2). Needed for what depends on them, such as a range.
         graph: a networkx graph whose nodes are the agents; all hear each other if None. PettingZoo only.
+        capacity: for an environment without `possible_agents`, the greatest number of agents in an episode; default
+            100. `env.rows` has the row of each agent that has appeared. PettingZoo only.
         seed: the seed of the network until `reset` is given one; drawn anew by each `reset` if None.
         size: bytes of a message; computed from its content if None.
         **options: the above, and `faults`, `horizon` and `can_leave` as in `SteppedNetwork`.

@@ -25,6 +25,12 @@ PARALLEL = ("sisl/pursuit_v5", "butterfly/knights_archers_zombies_v11")
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # its tests import environments in a way that it calls old
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
+    from pettingzoo.test.example_envs import (
+        generated_agents_env_action_mask_info_v0,
+        generated_agents_env_action_mask_obs_v0,
+        generated_agents_env_v0,
+        generated_agents_parallel_v0,
+    )
 
 
 def checked(test, *arguments, **options):
@@ -54,6 +60,48 @@ def test_small_environments_pass_the_tests_of_pettingzoo():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it has no render method
         api_test(desim.wrap(Turns(), LINKS), num_cycles=20)
+
+
+GENERATED = {
+    "aec": generated_agents_env_v0.env,
+    "masked observations": generated_agents_env_action_mask_obs_v0.env,
+    "masked infos": generated_agents_env_action_mask_info_v0.env,
+    "parallel": generated_agents_parallel_v0.parallel_env,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GENERATED)
+def test_agents_that_are_not_known_in_advance_talk(name):
+    api, seeds = (parallel_api_test, parallel_seed_test) if name == "parallel" else (api_test, seed_test)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # such environments are told that they are very uncommon
+        api(desim.wrap(GENERATED[name](), LINKS), num_cycles=30)
+        seeds(lambda: desim.wrap(GENERATED[name](), LINKS), num_cycles=10)
+
+
+def test_each_agent_that_appears_has_a_row_up_to_the_capacity():
+    def positions(env):
+        return {agent: (float(k), 0.0) for k, agent in enumerate(env.agents)}
+
+    def played(steps, **options):
+        env = desim.wrap(generated_agents_parallel_v0.parallel_env(), **options, message=NUMBERS)
+        env.reset(seed=2)
+        for _ in range(steps):
+            seen = env.step({agent: {**env.action_space(agent).sample(), "message": [5.0]} for agent in env.agents})[0]
+        return env, seen
+
+    env, seen = played(12, positions=positions, links={"range": 50.0})
+    assert len(env.rows) > 5  # at the start
+    assert sorted(env.rows.values()) == list(range(len(env.rows)))
+    first, *others = env.agents[:5]
+    assert all(seen[first]["ages"][env.rows[agent]] == pytest.approx(0.1) for agent in others)
+    assert seen[first]["messages"].sum() == 5.0 * sum(seen[first]["ages"] >= 0.0) > 0.0
+    assert set(env.network.neighbours(0)) < set(env.rows.values())  # a node without an agent is out of range
+    with pytest.raises(ValueError, match="more than 5 agents have appeared in an episode: raise capacity="):
+        played(12, capacity=5)
+    with pytest.raises(ValueError, match="positions should be a dict by agent"):
+        played(1, positions=lambda env: np.zeros((5, 2)))
 
 
 def talk(env, steps, seed=3):
@@ -237,7 +285,7 @@ def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
         ({"positions": np.zeros((3, 2))}, "positions should be a function of the environment"),
         ({"graph": nx.path_graph(3)}, "the nodes of the graph should be the agents"),
         ({"seed": -1}, "the seed should be at least 0"),
-        ({"idle": 0}, "wrap takes no idle= for an environment of PettingZoo, but message, graph, dt"),
+        ({"idle": 0}, "wrap takes no idle= for an environment of PettingZoo, but message, graph, capacity, dt"),
     ],
     ids=str,
 )
@@ -249,7 +297,7 @@ def test_a_wrong_option_is_refused(options, why):
 def test_a_wrong_environment_action_message_or_place_is_refused():
     with pytest.raises(TypeError, match=r"wrap takes a pettingzoo\.ParallelEnv.*got builtins\.int"):
         desim.wrap(3)
-    with pytest.raises(ValueError, match="has no possible_agents"):
+    with pytest.raises(ValueError, match="has no agents"):
         desim.wrap(Line([]))
     env = Line()
     env._observations = dict.fromkeys(NAMES, spaces.Dict({"messages": spaces.Discrete(2)}))
