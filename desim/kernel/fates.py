@@ -129,7 +129,8 @@ def fates(
 
 def _rows(messages: Any) -> Iterable[Any]:
     """Return the rows of messages, which may be a frame of pandas."""
-    return messages.itertuples(index=False, name=None) if hasattr(messages, "itertuples") else messages
+    rows: Iterable[Any] = messages.itertuples(index=False, name=None) if hasattr(messages, "itertuples") else messages
+    return rows
 
 
 def _logged(values: Any) -> LoggedMessage:
