@@ -1,6 +1,7 @@
 """Agents of PettingZoo that talk over a network: its own tests pass, and each hears what has arrived."""
 
 import copy
+import gc
 import pickle
 import warnings
 
@@ -321,3 +322,30 @@ def test_a_wrong_environment_action_message_or_place_is_refused():
     wrapped.reset(seed=0)
     with pytest.raises(ValueError, match="depends on the positions"):
         wrapped.step({name: wrapped.action_space(name).sample() for name in NAMES})
+
+
+def test_no_observation_depends_on_what_has_not_arrived():
+    """Eve, out of the range of ann, says something else; the control is bob, who hears her."""
+
+    def seen(word):
+        env = desim.wrap(Line(), {"range": 5.0}, positions=lambda env: env.places(), message=NUMBERS)
+        env.reset(seed=0)
+        for _ in range(3):
+            said = {name: {"action": 0, "message": [word if name == "eve" else 1.0]} for name in NAMES}
+            observations = env.step(said)[0]
+        return [repr(observations[name]) for name in ("ann", "bob")]
+
+    (ann, bob), (same, other) = seen(2.0), seen(3.0)
+    assert (ann == same, bob == other) == (True, False)
+
+
+@pytest.mark.slow
+def test_episodes_leave_nothing_behind():
+    env = desim.wrap(Line(), LINKS, message=NUMBERS)
+    sizes = []
+    for _ in range(3):
+        for k in range(50):
+            talk(env, 2, seed=k)
+        gc.collect()
+        sizes.append(len(gc.get_objects()))
+    assert sizes[2] - sizes[1] < 50
