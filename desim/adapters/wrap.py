@@ -36,8 +36,8 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
             100. `env.rows` has the row of each agent that has appeared. PettingZoo only.
         seed: the seed of the network until `reset` is given one; drawn anew by each `reset` if None.
         size: bytes of a message; computed from its content if None.
-        **options: the above, and `faults`, `horizon` and `can_leave` as in `SteppedNetwork`. Faults name an agent by its
-            row; the robot is 0, and its operator 1.
+        **options: the above, and `faults`, `horizon` and `can_leave` as in `SteppedNetwork`. Faults name an agent by
+            its row; the robot is 0, and its operator 1.
 
     Raises:
         TypeError: if the environment is of another kind, or there is no such option for it.
