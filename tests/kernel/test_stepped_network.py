@@ -32,6 +32,7 @@ from desim import (
     load,
     run,
 )
+from desim.config.model import MAX_TIME
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Broadcast, Delivered, Lost, MessageCounts, Sent, Trace
 from desim.kernel.core.seeds import run_seed
@@ -470,6 +471,20 @@ def test_the_bytes_of_a_network_do_not_depend_on_the_hash_seed():
         for seed in ("0", "1")
     }
     assert len(outputs) == 1
+
+
+def test_one_network_among_many_is_all():
+    one = SteppedNetworks(1, 2)
+    one.publish([[3.0, 4.0]])
+    one.step(0.1)
+    assert np.array_equal(one.latest(), [[[nan, 4.0], [3.0, nan]]], equal_nan=True)
+
+
+def test_the_time_of_a_network_is_limited():
+    network = SteppedNetwork(2)
+    network.step(MAX_TIME)
+    with pytest.raises(ValueError, match=r"the time should be at most 1e\+09 s \(got 1e\+09 s and dt = 1 s\)"):
+        network.step(1.0)
 
 
 def test_many_networks_are_each_as_a_single_one():

@@ -207,9 +207,10 @@ def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
-def test_a_steady_flow_on_all_only_shifts_a_pursuer_with_a_constant_bearing(order):
+@pytest.mark.parametrize("guidance", ["constant_bearing", "pure_pursuit"])
+def test_a_steady_flow_on_all_only_shifts_a_pursuer(guidance, order):
     scenario = Scenario(
-        team=Team(positions=[(0.0, 0.0)], guidance="constant_bearing", active_at_start=1.0),
+        team=Team(positions=[(0.0, 0.0)], guidance=guidance, active_at_start=1.0),
         evader=Evader(position=(3.0, 1.0), strategy=ConstantHeading(angle=2.0)),
         motion=Motion(order=order),
         horizon=0.5,

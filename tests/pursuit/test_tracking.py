@@ -40,6 +40,11 @@ def test_the_gains_are_those_of_a_stationary_kalman_filter(index):
     assert stationary_gains(index) == pytest.approx(tuple(gain), rel=1e-9)
 
 
+@pytest.mark.parametrize("model", [AlphaBeta(), Kalman()], ids=lambda model: model.kind)
+def test_a_track_begins_at_rest_where_the_evader_was_measured(model):
+    assert model.start(Measurement(5, 0, 3.0, -4.0, ISOTROPIC))[:2] == (5, [3.0, -4.0, 0.0, 0.0])
+
+
 def spread(rng, size):
     """Return a random covariance whose standard deviations differ by up to a factor of 10."""
     root = rng.normal(size=(size, size)) * 10.0 ** rng.uniform(-1, 0, size)

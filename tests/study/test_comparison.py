@@ -97,6 +97,11 @@ def test_a_sentence_is_corrected_for_all_comparisons():
     assert "the greatest is +1.100 +- 0.411 s (95 % interval of it alone, 4 pairs of runs" in sentence
 
 
+def test_one_run_of_each_is_not_judged():
+    comparison = compare(sweep_of([[1.0]]), sweep_of([[2.0]]), ["active_time"])
+    assert comparison.sentences() == ["active time: no configuration has two runs of both to compare"]
+
+
 def test_configurations_are_matched_by_their_settings():
     reordered = sweep_of(AFTER)
     reordered = replace(reordered, groups=reordered.groups[::-1])

@@ -378,6 +378,19 @@ def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
     assert times == [time for group in found.groups for time in group.values("active_time")]
 
 
+def test_a_merged_store_tells_of_the_merge_and_a_missing_part_is_not_made(tmp_path, monkeypatch):
+    sweep(Scenario(horizon=0.1), {"team.count": [2]}, reps=1, store=tmp_path / "part.sqlite")
+    words = ["desim", "merge", "part.sqlite", "-o", "all"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", words)
+    assert command(*words[1:]).exit_code == 0
+    with Store(tmp_path / "all" / "sweep.sqlite", read_only=True) as store:
+        assert store.commands[-1] == (str(tmp_path), words)
+        assert len(store) == 1
+    assert "none.sqlite" in refused("merge", "none.sqlite", "-o", "all")
+    assert not (tmp_path / "none.sqlite").exists()
+
+
 @pytest.mark.slow
 def test_a_merged_store_lists_its_sources(tmp_path, file):
     parts = [tmp_path / "1", tmp_path / "2"]

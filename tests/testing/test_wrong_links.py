@@ -7,9 +7,11 @@ import warnings
 import numpy as np
 import pytest
 
+from desim import run
 from desim.config.model import Time, Value
-from desim.kernel.models.latency import Uniform
-from desim.testing import ContractError, check_latency, check_loss
+from desim.kernel.core.events import Broadcast
+from desim.kernel.models.latency import Constant, Uniform
+from desim.testing import ContractError, check_latency, check_loss, links
 
 
 class Milliseconds(Value):
@@ -326,6 +328,16 @@ def test_a_few_losses_tell_a_state_that_all_links_share():
         check_loss(AtMostOne(), draws=40)
     with pytest.raises(ContractError, match=r"draw\(40, rng\) returns an array of shape \(40,\) of type float64"):
         check_loss(NumbersDrawn(), draws=40)
+
+
+def test_the_run_of_a_check_asks_the_model_often(monkeypatch):
+    """Each of six pursuers announces ten times in 1 s, and what is said of it is in the trace."""
+    runs = []
+    monkeypatch.setattr(links, "twice", lambda tested, where, scenario: runs.append(run(scenario(), 1)))
+    check_latency(Constant(value=0.01), draws=2)
+    (result,) = runs
+    assert len(result.trace.of(Broadcast)) >= 50
+    assert {event.src for event in result.trace.of(Broadcast)} == set(range(6))
 
 
 def test_a_share_is_compared_within_five_standard_errors():

@@ -21,6 +21,10 @@ def by_key(given):
     return keys
 
 
+def test_tables_have_the_controls_of_their_defaults():
+    assert controls({}) == controls(Scenario())
+
+
 FROM_FILES = {
     "wired": tuple(f"network.graph.{each}" for each in ("edges.", "nodes", "directed")),
     "named": ("network.graph.", "team.positions"),

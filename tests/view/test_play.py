@@ -33,7 +33,7 @@ from desim.view.pages import play_server
 from desim.view.pages import playground as play
 from desim.view.pages.metric_rows import differences_over_seeds
 from desim.view.pages.play_server import PlayServer
-from desim.view.pages.playground import Playground
+from desim.view.pages.playground import Playground, _new_folder
 from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
@@ -352,6 +352,7 @@ def test_an_earlier_request_of_a_page_that_has_not_begun_is_cancelled(small, pag
     for thread in threads:
         thread.join(30)
     assert ({"": "a later change came first"} in [answer.get("errors") for answer in answers]) == cancelled
+    assert not session._last
 
 
 # The server.
@@ -388,6 +389,9 @@ def test_the_page_is_served_at_its_secret_address_only(server):
     assert status == 200
     assert "default-src 'none'" in headers["Content-Security-Policy"]
     assert headers["Referrer-Policy"] == "no-referrer"
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Cache-Control"] == "no-store"
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
     assert "relay" in text
     assert server.socket.getsockname()[0] == "127.0.0.1"
     for wrong in ("/", "/none/", f"{path[:-2]}/", f"{path}none", "/../../etc/passwd"):
@@ -426,6 +430,38 @@ def test_a_request_of_another_form_is_refused(server, body):
     path = urlsplit(server.address).path
     own = server.address.removesuffix(path)
     assert asked(server, "POST", f"{path}seeds", body, Origin=own)[0] == 400
+
+
+def test_each_request_is_answered_by_the_session(server, monkeypatch):
+    """The answer of the session is that of the server; a comparison has as many answers as the page asks for."""
+    path = urlsplit(server.address).path
+    ask = partial(asked, server, "POST", Origin=server.address.removesuffix(path))
+    said = []
+
+    def answering(name, answer):
+        return lambda *words: said.append((name, *words)) or answer
+
+    for name, answer in {
+        "run": {"run": 1},
+        "compare": iter([{"done": 1}, {"done": 2}]),
+        "save": {"folder": "here"},
+        "cancel": None,
+    }.items():
+        monkeypatch.setattr(server.session, name, answering(name, answer))
+    body = {"now": ["a=1"], "pinned": ["b=2"], "count": 3, "page": "p"}
+    answers = [json.loads(ask(path + name, body)[2]) for name in ("run", "seeds", "more", "more", "save", "cancel")]
+    assert answers == [{"run": 1}, {"done": 1}, {"done": 2}, {}, {"folder": "here"}, {}]
+    now, pinned = ["a=1"], ["b=2"]
+    assert said == [("run", now, pinned, "p"), ("compare", now, pinned, 3, "p"), ("save", now), ("cancel", "p")]
+    status, headers, text = asked(server, "GET", f"{path}life.js")
+    assert (status, headers["Content-Type"]) == (200, "text/javascript; charset=utf-8")
+    assert "alive" in text
+
+
+def test_a_folder_is_numbered_by_those_that_exist(tmp_path):
+    made = [_new_folder(tmp_path / "out", name).name for name in ("a", "a", "b", "a")]
+    assert made == ["a-1", "a-2", "b-1", "a-3"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(made)
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ from desim.kernel.models.reception import LogDistance, QuasiUnitDisk
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Estimated, Sampled
 from desim.pursuit.evaders.evasion import Still
+from desim.pursuit.motion.flow import GyreFlow, SteadyFlow
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.announcements import Announcements
 from desim.results.run_folder import write
@@ -44,6 +45,7 @@ from desim.view.pages.headline import conditions
 from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
 from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column, unpacked_column
 from desim.view.pages.replay_data import replay_data
+from desim.view.pages.replay_plane import FLOW_MARGIN, FLOW_TIMES, all_places, flow_data
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from tests.golden import golden
@@ -214,6 +216,26 @@ def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left(
 def test_headings_estimates_and_the_flow_are_in_the_page_only_where_there_are_any(result_of):
     document = replay_data(result_of("relay"))
     assert (document["headings"], document["estimates"], document["flow"]) == (None, None, None)
+
+
+def test_the_flow_is_that_at_the_points_of_the_grid():
+    """Row by row from the lower left; a gyre depends on x, on y and on time, and a steady flow has one time."""
+    gyre = GyreFlow(speed=0.5, size=6.0, shift=1.0, period=4.0)
+    for flow, times in ((gyre, FLOW_TIMES), (SteadyFlow(velocity=(0.1, 0.2)), 1)):
+        scenario = Scenario(horizon=0.2, team=Team(count=2), environment={"flow": flow}, record={"trajectory": 0.1})
+        result = run(scenario, 1)
+        shown, places = flow_data(result, lambda t: t.tolist()), all_places(result)
+        velocities = column(shown["velocities"], "<f4").reshape(times, -1, shown["columns"], 2)
+        (left, low), edge = shown["start"], shown["edge"]
+        assert (left, low) == tuple(places.min(axis=(0, 1)) - FLOW_MARGIN)
+        grid = np.add.outer(
+            1j * (low + edge * np.arange(velocities.shape[1])), left + edge * np.arange(shown["columns"])
+        )
+        assert (grid[-1, -1].real, grid[-1, -1].imag) >= tuple(places.max(axis=(0, 1)))
+        for t, shown_then in zip(shown["t"], velocities, strict=True):
+            wanted = flow(grid.ravel(), t / SECOND).reshape(grid.shape) + np.zeros(grid.shape)
+            assert shown_then @ [1.0, 1j] == pytest.approx(wanted, abs=1e-6)
+        assert shown["top"] == pytest.approx(np.abs(velocities @ [1.0, 1j]).max(), abs=1e-6)
 
 
 def test_headings_are_within_a_half_unit_of_those_of_the_samples(run_of):

@@ -98,9 +98,7 @@ def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
             else:
                 active[pursuer] = begin
         if (len(active) == 1) != alone and begin < end:
-            periods += [
-                ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin
-            ]
+            periods += [ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items()]
             active, alone = dict.fromkeys(active, begin), not alone
     periods += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
     return [period for period in periods if period.begin < period.end]
