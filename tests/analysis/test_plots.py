@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from desim.analysis.drawing.plots import html_image, save, size_of, styled, trajectory
 from desim.kernel.core.events import Trace
@@ -20,7 +21,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from tests.drawn import described
 from tests.golden import golden
-from tests.view.by_hand import pair
+from tests.view.by_hand import history, pair
 
 START = ((0.0, 0.0), (5.0, 5.0), (9.0, 0.0), (7.0, 7.0))
 
@@ -41,6 +42,34 @@ def chase(reason="captured", capturer=1, name="chase", samples=3) -> Result:
 
 def texts(root) -> list[str]:
     return ["".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")]
+
+
+@pytest.mark.parametrize(
+    ("result", "labels", "ends"),
+    [
+        (
+            history(),
+            ["pursuer at the start", "pursuer that chased for a while", "pursuer 2, which captures", "evader"]
+            + ["capture, 1.00 s"],
+            [[5.0, 6.0]],
+        ),
+        (
+            pair(),
+            ["pursuer at the start", "pursuer that captures", "evader", "", "capture of 1 by 0, 0.40 s"]
+            + ["capture of 2 by 0, 1.00 s"],
+            [[5.0, 5.4], [9.0, 2.0]],
+        ),
+    ],
+    ids=["one evader", "two"],
+)
+def test_on_given_axes_the_paths_are_named_and_captures_marked(result, labels, ends):
+    ax = Figure().add_subplot()
+    assert trajectory(result, ax=ax) is ax.figure
+    names = [line.get_label() for line in ax.lines]
+    assert ["" if name.startswith("_") else name for name in names] == labels
+    assert [line.get_xydata()[-1].tolist() for line in ax.lines[-len(ends) :]] == ends
+    assert [text.get_text() for text in ax.texts] == ["1", "2"] * (len(ends) > 1)
+    assert (ax.get_aspect(), ax.get_xlabel(), ax.get_ylabel()) == (1.0, "x (m)", "y (m)")
 
 
 @pytest.mark.slow

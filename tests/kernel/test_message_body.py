@@ -212,7 +212,6 @@ def generator():
     yield
 
 
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("body", "told"),
     [

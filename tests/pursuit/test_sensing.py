@@ -166,6 +166,15 @@ def test_the_search_goes_round_where_the_evader_was_lost():
     assert gone == pytest.approx(lengths[-1] - lengths[100], rel=0.01)
 
 
+@pytest.mark.parametrize("apart", [0.5, 6.0])
+def test_a_spiral_grows_by_the_same_distance_at_each_turn(apart):
+    """After k turns it is k apart from its start, and pi apart k^2 long, nearly."""
+    for k in (1, 2, 10):
+        assert spiral(pi * apart * k**2, apart) == pytest.approx(k * apart)
+    way = np.array([spiral(length, apart) for length in np.linspace(0.0, 1_000.0 * apart, 10_001).tolist()])
+    assert np.abs(np.diff(way)).sum() == pytest.approx(1_000.0 * apart, rel=0.01)
+
+
 def test_of_two_that_search_each_goes_another_way():
     """Both receive a sighting at 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
     rig = Rig(Sensing(radius=3.0, estimate="hold", track_timeout=0.5), evader=HIDDEN)

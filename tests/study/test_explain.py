@@ -694,6 +694,18 @@ def test_the_last_step_of_a_picture_ends_where_the_scenario_is(whole):
         assert tops[len(names) - 2] == pytest.approx(tops[len(names) - 1])
 
 
+def test_an_explanation_is_drawn_on_given_axes():
+    explained = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    ax = Figure().add_subplot()
+    assert explained.plot("end_time", ax=ax) is ax.figure
+    assert len(ax.patches) == 5
+    assert ax.get_ylabel() == "capture time, or horizon (s)"
+    with pytest.raises(ValueError, match="ax is one panel, and there are 2"):
+        explained.plot(ax=ax)
+    with pytest.raises(TypeError, match="got Figure"):
+        explained.plot("end_time", ax=Figure())
+
+
 @pytest.mark.slow
 def test_an_explanation_has_its_picture_and_table_in_other_formats():
     explained = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
@@ -701,15 +713,8 @@ def test_an_explanation_has_its_picture_and_table_in_other_formats():
     (axes,) = explained.plot("active_time", size="9cm").axes
     assert axes.get_ylabel() == "sum of active times (s)"
     assert not axes.figure.get_suptitle()
-    ax = Figure().add_subplot()
-    assert explained.plot("end_time", ax=ax) is ax.figure
-    assert len(ax.patches) == 5
     with pytest.raises(ValueError, match="no costs in idle_time: the metrics are active_time, end_time"):
         explained.plot("idle_time")
-    with pytest.raises(ValueError, match="ax is one panel, and there are 2"):
-        explained.plot(ax=ax)
-    with pytest.raises(TypeError, match="got Figure"):
-        explained.plot("end_time", ax=Figure())
     assert r"\toprule" in explained.table(format="latex")
     assert "| :--- | ---: | ---: |" in explained.table(format="markdown")
 

@@ -13,7 +13,7 @@ from desim.analysis.metrics import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.figures import INK, _cell_format, _cell_text, legend, means, multiples, phase
+from desim.study.results.figures import INK, _cell_format, _cell_text, _label_outer, legend, means, multiples, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
 from desim.study.store.run_table import Row
@@ -187,6 +187,23 @@ def test_a_metric_without_a_unit_has_none():
 
 
 # Several metrics.
+
+
+def test_panels_at_the_left_and_at_the_bottom_have_the_names_of_the_axes():
+    """Three panels in two columns: the second has none below it, and the place of the fourth is empty."""
+    shared = Figure().subplots(2, 2, squeeze=False)
+    _label_outer(shared, 3, "x", "y")
+    assert [axes.get_xlabel() for axes in shared.flat] == ["", "x", "x", "x"]
+    assert [axes.get_ylabel() for axes in shared.flat] == ["y", "", "y", ""]
+    assert [axes.axison for axes in shared.flat] == [True, True, True, False]
+
+
+@pytest.mark.slow
+def test_panels_side_by_side_share_the_names_of_their_axes():
+    grid = {"x": [1.0, 2.0], "prune": ["inf", "none"], "motion.static": [True, False]}
+    figure = means(result(grid, runs=1), "active_time", x="x", by="prune")
+    assert [axes.get_ylabel() for axes in figure.axes] == ["active time (s)", ""]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["x", "x"]
 
 
 @pytest.mark.slow
@@ -606,7 +623,7 @@ WRONG_AXES = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow_cases("several")
 @pytest.mark.parametrize(("make", "error", "message"), WRONG_AXES.values(), ids=WRONG_AXES)
 def test_wrong_axes_are_refused(make, error, message):
     swept = result(GRID)

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
@@ -48,6 +49,15 @@ def test_diagrams_of_runs_by_hand_are_golden():
         "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, size="8.5cm"),
     }
     golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
+
+
+def test_a_diagram_is_drawn_on_given_axes_with_the_legend_above():
+    figure = Figure(figsize=(8, 3))
+    left, right = figure.subplots(1, 2)
+    assert spacetime(history(), ax=left) is figure
+    assert not right.has_data()
+    assert "active" in [text.get_text() for text in left.get_legend().get_texts()]
+    assert left.get_legend().get_window_extent().y0 >= left.get_window_extent().y1
 
 
 @pytest.mark.slow
