@@ -104,7 +104,7 @@ def announcing(schedule: str, delay: float) -> Number:
     """Return what measures what announcing first actions adds to the excess of a static game, in N^2 delta."""
     game = delay_runs.SCHEDULES[schedule](1.0 / (delay_runs.N * delay_runs.LAMBDA))
     announced, at_start = (
-        start_runs.at_rest(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known")
+        delay_runs.static(game, delay / delay_runs.LAMBDA, start) for start in ("announced", "known")
     )
     return difference(excess_time, announced, at_start, UNIT)
 
@@ -137,12 +137,12 @@ def unsettled(team: str, distance: float) -> Number:
     return number
 
 
-def lost_by(protocol: str, access: str, load: float, start: Start = "known") -> Number:
+def lost_by(protocol: str, access: str, load: float, start: Start = "announced", scale: float = 1.0) -> Number:
     """Return what measures the active time lost by an access model."""
     some, reference = (
         contention_runs.pursuit(protocol, medium, load) for medium in (access, contention_runs.REFERENCE)
     )
-    return difference(active_time, started(some, start), started(reference, start))
+    return difference(active_time, started(some, start), started(reference, start), scale)
 
 
 def started(scenario: Scenario, start: Start) -> Scenario:

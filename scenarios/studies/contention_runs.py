@@ -128,8 +128,8 @@ def pursuit(protocol: str, access: str, load: float) -> Scenario:
     network = links(access, LONGEST[protocol])
     if protocol == TOKEN:
         token = SpatialAdaptivePlay(schedule=TokenRing(holding_time=period / N))
-        return _scenario(token, Announcements(trigger="never", start="known"), network)
-    return _scenario(PROTOCOLS[protocol], Announcements(start="known", heartbeat=period, jitter=JITTER), network)
+        return _scenario(token, Announcements(trigger="never"), network)
+    return _scenario(PROTOCOLS[protocol], Announcements(heartbeat=period, jitter=JITTER), network)
 
 
 def _scenario(protocol: Any, announce: Announcements, network: Links, size: int = N, **more: Any) -> Scenario:
@@ -174,7 +174,7 @@ def standing(access: str, size: int, period: float) -> Scenario:
     """Return a game at rest in which only heartbeats are sent, for the measurement of ages."""
     return _scenario(
         SpatialAdaptivePlay(schedule=Poisson(rate=0.1)),
-        Announcements(start="known", heartbeat=period, jitter=JITTER, trigger="heartbeat"),
+        Announcements(heartbeat=period, jitter=JITTER, trigger="heartbeat"),
         links(access, LONGEST["SAP"]),
         size,
         motion=Motion(static=True),
@@ -203,7 +203,7 @@ def measure_lora(options: Options) -> list[LoRaPursuits]:
 def lora_pursuits(spreading_factor: int, options: Options) -> LoRaPursuits:
     """Measure the pursuits over a LoRa network of one spreading factor."""
     links = Links(preset=f"lora_sf{spreading_factor}")
-    announce = Announcements(start="known", heartbeat=1.0, jitter=JITTER)
+    announce = Announcements(heartbeat=1.0, jitter=JITTER)
     scenario = _scenario(PROTOCOLS["local_min"], announce, links)
     (times,) = options.measure([scenario], "LoRa", end_time)
     medium = scenario.network.medium
