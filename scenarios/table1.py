@@ -79,7 +79,7 @@ def table(cells: list[Cell]) -> str:
     )
 
 
-@study("table1", __doc__, runs=100)
+@study("table1", __doc__, seconds=1.2, runs=100)
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)

@@ -1,6 +1,7 @@
 """The common part of all studies: their options, and the output of their results."""
 
 import json
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,8 +83,22 @@ class Options:
                 click.echo(f"wrote {path}", err=True)
 
 
+def expected_time(seconds: float, runs: int, jobs: int) -> str:
+    """Return how long a study takes, as text.
+
+    Args:
+        seconds: CPU time of one run of each cell, s, as measured.
+        runs: number of runs per cell.
+        jobs: number of worker processes; 0 = one per core.
+    """
+    workers = jobs or os.cpu_count() or 1
+    minutes = seconds * runs / 60.0
+    cores = "1 idle core" if workers == 1 else f"{workers} idle cores"
+    return f"takes about {minutes:.2g} min of CPU time, {minutes / workers:.2g} min on {cores}"
+
+
 def study(
-    name: str, doc: str | None, runs: int, *options: click.Option
+    name: str, doc: str | None, runs: int, *options: click.Option, seconds: float | None = None
 ) -> Callable[[Callable[[Options], None]], click.Command]:
     """Return a decorator that turns a function of `Options` into the command of a study.
 
@@ -92,6 +107,8 @@ def study(
         doc: help text of the command.
         runs: default number of runs per cell, which is one combination of settings.
         options: options that only this study has; see `Options.own`.
+        seconds: CPU time of one run of each cell, s, from which the expected time follows that is printed first;
+            None: nothing is printed.
     """
 
     def command(run: Callable[[Options], None]) -> click.Command:
@@ -110,6 +127,8 @@ def study(
         )
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
         def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **choices: Any) -> None:
+            if seconds is not None:
+                click.echo(f"{name} {expected_time(seconds, runs, jobs)}", err=True)
             run(Options(name, runs, jobs, seed, out, as_json, choices))
 
         main.params.extend(options)

@@ -130,7 +130,7 @@ def test_many_runs_of_one_scenario_and_studies_are_interrupted_in_the_same_way(t
         driver = sweeps.start("--runs", 1000, "--jobs", 2, "--out", tmp_path, mark=mark, program=program)
     wait_for(lambda: len(sweeps.marked(mark)) >= 5)
     time.sleep(0.5)
-    assert interrupted(driver, mark, number, send).startswith(told)
+    assert told in interrupted(driver, mark, number, send)
 
 
 def test_a_handled_interrupt_is_not_repeated_and_an_ignored_one_has_no_effect():
