@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import estimate
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
-from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.agent import Agent, Behaviour, Process
+from desim.pursuit.team.announcements import Announcements, Start
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
@@ -35,19 +37,23 @@ SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
 """Values of the slot delta, the mean time between two decisions of the team, in the pursuits, s."""
 LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Values of L in the pursuits, s."""
-CRITICAL = 3.0
+CRITICAL = 1.1
 """Dimensionless latency L lambda at which the excess is about twice the excess without latency."""
+ENDLESS = 1e5
+"""Horizon of the static games, s."""
+LONG = 1000.0
+"""Horizon of the pursuits, s: the default of 30 s is too short for most pursuers to capture."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One measurement of the scaling function g on static games (see `scenarios.delay`)."""
+    """One measurement of the excess in static games (see `scenarios.delay`)."""
 
     schedule: str
     delay: float
     """Dimensionless latency L lambda."""
     excess: float
-    """The value of g: the mean excess active time divided by N^2 delta."""
+    """The mean excess active time divided by N^2 delta."""
     standard_error: float
 
 
@@ -65,34 +71,46 @@ class Cell:
     predicted: float
 
 
-def static(schedule: Schedule, latency: float) -> Scenario:
-    """Return a game without motion, in which all pursuers start active, which all know, and decide greedily."""
+def static(schedule: Schedule, latency: float, start: Start = "announced") -> Scenario:
+    """Return a game without motion in which all pursuers start active, could capture in time, and decide greedily.
+
+    It goes on until it has settled.
+    """
+    protocol = SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule)
     return Scenario(
         name="static game",
-        horizon=60.0 + 10.0 * latency,
+        horizon=ENDLESS,
         team=Team(count=N),
         motion=Motion(static=True),
-        protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule),
-        announce=Announcements(trigger="change", start="known"),
+        protocol=partial(while_it_settles, protocol, 20.0 + 8.0 * latency),
+        announce=Announcements(trigger="change", start=start),
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
 
 
+def while_it_settles(protocol: Behaviour, duration: float, me: Agent) -> Process:
+    """Run a protocol for some time, s; a greedy game that has settled does not change any more."""
+    for event in protocol(me):
+        yield event
+        if me.now >= duration:
+            return
+
+
 def pursuit(latency: float, slot: float) -> Scenario:
-    """Return the scenario of the paper, with Poisson clocks; all know at first who is active."""
+    """Return the scenario of the paper, with Poisson clocks, and a horizon in which all pursuers could capture."""
     return Scenario(
         name="pursuit",
+        horizon=LONG,
         team=Team(count=N),
         protocol=SpatialAdaptivePlay(schedule=SCHEDULES["poisson"](slot)),
-        announce=Announcements(start="known"),
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Measure g for each schedule and each dimensionless latency of `DELAYS`.
+    """Measure the excess for each schedule and each dimensionless latency of `DELAYS`.
 
     The token ring is measured only at zero latency. With latency its revisions are further apart, so its decision rate
     is no longer lambda.
@@ -106,7 +124,7 @@ def measure_law(options: Options) -> list[Point]:
 
 
 def law(points: Sequence[Point]) -> Callable[[float], float]:
-    """Return g under Poisson clocks as a function of L lambda, interpolated between the measured points."""
+    """Return the excess under Poisson clocks as a function of L lambda, interpolated between the measured points."""
     poisson = [(point.delay, point.excess) for point in points if point.schedule == "poisson"]
     delays, excess = zip(*poisson, strict=True)
     return lambda delay: float(np.interp(delay, delays, excess))
@@ -114,12 +132,12 @@ def law(points: Sequence[Point]) -> Callable[[float], float]:
 
 def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
     """Measure the active times over the grid of latencies and slots, and predict them by the law."""
-    g = law(points)
+    predicted = law(points)
     keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
     alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})
     (relay, _), *active_times = means([alone, *(pursuit(*key) for key in keys)], options, "pursuits", active_time)
     return [
-        Cell(latency, slot, mean, error, relay + g(latency / (N * slot)) * N * N * slot)
+        Cell(latency, slot, mean, error, relay + predicted(latency / (N * slot)) * N * N * slot)
         for (latency, slot), (mean, error) in zip(keys, active_times, strict=True)
     ]
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -18,14 +17,12 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.game.utility import Mean, Minimum
 from desim.pursuit.motion.capture import capture_time
-from desim.pursuit.team.agent import Agent, Behaviour, Process
 from desim.pursuit.team.announcements import STARTS, Announcements, Start
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules.periodic import Schedule
 from scenarios.studies import rivals_runs
 from scenarios.studies.delay_runs import LAMBDA, SCHEDULES, N, static
 from scenarios.studies.study import Options
@@ -40,8 +37,6 @@ LONG = LATENCIES[-1]
 DELAYS = (0.0, 1.0, 4.0, 16.0)
 """Values of L lambda in the static games; see `scenarios.delay`."""
 CLOCKS = ("poisson", "shared_seed")
-ENDLESS = 1e5
-"""Horizon of the static games, s: all pursuers could capture in time."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +166,7 @@ def measure_law(options: Options) -> list[Extra]:
     slot = 1.0 / (N * LAMBDA)
     keys = [(schedule, delay) for schedule in CLOCKS for delay in DELAYS]
     scenarios = [
-        at_rest(SCHEDULES[name](slot), x / LAMBDA, start) for name, x in keys for start in ("announced", "known")
+        static(SCHEDULES[name](slot), x / LAMBDA, start) for name, x in keys for start in ("announced", "known")
     ]
     times = iter(options.measure(scenarios, "static games", excess_time))
     unit = N * N * slot
@@ -180,22 +175,6 @@ def measure_law(options: Options) -> list[Extra]:
         announced, at_start = (np.array(next(times)) / unit for _ in range(2))
         extras.append(Extra(name, x, paired(announced, at_start), (1.0 - 1.0 / N) * x))
     return extras
-
-
-def at_rest(schedule: Schedule, latency: float, start: Start) -> Scenario:
-    """Return a game of `scenarios.delay` without motion that goes on until it has settled."""
-    game = static(schedule, latency)
-    protocol = partial(while_it_settles, game.protocol, 20.0 + 8.0 * latency)
-    announce = game.announce.model_copy(update={"start": start})
-    return game.model_copy(update={"horizon": ENDLESS, "protocol": protocol, "announce": announce})
-
-
-def while_it_settles(protocol: Behaviour, duration: float, me: Agent) -> Process:
-    """Run a protocol for some time, s; a greedy game that has settled does not change any more."""
-    for event in protocol(me):
-        yield event
-        if me.now >= duration:
-            return
 
 
 def times_by_ability(result: Result) -> tuple[float, float]:
