@@ -42,8 +42,9 @@ class BetterReply(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia.
 
-    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly. If in
-    doubt, use 0.5, or 1 if only one pursuer revises at a time.
+    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly.
+
+    If in doubt, use 0.5, or 1 if only one pursuer revises at a time.
     """
 
     def actions(self, me: Agent) -> Iterator[int]:

@@ -76,7 +76,9 @@ class CBBA(Auction):
     """Time, s, after which a winner without a newer announcement is dropped. It should cover many heartbeats and many
     turns of the pursuers that forward claims: the default is 20 heartbeats, and 10 turns in a team of 20.
 
-    A short time drops winners that are alive, and a long one waits for crashed ones. If in doubt, use 20 heartbeats.
+    A short time drops winners that are alive, and a long one waits for crashed ones.
+
+    If in doubt, use 20 heartbeats.
     """
 
     def claim_size(self, pursuers: int, evaders: int) -> int:

@@ -76,13 +76,16 @@ class Flooding(Value):
     """Largest number of hops that an announcement travels.
 
     With fewer hops than the diameter of the network, some pursuers hear nothing; more cost nothing, because duplicates
-    are dropped. If in doubt, use the diameter and one or two hops more.
+    are dropped.
+
+    If in doubt, use the diameter and one or two hops more.
     """
     jitter: Time = 0.005
     """Longest random delay J before a rebroadcast, s; the delay keeps neighbours from transmitting simultaneously.
 
-    With a short delay, neighbours that received together also transmit together; a long one is added at each hop. If in
-    doubt, use the airtime of an announcement times the number of neighbours.
+    With a short delay, neighbours that received together also transmit together; a long one is added at each hop.
+
+    If in doubt, use the airtime of an announcement times the number of neighbours.
     """
 
     @property

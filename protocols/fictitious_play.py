@@ -75,14 +75,16 @@ class JointStrategyFictitiousPlay(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia.
 
-    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly. If in
-    doubt, use 0.5.
+    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly.
+
+    If in doubt, use 0.5.
     """
     rho: Probability = 0.03
     """Rate of forgetting: turn n enters the average with the weight max(rho, 1/n); 0: all turns have equal weight.
 
-    The memory is about 1 / rho turns: a long one averages over positions that are past, a short one over chance. If in
-    doubt, use 0.03, or 0 in a static game.
+    The memory is about 1 / rho turns: a long one averages over positions that are past, a short one over chance.
+
+    If in doubt, use 0.03, or 0 in a static game.
     """
 
     def actions(self, me: Agent) -> Iterator[int]:

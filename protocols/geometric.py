@@ -54,14 +54,17 @@ class Geometric(Value):
     slot: Period = 0.01
     """Time between two decisions, s.
 
-    Velocities change once a motion step, so shorter slots gain nothing; long ones delay each takeover. If in doubt, use
-    the motion step.
+    Velocities change once a motion step, so shorter slots gain nothing; long ones delay each takeover.
+
+    If in doubt, use the motion step.
     """
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
     """Share by which the measure of a challenger must be below that of the present owner to take over, in [0, 1).
 
     With 0, two pursuers with nearly equal measures may alternate; with a large share, a pursuer keeps an evader that
-    another would capture much earlier. If in doubt, use 0.1 with noisy or delayed positions, and else 0.
+    another would capture much earlier.
+
+    If in doubt, use 0.1 with noisy or delayed positions, and else 0.
     """
 
     @property
@@ -122,7 +125,9 @@ class Argmin(Geometric):
     """Time constant, s, of the low-pass filter that estimates the evader's velocity from its position in each slot; 0:
     the mean velocity in the last slot.
 
-    A short one follows each zigzag of the evader, a long one lags behind its turns. If in doubt, use 20 slots.
+    A short one follows each zigzag of the evader, a long one lags behind its turns.
+
+    If in doubt, use 20 slots.
     """
 
     @property

@@ -41,7 +41,9 @@ class RegretMatching(LearningRule):
     """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
     0 it is the mean over all turns.
 
-    The memory is about 1 / rho turns. If in doubt, use 0 in a static game, and 0.1 if the players move.
+    The memory is about 1 / rho turns.
+
+    If in doubt, use 0 in a static game, and 0.1 if the players move.
     """
     alpha: RevisionProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.
@@ -74,8 +76,9 @@ class GeneralisedRegretMatching(RegretMatching):
     """Rate of forgetting: at turn n the average moves towards the new value by max(rho, 1/n) of their difference. With
     0 it is the mean over all turns.
 
-    The memory is about 1 / rho turns: a long one averages over positions that are past, a short one over chance. If in
-    doubt, use 0.1.
+    The memory is about 1 / rho turns: a long one averages over positions that are past, a short one over chance.
+
+    If in doubt, use 0.1.
     """
     alpha: RevisionProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.

@@ -76,8 +76,9 @@ class Server(Value):
     period: Period = 0.1
     """Time between two reports of a pursuer, and between two repetitions of an order, s.
 
-    A long period delays orders and hides losses; a short one loads the channel at the host with N reports each time. If
-    in doubt, use 0.1 for speeds of about 1 m/s.
+    A long period delays orders and hides losses; a short one loads the channel at the host with N reports each time.
+
+    If in doubt, use 0.1 for speeds of about 1 m/s.
     """
 
     def __call__(self, me: Agent) -> Process:

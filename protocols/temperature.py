@@ -44,7 +44,9 @@ class ConstantTau(Value):
     """Temperature tau, s.
 
     Far above the differences of the gains, actions are random; far below, the team keeps the first equilibrium that it
-    finds. If in doubt, use a tenth of the usual difference between two capture times.
+    finds.
+
+    If in doubt, use a tenth of the usual difference between two capture times.
     """
 
     def __call__(self, eta: float) -> float:
@@ -80,7 +82,9 @@ class GeometricTau(Value):
     """Factor from one slot to the next, in (0, 1).
 
     Cooling by 1/e takes about 1 / (1 - ratio) slots. A fast one freezes the team before each pursuer has revised a few
-    times. If in doubt, use 1 - 1/(3 N) for a team of N.
+    times.
+
+    If in doubt, use 1 - 1/(3 N) for a team of N.
     """
     floor: Positive = 0.001
     """Least temperature, s."""

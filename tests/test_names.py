@@ -106,3 +106,16 @@ CONSTANT = 1
 def _private(): pass
 """
     assert list(public_names(ast.parse(source))) == ["f", "C", "Alias", "Other"]
+
+
+def test_a_sentence_about_what_to_choose_begins_a_paragraph():
+    """An error message shows the first paragraph of a field, which says what the field is."""
+    texts = [
+        (name_of(path), paragraph)
+        for path in MODULES
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and "doubt" in node.value
+        for paragraph in re.split(r"\n\s*\n", node.value)
+    ]
+    assert len(texts) > 100
+    assert not [(module, text) for module, text in texts if re.search(r"[.)\]]\s+If\s+in\s+doubt", text)]

@@ -8,7 +8,6 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 from desim.config.errors import AnswerError
 from desim.config.traits import is_ours
@@ -33,7 +32,7 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
     if isinstance(answer, np.ndarray) and answer.size > MAX_ITEMS:
         text = f"an array of shape {answer.shape}, {text}"
     text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-    return AnswerError(f"{expected}, got {text} from {with_place(model)}")
+    return AnswerError(f"{expected}, got {text} from {name_and_place(model)}")
 
 
 def _shown(value: object) -> str:
@@ -41,16 +40,15 @@ def _shown(value: object) -> str:
     return _ADDRESS.sub(r"\1", " ".join(repr(value).split()))
 
 
-def with_place(model: object) -> str:
+def name_and_place(model: object) -> str:
     """Return the name of a model, with its parameters if it is a frozen model; of a user's, also its file and line."""
     while isinstance(model, partial):
         model = model.func
-    if isinstance(model, BaseModel):
-        name = _shown(model)
-    elif isinstance(model, FunctionType | MethodType):
+    if isinstance(model, FunctionType | MethodType | type):
         name = model.__qualname__.rpartition("<locals>.")[2]
     else:
-        name = model.__qualname__ if isinstance(model, type) else type(model).__qualname__
+        has_text = type(model).__repr__ is not object.__repr__
+        name = _shown(model) if has_text else type(model).__qualname__.rpartition("<locals>.")[2]
     place = _place(model)
     return f"{name} ({place})" if place else name
 

@@ -24,7 +24,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
-from desim.config.answers import with_place
+from desim.config.answers import name_and_place
 from desim.config.errors import AnswerError
 from desim.config.model import markers_of
 from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
@@ -198,9 +198,9 @@ class OneOf:
         """Raise ValueError if a value cannot be called as a model is, or has invalid traits."""
         if not callable(self._function(value)):
             how = "can be called" if self.called == "__call__" else f"has a method {self.called}"
-            raise ValueError(f"should be a model, which {how} (got {with_place(value)})")
+            raise ValueError(f"should be a model, which {how} (got {name_and_place(value)})")
         if missing := [name for name in self.needs if name not in attributes(value, self.needs)]:
-            raise ValueError(f"should have {', '.join(self.needs)}; {with_place(value)} lacks {', '.join(missing)}")
+            raise ValueError(f"should have {', '.join(self.needs)}; {name_and_place(value)} lacks {', '.join(missing)}")
         self._check_called(self._function(value), value)
         for name, takes in self.needed_calls.items():
             check_method(value, name, takes)
@@ -219,7 +219,7 @@ class OneOf:
         base = next((model for model in self.models if isinstance(value, model)), None)
         if base is None:
             if callable(value) and self.is_closed:
-                raise ValueError(f"should be derived from {_or(self.models)} (got {with_place(value)})")
+                raise ValueError(f"should be derived from {_or(self.models)} (got {name_and_place(value)})")
             return
         if type(value) is base or positions(base, "__call__"):
             return
@@ -286,7 +286,7 @@ def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
     method: Any = getattr(value, name, None)
     if not callable(method):
         raise ValueError(
-            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {with_place(value)})"
+            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {name_and_place(value)})"
         )
     try:
         check_call(method, takes, value)
@@ -307,7 +307,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
         parameters.bind(*first, *takes)
     except TypeError as error:
         call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
-        raise AnswerError(f"should accept {call}; {with_place(value)} does not: {error}") from error
+        raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
 
 
 def _or(models: Sequence[type]) -> str:

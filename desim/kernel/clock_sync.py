@@ -56,11 +56,16 @@ class TwoWay(Value):
     reference: Annotated[int, Field(ge=0, strict=True)] = 0
     """The node whose clock the others adopt."""
     interval: Period = 0.1
-    """Time between two requests of a node, s. If in doubt, so that `interval` times `exchanges` times the drift is less
-    than the variation of the latency: a correction is as old as its exchanges."""
+    """Time between two requests of a node, s.
+
+    If in doubt, so that `interval` times `exchanges` times the drift is less than the variation of the latency: a
+    correction is as old as its exchanges.
+    """
     exchanges: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 8
-    """Number m of answers that are averaged for a correction. If in doubt, 8: the error falls with the square root of m
-    only, and the traffic grows with m."""
+    """Number m of answers that are averaged for a correction.
+
+    If in doubt, 8: the error falls with the square root of m only, and the traffic grows with m.
+    """
 
 
 ClockSync = Unsynchronised | TwoWay

@@ -239,8 +239,9 @@ class Evader(Value):
     speed: Speed = 0.9
     """Speed v_e, m/s.
 
-    An evader as fast as a pursuer can flee from it for ever, and close to that speed captures take long. If in doubt,
-    use nine tenths of the speed of the slowest pursuer.
+    An evader as fast as a pursuer can flee from it for ever, and close to that speed captures take long.
+
+    If in doubt, use nine tenths of the speed of the slowest pursuer.
     """
     strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
     """Evasion strategy."""
@@ -256,6 +257,7 @@ class Evader(Value):
     A pursuer counts as active if it seems to have moved by more than half of what its speed allows.
 
     In a short interval, errors of the positions look like motion; after a long one, the evader learns late who chases.
+
     If in doubt, use 0, or with errors the time in which the slowest pursuer moves by ten times `motion_error`.
     """
     motion_error: Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)] = 0.0

@@ -78,7 +78,9 @@ class Capture(Value):
     """Capture radius eps, m.
 
     Pursuers of limited acceleration or turn rate may circle around an evader with a small radius for ever, see
-    `desim.pursuit.motion.turning.least_capture_radius`. If in doubt, use 0.1 for speeds of about 1 m/s.
+    `desim.pursuit.motion.turning.least_capture_radius`.
+
+    If in doubt, use 0.1 for speeds of about 1 m/s.
     """
     test: Literal["segment", "sample"] = "segment"
     """When a capture is detected. segment: at the exact instant at which the distance falls to the radius; sample: only
@@ -94,8 +96,9 @@ class Motion(Value):
     """Motion step h, the time between two headings, s.
 
     The time of a run grows with 1/h. With long steps, players react late to each other, and an evader flees in the
-    wrong direction for a whole step. If in doubt, use at most a fifth of the time in which the fastest player covers
-    the capture radius.
+    wrong direction for a whole step.
+
+    If in doubt, use at most a fifth of the time in which the fastest player covers the capture radius.
     """
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers aim at the position of the evader at the end of the step (evader_first, the paper) or at the
@@ -117,8 +120,9 @@ class Recording(Value):
     trajectory: Annotated[Time, AfterValidator(_never_or_period), Recurring] = 0.05
     """Time between samples of all positions, s; 0 = none.
 
-    Short times make traces and pages large, and long ones make replays jerky. If in doubt, use 0.05, which is 20
-    pictures a second, or 0 in sweeps whose metrics need no positions.
+    Short times make traces and pages large, and long ones make replays jerky.
+
+    If in doubt, use 0.05, which is 20 pictures a second, or 0 in sweeps whose metrics need no positions.
     """
     messages: Literal[False, True, "file"] = False
     """Whether every message is recorded (true) or only the numbers of messages (false); file: every message is written
@@ -145,9 +149,10 @@ class Scenario(Value):
     horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
     """Time t_f at which the pursuit ends at the latest, s.
 
-    It is also the reward at the start: a pursuer whose capture time is longer gains nothing from chasing. If in doubt,
-    use a few times the capture time of a pursuer at the far end of the team's box; a longer one takes no more
-    computation if the evaders are captured.
+    It is also the reward at the start: a pursuer whose capture time is longer gains nothing from chasing.
+
+    If in doubt, use a few times the capture time of a pursuer at the far end of the team's box; a longer one takes no
+    more computation if the evaders are captured.
     """
     prune: Literal["none", "inf", "infeasible"] = "inf"
     """Pursuers that may not chase an evader under any protocol. none: all may chase; inf: those that can never capture

@@ -49,7 +49,9 @@ class Sweep(Value):
     """Number of runs of each configuration.
 
     The width of a confidence interval falls with the square root of this number: half the width takes four times the
-    runs. If in doubt, use 30 to explore, and 100 or more for a figure to be published.
+    runs.
+
+    If in doubt, use 30 to explore, and 100 or more for a figure to be published.
     """
     seeds: Literal["common", "independent"] = "common"
     """common: run k of every configuration has the seed 1,000,000 `seed` + k (common random numbers), so that

@@ -69,14 +69,17 @@ class LocalMutex(Value):
     rate: Rate = 5.0
     """Rate of new requests of an idle pursuer, 1/s.
 
-    With a low rate the team reacts late; at a high one, requests wait for each other. If in doubt, use 5, and less in
-    dense networks, where each request takes a reply from every neighbour.
+    With a low rate the team reacts late; at a high one, requests wait for each other.
+
+    If in doubt, use 5, and less in dense networks, where each request takes a reply from every neighbour.
     """
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """Number of unanswered requests to a neighbour after which the neighbour is left out.
 
     With few, losses make neighbours that are up be left out, and these revise at the same time; many delay a revision
-    after a crash. If in doubt, use 10, which is enough up to a loss of about 0.3.
+    after a crash.
+
+    If in doubt, use 10, which is enough up to a loss of about 0.3.
     """
     min_timeout: Duration = 0.001
     """Least time after which a request is retransmitted, s; the first time-out is 5/4 of a round trip if longer."""

@@ -52,7 +52,9 @@ class SharedSeed(Value):
     """Length delta of a slot, s.
 
     In a slot shorter than the latency of an announcement, a pursuer decides before it hears of the last decision; long
-    slots make a pursuer wait for N of them on average. If in doubt, use the latency, and at least the motion step.
+    slots make a pursuer wait for N of them on average.
+
+    If in doubt, use the latency, and at least the motion step.
     """
 
     def mean_slot(self, me: Agent) -> float:
@@ -83,7 +85,9 @@ class Poisson(Value):
     """Revisions per second of each pursuer, 1/s.
 
     With a low rate the team reacts late. At a high one, decisions fall within the latency of each other and are based
-    on old beliefs. If in doubt, use 5, and at most 1 / (N times the latency).
+    on old beliefs.
+
+    If in doubt, use 5, and at most 1 / (N times the latency).
     """
 
     def mean_slot(self, me: Agent) -> float:
@@ -117,13 +121,16 @@ class Rounds(Value):
     """Time between two rounds, s.
 
     In a period shorter than the latency of an announcement, a round begins before the decisions of the last one are
-    known. If in doubt, use twice the latency, and at least 0.1.
+    known.
+
+    If in doubt, use twice the latency, and at least 0.1.
     """
     participation: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
     """Probability that a pursuer revises in a round, in (0, 1].
 
-    With 1 all revise at once, and rules without inertia may swap actions for ever; with a small one few revise. If in
-    doubt, use 1 for rules with inertia, and else 0.5.
+    With 1 all revise at once, and rules without inertia may swap actions for ever; with a small one few revise.
+
+    If in doubt, use 1 for rules with inertia, and else 0.5.
     """
 
     def mean_slot(self, me: Agent) -> float:

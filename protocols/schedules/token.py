@@ -33,14 +33,16 @@ class _WithToken(Value):
     holding_time: Period = 0.01
     """Time for which a pursuer holds the token before it revises and forwards it, s.
 
-    A pursuer revises once in N holding times. If in doubt, use the motion step, before which nothing new can be
-    decided.
+    A pursuer revises once in N holding times.
+
+    If in doubt, use the motion step, before which nothing new can be decided.
     """
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """Number of transmissions of the token to a neighbour before the neighbour is given up.
 
-    With few, losses make neighbours that are up be skipped; many delay the token at each crashed one. If in doubt, use
-    5, which is enough up to a loss of about 0.1.
+    With few, losses make neighbours that are up be skipped; many delay the token at each crashed one.
+
+    If in doubt, use 5, which is enough up to a loss of about 0.1.
     """
 
     def mean_slot(self, me: Agent) -> float:

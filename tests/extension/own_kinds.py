@@ -2,11 +2,14 @@
 
 from typing import ClassVar, Literal
 
+import networkx as nx
 import numpy as np
 
 from desim import Fault
 from desim.config.model import Duration, Probability, Value
+from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.dynamics import Course, Piece
+from desim.pursuit.team.announcements import Assignment
 from desim.pursuit.team.trust import Judge
 
 
@@ -65,6 +68,10 @@ class LinkDown(Fault):
 
     def sketch(self):
         return {"groups": [[self.ends[0]], [self.ends[1]]]}
+
+    @classmethod
+    def random_parameters(cls, draw):
+        return {"ends": tuple(map(int, draw.rng.choice(draw.size, 2, replace=False)))}
 
     def begin(self, site):
         return site.block(lambda src, dst: {src, dst} == {*self.ends})
@@ -141,3 +148,96 @@ class Wind(Value):
 
     def __call__(self, places, t):
         return np.full(len(places), self.speed * (1.0 if self.shape == "east" else 1j))
+
+
+class Sleeper(ByzantineFault):
+    """A Byzantine fault: a pursuer announces that it is inactive."""
+
+    def says(self, me, body):
+        return me.id, Assignment(0)
+
+
+class Margin(Value):
+    """A utility: the gain over the fastest of the others, and a bonus."""
+
+    scope: ClassVar[str] = "all"
+    bonus: float = 0.0
+
+    def __call__(self, own_time, other_times, reward):
+        return min([*other_times, reward]) - own_time + self.bonus
+
+
+class Warm(Value):
+    """A temperature: 1/tau grows with the number of slots."""
+
+    rate: float = 0.1
+
+    def __call__(self, eta):
+        return self.rate * eta
+
+
+def straight(gaps, aims, evader_velocity, speeds):
+    """Head for the evader: a guidance."""
+    return aims * speeds / np.maximum(np.abs(aims), 1e-9)
+
+
+class Grain(Value):
+    """A noise that is the same in all directions."""
+
+    deviation: float = 0.1
+
+    def __call__(self, offset, first, second):
+        return offset + self.deviation * complex(first, second)
+
+    def covariance(self, offset):
+        return self.deviation**2, 0.0, self.deviation**2
+
+
+class Stutter(Value):
+    """A dissemination: each announcement is published several times."""
+
+    times: int = 2
+
+    def broadcast(self, me, announcement):
+        for _ in range(self.times):
+            me.publish(announcement)
+
+    def __call__(self, me):
+        yield from ()
+
+
+def wheel(size):
+    """Return a graph: a ring, and its centre."""
+    return nx.wheel_graph(size)
+
+
+class Ramp(Value):
+    """A reception that falls with the distance."""
+
+    slope: float = 1.0
+
+    def __call__(self, distances, range):  # noqa: A002
+        return np.clip(1.0 - self.slope * distances / range, 0.0, 1.0)
+
+
+class Morse(Value):
+    """A medium: each bit is a dot."""
+
+    dot: Duration = 1e-5
+    shared: ClassVar[bool] = False
+    half_duplex: ClassVar[bool] = False
+    queue_limit: ClassVar[float] = 100
+
+    def __call__(self, size):
+        return 8 * size * self.dot
+
+
+class Lottery(Value):
+    """An interference: of the frames that overlap every other one is received."""
+
+    every: int = 2
+    needs_positions: ClassVar[bool] = False
+    has_noise: ClassVar[bool] = False
+
+    def __call__(self, overlap):
+        return np.full(len(overlap.receivers), overlap.frame.number % self.every == 0)

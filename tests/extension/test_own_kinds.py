@@ -1,5 +1,6 @@
 """Kinds of users, one of each family, from a single module outside of desim: in files, pages, reports and errors."""
 
+import ast
 import json
 import re
 import shutil
@@ -9,11 +10,13 @@ from pathlib import Path
 import pytest
 
 import desim
-from desim import Evader, Links, Scenario, Team, explain, run, summary
+from desim import Bitrate, Evader, Links, Scenario, Team, explain, run, summary
+from desim.cli.options import RAISED
 from desim.kernel.core.events import Broadcast, Lost
 from desim.kernel.models.faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.flow import Environment
+from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.announcements import Announcements, Assignment
 from desim.results import run_folder
 from desim.scenario.scenario import Recording
@@ -21,11 +24,13 @@ from desim.scenario.toml import dump, load
 from desim.testing.messages import Conservation
 from desim.view.formats.perfetto import perfetto
 from desim.view.pages.replay import replay_page
-from protocols import SpatialAdaptivePlay
+from protocols import BinaryLogLinear, SpatialAdaptivePlay
 from tests.command import accepted, refused
+from tests.command import desim as command
 
 MESSAGES = Recording(messages=True)
 MODULE = Path(__file__).parent / "own_kinds.py"
+ROOT = MODULE.parents[2]
 IN_FLOW = """
 horizon = 3.0
 protocol = "own_kinds:Eager"
@@ -53,14 +58,37 @@ team = { count = 3, dynamics = "own_kinds:Lag" }
 record.messages = true
 """
 
+IN_NOISE = """
+horizon = 2.0
+protocol = { kind = "binary_log_linear", utility = { kind = "own_kinds:Margin", bonus = 0.1 }, tau = "own_kinds:Warm" }
+team = { count = 5, guidance = "own_kinds:straight" }
+sensing = { estimate = "hold", noise = { kind = "own_kinds:Grain", deviation = 0.2 } }
+announce = { heartbeat = 0.2, dissemination = { kind = "own_kinds:Stutter", times = 3 } }
+network = { graph = "own_kinds:wheel", range = 15.0, reception = "own_kinds:Ramp", medium = "own_kinds:Morse" }
+record.messages = true
+
+[[fault]]
+kind = "own_kinds:Sleeper"
+start = 0.5
+node = 1
+"""
+ON_A_CHANNEL = """
+horizon = 2.0
+team.count = 5
+announce.heartbeat = 0.2
+network.medium = { kind = "bitrate", bitrate = 5e4, access = "aloha", reception = "own_kinds:Lottery" }
+record.messages = true
+"""
+FILES = {"flow": IN_FLOW, "inertia": WITH_INERTIA, "noise": IN_NOISE, "channel": ON_A_CHANNEL}
+
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
-    """Return the folder of the module and of two scenario files; scripts import the module from there."""
+    """Return the folder of the module and of the scenario files; scripts import the module from there."""
     folder = tmp_path_factory.mktemp("own")
     shutil.copy(MODULE, folder)
-    (folder / "flow.toml").write_text(IN_FLOW)
-    (folder / "inertia.toml").write_text(WITH_INERTIA)
+    for name, text in FILES.items():
+        (folder / f"{name}.toml").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         yield folder
@@ -74,7 +102,7 @@ def result(own):
 
 
 def in_python():
-    """Return both scenarios of the files as a script constructs them."""
+    """Return the scenarios of the files as a script constructs them."""
     import own_kinds as kinds
 
     flow = Scenario(
@@ -94,10 +122,28 @@ def in_python():
         team=Team(count=3, dynamics=kinds.Lag()),
         record=Recording(messages=True),
     )
-    return {"flow": flow, "inertia": inertia}
+    noise = Scenario(
+        horizon=2.0,
+        protocol=BinaryLogLinear(utility=kinds.Margin(bonus=0.1), tau=kinds.Warm()),
+        team=Team(count=5, guidance=kinds.straight),
+        sensing=Sensing(estimate="hold", noise=kinds.Grain(deviation=0.2)),
+        announce=Announcements(heartbeat=0.2, dissemination=kinds.Stutter(times=3)),
+        network=Links(graph=kinds.wheel, range=15.0, reception=kinds.Ramp(), medium=kinds.Morse()),
+        record=Recording(messages=True),
+        fault=(kinds.Sleeper(start=0.5, node=1),),
+    )
+    channel = Scenario(
+        horizon=2.0,
+        team=Team(count=5),
+        announce=Announcements(heartbeat=0.2),
+        network=Links(medium=Bitrate(bitrate=5e4, access="aloha", reception=kinds.Lottery())),
+        record=Recording(messages=True),
+    )
+    return {"flow": flow, "inertia": inertia, "noise": noise, "channel": channel}
 
 
-@pytest.mark.parametrize("name", ["flow", "inertia"])
+@pytest.mark.filterwarnings("ignore:announce")
+@pytest.mark.parametrize("name", FILES)
 def test_a_file_and_a_script_give_the_same_run(own, name):
     of_file = run(load(own / f"{name}.toml", allow_import=True), 1)
     of_script = run(in_python()[name], 1)
@@ -305,3 +351,72 @@ def test_a_parameter_of_a_user_without_a_value_is_written_to_no_file(own):
             return 0.1
 
     assert "wavelength" not in dump(Scenario(network=Links(latency=Perhaps())))
+
+
+def lines_of(definition):
+    """Return the number of lines of a class or function, without docstrings and empty lines."""
+    text = ast.unparse(definition)
+    documented = [node for node in ast.walk(definition) if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    prose = sum(ast.get_docstring(node) is not None for node in documented)
+    return sum(1 for line in text.splitlines() if line.strip()) - prose
+
+
+def test_the_page_counts_the_lines_of_each_kind():
+    rows = (ROOT / "docs/howto/own_kinds.md").read_text().partition("|---|")[2].splitlines()[1:]
+    counts = [int(row.split("|")[-2]) for row in rows[: rows.index("")]]
+    definitions = [
+        node for node in ast.parse(MODULE.read_text()).body if isinstance(node, ast.ClassDef | ast.FunctionDef)
+    ]
+    assert sorted(counts) == sorted(map(lines_of, definitions))
+
+
+RANDOM = """
+horizon = 3.0
+team.count = 4
+
+[[fault]]
+kind = "random"
+rate = 5.0
+kinds = ["partition", "own_kinds:LinkDown"]
+"""
+
+
+def test_random_faults_draw_those_of_a_user(own):
+    """In a file they are code, which a file that is not trusted cannot name."""
+    file = own / "random.toml"
+    file.write_text(RANDOM)
+    scenario = load(file, allow_import=True)
+    kinds = [event.fault.kind for event in run(scenario, 1).trace.of(FaultStarted)]
+    assert set(kinds) == {"custom", "partition"}
+    assert load_text(dump(scenario), own) == scenario
+    with pytest.raises(ValueError, match=r"random\.toml:8: fault\.0\.kinds\.1: .*names code to be run"):
+        load(file)
+    with pytest.raises(ValueError, match=r"kinds\.0: should be crash, partition, jamming, or .*did you mean .cra"):
+        desim.RandomFaults(kinds=("crsh",))
+
+
+def load_text(text, folder):
+    """Return the scenario of a text, as a file in a folder."""
+    (folder / "again.toml").write_text(text)
+    return load(folder / "again.toml", allow_import=True)
+
+
+@pytest.mark.parametrize("key", ["network.medium.access", "network.transport", "sensing.estimator", "clocks.sync"])
+def test_a_closed_family_says_from_which_kinds_a_class_may_derive(own, key):
+    (own / "closed.toml").write_text(
+        f'network.medium.kind = "bitrate"\nnetwork.medium.bitrate = 1e6\n{key} = "own_kinds:Eager"\n'
+        if "medium" in key
+        else f'{key} = "own_kinds:Eager"\n'
+    )
+    with pytest.raises(ValueError, match="should be derived from"):
+        load(own / "closed.toml", allow_import=True)
+
+
+def test_a_wrong_answer_names_the_model_the_file_and_the_line(own, monkeypatch):
+    """The command prints this sentence, and no traceback of desim."""
+    (own / "late.py").write_text("def late(context, rng):\n    return -0.1\n")
+    (own / "late.toml").write_text('network.latency = "late:late"\n')
+    monkeypatch.chdir(own)
+    result = command("run", "late.toml", "--allow-import")
+    assert result.exit_code == RAISED
+    assert result.stderr == "latencies should be finite times >= 0 s, got -0.1 from late (late.py, line 1)\n"

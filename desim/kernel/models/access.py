@@ -45,11 +45,17 @@ class SlottedAloha(Value):
 
     kind: Literal["slotted_aloha"] = "slotted_aloha"
     slot: Period
-    """Length of a slot, s; usually the airtime of a frame. If in doubt, the airtime of the longest frame: a frame that
-    is longer than a slot also spoils the next one, and a longer slot is idle at its end."""
+    """Length of a slot, s; usually the airtime of a frame.
+
+    If in doubt, the airtime of the longest frame: a frame that is longer than a slot also spoils the next one, and a
+    longer slot is idle at its end.
+    """
     p: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
-    """Probability of transmitting in a slot, in (0, 1]. If in doubt, 1 / (number of nodes that have a frame at once):
-    more nodes per slot collide at each attempt, fewer leave slots empty."""
+    """Probability of transmitting in a slot, in (0, 1].
+
+    If in doubt, 1 / (number of nodes that have a frame at once): more nodes per slot collide at each attempt, fewer
+    leave slots empty.
+    """
 
 
 class CarrierSensing(Value):
@@ -58,9 +64,11 @@ class CarrierSensing(Value):
     sensing_delay: Time = 0.0
     """Time from the start or end of a frame until other nodes sense it, s; it includes the propagation delay."""
     sensing_range: Extent | None = None
-    """Carrier-sense range, m, regardless of the graph; if None, a node senses the frames that it could receive. If in
-    doubt, leave it out. Twice the communication range silences most hidden nodes, and also nodes that would disturb
-    nobody."""
+    """Carrier-sense range, m, regardless of the graph; if None, a node senses the frames that it could receive.
+
+    If in doubt, leave it out. Twice the communication range silences most hidden nodes, and also nodes that would
+    disturb nobody.
+    """
 
 
 class Csma(CarrierSensing):
@@ -75,17 +83,28 @@ class Csma(CarrierSensing):
     persistence: Literal["nonpersistent", "p_persistent"] = "nonpersistent"
     """Whether a node waits for the end of a frame (p_persistent), or senses again after a random time."""
     backoff: Period = 0.01
-    """Mean of the exponential time until a nonpersistent node senses a busy channel again, s. If in doubt, the airtime
-    of a frame times the number of nodes: with less, nodes meet again at once, with more, the channel is idle."""
+    """Mean of the exponential time until a nonpersistent node senses a busy channel again, s.
+
+    If in doubt, the airtime of a frame times the number of nodes: with less, nodes meet again at once, with more, the
+    channel is idle.
+    """
     attempts: Annotated[Limit, Field(ge=1)] = inf
-    """Number of times a nonpersistent node senses a busy channel before it drops the frame; inf = unlimited. If in
-    doubt, inf; set it where a late frame is worth nothing."""
+    """Number of times a nonpersistent node senses a busy channel before it drops the frame; inf = unlimited.
+
+    If in doubt, inf; set it where a late frame is worth nothing.
+    """
     p: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
-    """Probability p of transmitting on an idle channel, in (0, 1]; for p_persistent. If in doubt, 1 / (number of nodes
-    that wait for the channel at once): with p = 1 any two that wait collide at the end of a frame."""
+    """Probability p of transmitting on an idle channel, in (0, 1]; for p_persistent.
+
+    If in doubt, 1 / (number of nodes that wait for the channel at once): with p = 1 any two that wait collide at the
+    end of a frame.
+    """
     slot: Period = 0.001
-    """Time until a p-persistent node that did not transmit senses the channel again, s. If in doubt, a little more than
-    `sensing_delay`: in a shorter slot a node cannot hear who has begun, and a longer one is wasted."""
+    """Time until a p-persistent node that did not transmit senses the channel again, s.
+
+    If in doubt, a little more than `sensing_delay`: in a shorter slot a node cannot hear who has begun, and a longer
+    one is wasted.
+    """
 
     @property
     def unused_fields(self) -> dict[str, str]:
@@ -119,13 +138,18 @@ class CsmaCa(CarrierSensing):
     difs: Time = 28e-6
     """Distributed interframe space: time for which the channel must be idle before slots are counted, s."""
     window: ContentionWindow = 16
-    """Smallest contention window W: the number of slots is uniform on 0 .. W - 1. If in doubt, 16, or, for broadcasts,
-    which never double it, about twice the number of nodes that have a frame at once."""
+    """Smallest contention window W: the number of slots is uniform on 0 .. W - 1.
+
+    If in doubt, 16, or, for broadcasts, which never double it, about twice the number of nodes that have a frame at
+    once.
+    """
     doublings: Annotated[int, Field(ge=0, le=16, strict=True)] = 6
     """Number of times that failed attempts can double the window."""
     retries: Annotated[int, Field(ge=0, le=1000, strict=True)] = 7
-    """Number of times that an unacknowledged frame is transmitted again before it is dropped. If in doubt, 7, the
-    default of 802.11: fewer lose frames in a crowd, more keep a receiver that is gone on the air."""
+    """Number of times that an unacknowledged frame is transmitted again before it is dropped.
+
+    If in doubt, 7, the default of 802.11: fewer lose frames in a crowd, more keep a receiver that is gone on the air.
+    """
     ack: Time = 34e-6
     """Airtime of an acknowledgement, s; the default is that of 14 bytes at 24 Mbit/s."""
     ack_timeout: Time | None = None
@@ -170,11 +194,17 @@ class Tdma(Value):
 
     kind: Literal["tdma"] = "tdma"
     slot: Period = 0.01
-    """Length of a slot, s, with its guard time. If in doubt, the airtime of the longest message plus `guard`: a longer
-    message is lost, and a longer slot delays the turn of every node."""
+    """Length of a slot, s, with its guard time.
+
+    If in doubt, the airtime of the longest message plus `guard`: a longer message is lost, and a longer slot delays the
+    turn of every node.
+    """
     guard: Time = 0.0
-    """Time at the end of a slot in which no node transmits, s; less than `slot`. If in doubt, the largest difference of
-    two clocks during the run, with `clock_sync` that after a correction plus the drift up to the next."""
+    """Time at the end of a slot in which no node transmits, s; less than `slot`.
+
+    If in doubt, the largest difference of two clocks during the run, with `clock_sync` that after a correction plus the
+    drift up to the next.
+    """
     slots: Annotated[tuple[Owner, ...], FirstError(), NotEmpty()] | None = None
     """The owners of the slots, which are repeated; if None, the nodes take turns by id."""
 

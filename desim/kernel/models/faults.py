@@ -16,12 +16,31 @@ from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import OneOf, check_call, definition_of, import_name
+from desim.config.choice import (
+    OneOf,
+    check_call,
+    definition_of,
+    import_name,
+    is_unlisted_import,
+    kind_of,
+    load_named,
+    refusal,
+)
 from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, NotEmpty, Rate, Time, Value
+from desim.config.suggestion import did_you_mean
 from desim.config.traits import inherits, positions
+from desim.config.trust import is_trusted
 from desim.kernel.core.events import Cause, Nanoseconds
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.graphs import Node
@@ -74,6 +93,17 @@ class FaultSite(Protocol):
         decides arrivals in advance.
         """
         ...
+
+
+class RandomDraw(NamedTuple):
+    """What the random parameters of a fault are drawn from."""
+
+    size: int
+    """The number of nodes."""
+    box: tuple[float, float]
+    """Lower and upper bound of both coordinates of positions, m."""
+    rng: np.random.Generator
+    """The random stream."""
 
 
 class Window(Value):
@@ -143,6 +173,11 @@ class Fault(Window):
         """Yield the fault itself."""
         yield self
 
+    @classmethod
+    def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:  # noqa: ARG003 - for classes with parameters
+        """Return random parameters, without start and end, for a fault that `RandomFaults` draws."""
+        return {}
+
 
 class Crash(Fault):
     """A node crashes and, if the crash ends, recovers."""
@@ -160,6 +195,13 @@ class Crash(Fault):
     def begin(self, site: FaultSite) -> Undo:
         """Take the node down."""
         return site.crash(self)
+
+    @classmethod
+    def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
+        """Return a random scope, node and memory."""
+        rng = draw.rng
+        scope = ("radio", "robot")[rng.integers(2)]
+        return {"scope": scope, "node": int(rng.integers(draw.size)), "memory": bool(rng.integers(2))}
 
     def named(self) -> NamedNodes:
         """Return the node."""
@@ -197,6 +239,13 @@ class Partition(Fault):
         """Separate the groups."""
         return site.partition(self.groups)
 
+    @classmethod
+    def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
+        """Return a random group of nodes, which is separated from the others."""
+        size, rng = draw.size, draw.rng
+        cut = rng.permutation(size)[: rng.integers(1, max(size, 2))]
+        return {"groups": (tuple(sorted(cut.tolist())),)}
+
     def named(self) -> NamedNodes:
         """Return the nodes of all groups."""
         return {"groups": [node for group in self.groups for node in group]}
@@ -226,6 +275,13 @@ class Jamming(Fault):
     def begin(self, site: FaultSite) -> Undo:
         """Jam the disc."""
         return site.jam(self.centre, self.radius)
+
+    @classmethod
+    def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
+        """Return a random disc in the box."""
+        box, rng = draw.box, draw.rng
+        x, y = rng.uniform(*box, size=2).tolist()
+        return {"centre": (x, y), "radius": float(rng.uniform(0.1, 0.5) * max(box[1] - box[0], 1.0))}
 
     def sketch(self) -> Sketch:
         """Return the disc."""
@@ -299,8 +355,10 @@ class ClockSkew(Value):
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
     drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
-    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99. If in doubt,
-    2e-5, an ordinary quartz; 1e-6 with temperature compensation."""
+    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99.
+
+    If in doubt, 2e-5, an ordinary quartz; 1e-6 with temperature compensation.
+    """
     offset_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
     """Random walk of the offset, s per sqrt(s), from white noise of the frequency: after a time t its standard
     deviation is offset_walk sqrt(t). Each node has a walk of its own."""
@@ -392,10 +450,15 @@ class RandomCrashes(Value):
 
     kind: Literal["random_crashes"] = "random_crashes"
     rate: Rate = 0.1
-    """Crash rate of each node that is up, 1/s. If in doubt, 1 / (horizon of the run), about one crash of each node."""
+    """Crash rate of each node that is up, 1/s.
+
+    If in doubt, 1 / (horizon of the run), about one crash of each node.
+    """
     mean_downtime: Duration = 1.0
-    """Mean time until a crashed node recovers, s. If in doubt, a few time-outs of the protocol: a node that is back
-    sooner is not missed."""
+    """Mean time until a crashed node recovers, s.
+
+    If in doubt, a few time-outs of the protocol: a node that is back sooner is not missed.
+    """
     scope: Literal["radio", "robot"] = "robot"
     """radio: the node neither sends nor receives; robot: it does not move or decide either."""
     memory: Flag = True
@@ -413,50 +476,67 @@ class RandomCrashes(Value):
                 t = end + node_rng.exponential(1.0 / self.rate)
 
 
+def _fault_kind(value: Any, info: ValidationInfo) -> str | type[Fault]:
+    """Return the kind of a built-in fault, or the class of a user's, given as a class or "module:Name"."""
+    if value in _BY_KIND:
+        return str(value)
+    if isinstance(value, str) and ":" in value:
+        if is_unlisted_import(value) and not is_trusted(info):
+            raise ValueError(refusal(value))
+        value = load_named(value, (info.context or {}).get("folder"))
+    if not (isinstance(value, type) and issubclass(value, Fault)):
+        hint = did_you_mean(value, _BY_KIND) if isinstance(value, str) else ""
+        classes = 'a class that derives from Fault as "module:Name"'
+        raise ValueError(f"should be {', '.join(_BY_KIND)}, or {classes}{hint} (got {value!r})")
+    return value
+
+
+def _class_of(kind: str | type[Fault]) -> type[Fault]:
+    return _BY_KIND[kind] if isinstance(kind, str) else kind
+
+
+_BY_KIND: Mapping[str, type[Fault]] = MappingProxyType({kind_of(model): model for model in BUILT_IN})
+FaultKind = Annotated[
+    Any,
+    PlainValidator(_fault_kind),
+    PlainSerializer(lambda kind: kind if isinstance(kind, str) else import_name(kind), return_type=str),
+    WithJsonSchema({"type": "string"}),
+]
+"""A kind of faults of the network: the name of a built-in one, or the class of a user."""
+
+
 class RandomFaults(Value):
     """Random crashes, partitions and jamming with random parameters, for soak tests."""
 
     kind: Literal["random"] = "random"
     rate: Rate = 1.0
-    """Rate of faults, 1/s. If in doubt, about ten faults in a run; with rate times `mean_duration` above 1, several
-    overlap most of the time."""
+    """Rate of faults, 1/s.
+
+    If in doubt, about ten faults in a run; with rate times `mean_duration` above 1, several overlap most of the time.
+    """
     mean_duration: Duration = 1.0
     """Mean duration of a fault, s."""
     end: Extent = inf
     """Time by which all faults have ended, s."""
-    kinds: Annotated[tuple[Literal["crash", "partition", "jamming"], ...], Field(min_length=1)] = (
-        "crash",
-        "partition",
-        "jamming",
-    )
-    """The kinds of faults to draw."""
+    kinds: Annotated[tuple[FaultKind, ...], FirstError(), NotEmpty()] = ("crash", "partition", "jamming")
+    """The kinds of faults to draw: crash, partition, jamming, or a fault of a user as "module:Name", in Python its
+    class."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
 
     @property
     def breaks(self) -> frozenset[str]:
         """The assumptions that the kinds of faults break."""
-        kinds = (kind for kind in BUILT_IN if kind.model_fields["kind"].default in self.kinds)
-        return frozenset[str]().union(*(kind.breaks for kind in kinds))
+        return frozenset[str]().union(*(_class_of(kind).breaks for kind in self.kinds))
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
-        t, end = 0.0, min(self.end, horizon)
+        t, end, draw = 0.0, min(self.end, horizon), RandomDraw(size, self.box, rng)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
             duration = max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION)
             window = {"start": t, "end": min(t + duration, self.end)}
-            yield self._fault(self.kinds[rng.integers(len(self.kinds))], size, rng, window)
-
-    def _fault(self, kind: str, size: int, rng: np.random.Generator, window: dict[str, float]) -> Fault:
-        if kind == "crash":
-            scope: Any = ("radio", "robot")[rng.integers(2)]
-            return Crash(node=int(rng.integers(size)), scope=scope, memory=bool(rng.integers(2)), **window)
-        if kind == "partition":
-            cut = rng.permutation(size)[: rng.integers(1, max(size, 2))]
-            return Partition(groups=(tuple(sorted(cut.tolist())),), **window)
-        x, y = rng.uniform(*self.box, size=2).tolist()
-        radius = rng.uniform(0.1, 0.5) * max(self.box[1] - self.box[0], 1.0)
-        return Jamming(centre=(x, y), radius=float(radius), **window)
+            kind = _class_of(self.kinds[rng.integers(len(self.kinds))])
+            yield kind(**window, **kind.random_parameters(draw))
 
 
 PLANNED_WITH = ("size", "horizon", "rng")

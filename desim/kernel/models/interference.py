@@ -181,8 +181,10 @@ class CaptureEffect(Faded):
     has_noise: ClassVar[bool] = False
     kind: Literal["capture"] = "capture"
     threshold: Annotated[float, Field(ge=0, le=300, strict=True)] = 6.0
-    """Smallest ratio of the powers of a frame and of each other frame, dB. If in doubt, 10 for 802.11 and 6 for LoRa:
-    with 0 the stronger frame always survives, with a large value none does."""
+    """Smallest ratio of the powers of a frame and of each other frame, dB.
+
+    If in doubt, 10 for 802.11 and 6 for LoRa: with 0 the stronger frame always survives, with a large value none does.
+    """
     exponent: Exponent = 3.0
     """Path loss exponent: 2 in free space, 3 to 4 over ground."""
     lock: Flag = False

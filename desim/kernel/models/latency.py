@@ -125,8 +125,10 @@ class Gamma(_Drawn):
     offset: Time = 0.0
     """Fixed part, s."""
     shape: Annotated[float, Field(gt=0, le=1e6, strict=True)] = 2.0
-    """Shape k, the number of stages. If in doubt, 2; 1 is exponential, and from about 30 on the latency hardly
-    varies."""
+    """Shape k, the number of stages.
+
+    If in doubt, 2; 1 is exponential, and from about 30 on the latency hardly varies.
+    """
     scale: Time = 0.01
     """Scale theta, the mean of a stage, s."""
 
@@ -154,8 +156,10 @@ class Lognormal(_Drawn):
     mean: Time = 0.05
     """Mean of the lognormal part, s."""
     cv: Annotated[float, Field(ge=0, le=1e3, strict=True)] = 0.5
-    """Coefficient of variation of the lognormal part: standard deviation / mean. If in doubt, 0.5; 0.1 on a quiet link,
-    1 or more where some messages take many times as long as most."""
+    """Coefficient of variation of the lognormal part: standard deviation / mean.
+
+    If in doubt, 0.5; 0.1 on a quiet link, 1 or more where some messages take many times as long as most.
+    """
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw (count,) latencies, s."""

@@ -35,8 +35,10 @@ class Bernoulli(Value):
 
     kind: Literal["bernoulli"] = "bernoulli"
     p: Probability = 0.0
-    """Probability that a message is lost, in [0, 1]. If in doubt, 0.1, a poor but usable radio link; 0.01 is a
-    good one."""
+    """Probability that a message is lost, in [0, 1].
+
+    If in doubt, 0.1, a poor but usable radio link; 0.01 is a good one.
+    """
 
     def draw(self, count: int, rng: np.random.Generator) -> Bools:
         """Draw (count,) booleans, True where a message is lost."""
@@ -65,9 +67,11 @@ class GilbertElliott(Value):
     share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     """Share of the messages, or of the time, for which a link is in the bad state, in [0, 1)."""
     burst: Positive = 5.0
-    """Mean duration of a bad period, in messages of the link, or in s if the state advances with time. If in doubt, as
-    long as what a protocol should outlast, such as a few heartbeats; a burst that is shorter than the time between two
-    messages is no burst to the protocol."""
+    """Mean duration of a bad period, in messages of the link, or in s if the state advances with time.
+
+    If in doubt, as long as what a protocol should outlast, such as a few heartbeats; a burst that is shorter than the
+    time between two messages is no burst to the protocol.
+    """
     advance: Literal["message", "time"] = "message"
     """Whether the state of a link advances with every message on it, or with time, whether it is used or not."""
     loss_good: Probability = 0.0

@@ -56,8 +56,11 @@ class Radio(Value):
     (`access`) never receive while they transmit."""
     queue_limit: Limit = inf
     """Maximum number of waiting messages per node, without the one that is transmitted or contends; beyond it the
-    oldest is dropped; inf = unlimited. If in doubt, 1 for messages of which only the newest counts, else 100; with inf,
-    an overloaded node sends ever older messages."""
+    oldest is dropped; inf = unlimited.
+
+    If in doubt, 1 for messages of which only the newest counts, else 100; with inf, an overloaded node sends ever older
+    messages.
+    """
     access: Annotated[Access, ACCESSES] = Ideal()
     """When a node may transmit. With any model but `ideal`, all nodes contend for one channel, and frames that overlap
     interfere."""
@@ -66,8 +69,10 @@ class Radio(Value):
 
     duty_cycle: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
     """Largest share of the time that a node transmits, in [1e-6, 1]: after a frame of airtime T it is silent for T (1 /
-    duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit. If in doubt,
-    None; 0.01 is the law in most of the European band at 868 MHz."""
+    duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit.
+
+    If in doubt, None; 0.01 is the law in most of the European band at 868 MHz.
+    """
 
     @field_validator("access")
     @classmethod
@@ -149,7 +154,10 @@ class Bitrate(Radio):
 
     kind: Literal["bitrate"] = "bitrate"
     bitrate: Annotated[float, Field(ge=1, le=1e15, strict=True)]
-    """Bit rate, bit/s. If in doubt, 6e6, the rate of broadcasts in 802.11g; 2.5e5 in 802.15.4."""
+    """Bit rate, bit/s.
+
+    If in doubt, 6e6, the rate of broadcasts in 802.11g; 2.5e5 in 802.15.4.
+    """
     header: Overhead = 0
     """Bytes that the link layer adds to every message."""
 
@@ -168,8 +176,10 @@ class LoRa(Radio):
 
     kind: Literal["lora"] = "lora"
     spreading_factor: SpreadingFactor = 7
-    """SF: bits per symbol; a symbol takes 2^SF / bandwidth. If in doubt, 7: each step almost doubles the airtime. Its
-    gain in range is not modelled; set `range`."""
+    """SF: bits per symbol; a symbol takes 2^SF / bandwidth. Its gain in range is not modelled; set `range`.
+
+    If in doubt, 7: each step almost doubles the airtime.
+    """
     spreading_factors: Annotated[tuple[SpreadingFactor, ...], FirstError()] | None = None
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
     frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None

@@ -48,7 +48,10 @@ class QuasiUnitDisk(Value):
 
     kind: Literal["quasi_unit_disk"] = "quasi_unit_disk"
     certain: Probability = 0.5
-    """Share q of the range within which reception is certain, in [0, 1]. If in doubt, 0.5; 1 is a disk."""
+    """Share q of the range within which reception is certain, in [0, 1].
+
+    If in doubt, 0.5; 1 is a disk.
+    """
     p: Probability = 0.5
     """Probability of reception between q times the range and the range, in [0, 1]."""
 
@@ -71,10 +74,15 @@ class LogDistance(Value):
 
     kind: Literal["log_distance"] = "log_distance"
     exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
-    """Path loss exponent n: 2 in free space, 3 to 4 over ground. If in doubt, 3: a smaller one blurs the edge of the
-    range, a larger one makes it sharp."""
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground.
+
+    If in doubt, 3: a smaller one blurs the edge of the range, a larger one makes it sharp.
+    """
     shadowing: Positive = 6.0
-    """Standard deviation sigma of the shadowing, dB. If in doubt, 6; about 4 in the open, 8 to 12 among buildings."""
+    """Standard deviation sigma of the shadowing, dB.
+
+    If in doubt, 6; about 4 in the open, 8 to 12 among buildings.
+    """
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return P(d)."""
@@ -106,8 +114,10 @@ class Nakagami(Value):
 
     kind: Literal["nakagami"] = "nakagami"
     m: Shape = 1.0
-    """Shape m, at least 0.5: 1 is Rayleigh fading, and the larger m, the less the power varies. If in doubt, 1 without,
-    and 3 with a line of sight."""
+    """Shape m, at least 0.5: 1 is Rayleigh fading, and the larger m, the less the power varies.
+
+    If in doubt, 1 without, and 3 with a line of sight.
+    """
     exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 
@@ -130,8 +140,10 @@ class Rice(Value):
 
     kind: Literal["rice"] = "rice"
     k: RiceFactor = 3.0
-    """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading. If in doubt, 3; about
-    10 between aircraft in sight of each other."""
+    """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading.
+
+    If in doubt, 3; about 10 between aircraft in sight of each other.
+    """
     exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 

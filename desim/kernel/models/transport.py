@@ -48,16 +48,23 @@ class Quality(Value):
 
     lifespan: Timeout = inf
     """Time after its sending, s, from which on a message is neither transmitted nor delivered. The receiver compares
-    its own clock with the time stamp of the sender. If in doubt, inf; where only fresh messages count, a few periods of
-    sending."""
+    its own clock with the time stamp of the sender.
+
+    If in doubt, inf; where only fresh messages count, a few periods of sending.
+    """
     deadline: MaxInterval = inf
     """Longest time between two messages of a sender at a port, s. A receiver that has received one and waits longer for
-    the next misses a deadline. If in doubt, three times the period of sending: a shorter one is missed at a single
-    loss, a longer one notices a silent sender late."""
+    the next misses a deadline.
+
+    If in doubt, three times the period of sending: a shorter one is missed at a single loss, a longer one notices a
+    silent sender late.
+    """
     lease: MaxInterval = inf
     """Lease of liveliness, s: a node loses the liveliness of another if it receives no transmission from it at a port
-    for this long. If in doubt, three to five times the period of sending: with less, a few losses pass for a
-    failure."""
+    for this long.
+
+    If in doubt, three to five times the period of sending: with less, a few losses pass for a failure.
+    """
 
     @property
     def is_plain(self) -> bool:
@@ -92,23 +99,34 @@ class Reliable(Quality):
         Annotated[Duration, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
     """Time after which an unacknowledged message is transmitted again, s; "auto" is 5/4 of a round trip: two typical
-    latencies, the airtime of the message, and that of one acknowledgement for each receiver. If in doubt, "auto": a
-    shorter time repeats messages whose answers are on the way, a longer one waits after every loss."""
+    latencies, the airtime of the message, and that of one acknowledgement for each receiver.
+
+    If in doubt, "auto": a shorter time repeats messages whose answers are on the way, a longer one waits after every
+    loss.
+    """
     min_timeout: Duration = 0.001
     """Least time-out that "auto" gives, s."""
     backoff: Annotated[float, Field(ge=1, le=10, strict=True)] = 2.0
-    """Factor by which the time-out grows from one attempt to the next. If in doubt, 2, as in TCP (RFC 6298): with 1,
-    repetitions keep a crowded channel crowded."""
+    """Factor by which the time-out grows from one attempt to the next.
+
+    If in doubt, 2, as in TCP (RFC 6298): with 1, repetitions keep a crowded channel crowded.
+    """
     max_timeout: Timeout = 1.0
-    """Time-out up to which it grows, s; a longer first time-out stays as it is. If in doubt, 1: it bounds how long a
-    receiver that is back in reach waits for its messages."""
+    """Time-out up to which it grows, s; a longer first time-out stays as it is.
+
+    If in doubt, 1: it bounds how long a receiver that is back in reach waits for its messages.
+    """
     max_repeats: Annotated[Limit, AfterValidator(_whole)] = inf
-    """Largest number K of retransmissions of a message to a receiver, then it is given up; inf = unlimited. If in
-    doubt, inf: `keep_last` gives a message up when newer ones take its place. With keep_all, about 7."""
+    """Largest number K of retransmissions of a message to a receiver, then it is given up; inf = unlimited.
+
+    If in doubt, inf: `keep_last` gives a message up when newer ones take its place. With keep_all, about 7.
+    """
     window: SendWindow = 10
-    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait. If
-    in doubt, 10; at least the number of messages that are sent in a round trip, else senders wait for
-    acknowledgements."""
+    """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait.
+
+    If in doubt, 10; at least the number of messages that are sent in a round trip, else senders wait for
+    acknowledgements.
+    """
     ordered: Flag = True
     """Whether messages of a sender at a port are delivered in the order sent, so that a missing one delays the later
     ones; if not, each is delivered as it arrives."""
@@ -116,8 +134,11 @@ class Reliable(Quality):
     """Which unacknowledged messages of a sender at a port are kept. keep_last: the last `depth`, older ones are given
     up; keep_all: all, so that memory grows without bound if a receiver stays out of reach."""
     depth: Depth = 10
-    """Number of messages that `keep_last` keeps. If in doubt, 1 where a message replaces the one before, such as a
-    position, and else the number that is sent in the longest outage to be survived."""
+    """Number of messages that `keep_last` keeps.
+
+    If in doubt, 1 where a message replaces the one before, such as a position, and else the number that is sent in the
+    longest outage to be survived.
+    """
 
     @property
     def gives_up(self) -> bool:
@@ -134,11 +155,16 @@ class Coded(Quality):
 
     kind: Literal["coded"] = "coded"
     pieces: Annotated[int, Field(ge=1, le=255, strict=True)] = 2
-    """Number n of pieces that are transmitted. If in doubt, 2 with needed = 1: at a loss p of pieces, p^2 of the
-    messages are lost, at twice the airtime."""
+    """Number n of pieces that are transmitted.
+
+    If in doubt, 2 with needed = 1: at a loss p of pieces, p^2 of the messages are lost, at twice the airtime.
+    """
     needed: Annotated[int, Field(ge=1, le=255, strict=True)] = 1
-    """Number k of pieces that suffice. If in doubt, 1. A larger k at the same ratio n / k withstands the same share of
-    losses with less variation, in more transmissions, each with a header."""
+    """Number k of pieces that suffice.
+
+    If in doubt, 1. A larger k at the same ratio n / k withstands the same share of losses with less variation, in more
+    transmissions, each with a header.
+    """
     spacing: Time = 0.0
     """Time between the transmissions of two pieces, s; with a time longer than a burst of losses, a burst takes one
     piece only."""

@@ -139,7 +139,9 @@ class VoronoiVertex(Fleeing):
     before the evader turns to the farther one.
 
     With 0 the evader may turn back and forth between two vertices at each motion step; with values near 1 it goes on to
-    a vertex that has become worse. If in doubt, use 0.1.
+    a vertex that has become worse.
+
+    If in doubt, use 0.1.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
@@ -167,7 +169,9 @@ class Diffusion(Value):
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
     """Diffusion of the angle, rad/sqrt(s): after a time t the standard deviation of the angle is sigma sqrt(t).
 
-    The evader keeps its direction for about 2 / sigma^2. If in doubt, use 0.5, a turn every 8 seconds.
+    The evader keeps its direction for about 2 / sigma^2.
+
+    If in doubt, use 0.5, a turn every 8 seconds.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:

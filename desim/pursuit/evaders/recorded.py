@@ -48,8 +48,10 @@ class _Record(Value):
     """Coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). It is needed
     only if the file does not tell."""
     start_time: Time = 0.0
-    """Time in the record at which the simulation starts, s; what the record says of earlier times is cut off. If in
-    doubt, use 0; traces of setdest and SUMO often begin to move after hundreds of seconds."""
+    """Time in the record at which the simulation starts, s; what the record says of earlier times is cut off.
+
+    If in doubt, use 0; traces of setdest and SUMO often begin to move after hundreds of seconds.
+    """
     scale: Length = 1.0
     """Factor by which the positions of the record are multiplied, to have them in m: 1 if they are, 1000 for km."""
     offset: Point = (0.0, 0.0)

@@ -143,7 +143,9 @@ class EdgePenalty(Value):
     """The penalty C in units of the time left, C / r.
 
     The equilibria are the same for all values; a larger penalty only makes the choices at a temperature above 0 less
-    random. If in doubt, use 1.1.
+    random.
+
+    If in doubt, use 1.1.
     """
 
     def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float:

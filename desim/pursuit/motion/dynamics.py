@@ -196,8 +196,9 @@ class Acceleration(_WithoutHeading):
     limit: Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False, strict=True)] = 1.0
     """Greatest acceleration, m/s^2.
 
-    A player needs speed / limit to reach its speed from rest. If in doubt, use the speed divided by 1 s; if this time
-    is below the motion step, simple motion does as well.
+    A player needs speed / limit to reach its speed from rest.
+
+    If in doubt, use the speed divided by 1 s; if this time is below the motion step, simple motion does as well.
     """
 
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:
@@ -233,8 +234,10 @@ class TurnRate(Value):
     limit: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)] = 1.0
     """Greatest turn rate, rad/s.
 
-    The least turning radius is speed / limit. If in doubt, choose it so that this radius is a few capture radii; with a
-    much smaller one, simple motion does as well.
+    The least turning radius is speed / limit.
+
+    If in doubt, choose it so that this radius is a few capture radii; with a much smaller one, simple motion does as
+    well.
     """
     heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | None = None
     """Initial heading, rad from the x axis to the left; if absent, a uniform random draw per player and seed."""

@@ -48,8 +48,9 @@ class Sensing(Value):
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
     until the sighting is `track_timeout` old or a newer one is reported to it.
 
-    An estimate may be wrong by the way of the evader in this time; short periods load a contended channel. If in doubt,
-    use the heartbeat of the announcements.
+    An estimate may be wrong by the way of the evader in this time; short periods load a contended channel.
+
+    If in doubt, use the heartbeat of the announcements.
     """
     relay: Flag = False
     """Whether a pursuer also relays the newest reported sighting, so that sightings spread over several hops."""
@@ -57,8 +58,9 @@ class Sensing(Value):
     """Time T_lost, s: an evader is lost if its newest sighting is older than this.
 
     With a short time, pursuers give up an evader whose estimate is still good; with a long one, they chase a place that
-    it has left. If in doubt, use the time in which the evader crosses the sensing radius, and at least ten periods of
-    reports.
+    it has left.
+
+    If in doubt, use the time in which the evader crosses the sensing radius, and at least ten periods of reports.
     """
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the

@@ -212,8 +212,9 @@ class _Diffusing(Value):
     """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
     velocity_diffusion sqrt(t) (standard deviation), however many sightings there were.
 
-    With a small value the track lags behind the turns of the evader; with a large one it follows the noise. If in
-    doubt, use the change of velocity in a usual manoeuvre divided by the square root of its duration.
+    With a small value the track lags behind the turns of the evader; with a large one it follows the noise.
+
+    If in doubt, use the change of velocity in a usual manoeuvre divided by the square root of its duration.
     """
 
 

@@ -265,14 +265,17 @@ class Announcements(Value):
     start: Start = "announced"
     """How pursuers learn the initial actions. announced: each announces its first action at time 0, over the network,
     whatever the trigger; known: all know them at time 0 without a message; silent: a pursuer announces its first action
-    as any later one, by the trigger, and until then the others know nothing of it. If in doubt, use announced: with
-    known, initial knowledge crosses any network for free."""
+    as any later one, by the trigger, and until then the others know nothing of it.
+
+    If in doubt, use announced: with known, initial knowledge crosses any network for free.
+    """
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s.
 
     A long time delays the news of a lost announcement and of a crash, because beliefs last three heartbeats by default;
-    a short one loads the channel with N messages each time. If in doubt, use half the mean time between two decisions
-    of a pursuer.
+    a short one loads the channel with N messages each time.
+
+    If in doubt, use half the mean time between two decisions of a pursuer.
     """
     jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
     """Largest share by which the time between two heartbeats is longer or shorter than `heartbeat`, in [0, 1). Without

@@ -186,7 +186,9 @@ class Trimmed(Value):
     """F: number of liars to tolerate.
 
     With a small number, liars keep others from the chase; with a large one, honest claims are ignored, and up to F + 1
-    pursuers chase. If in doubt, use 1, and never more than a quarter of the team.
+    pursuers chase.
+
+    If in doubt, use 1, and never more than a quarter of the team.
     """
 
     @property
@@ -243,8 +245,9 @@ class Accusations(_Observing):
     quorum: Annotated[int, Field(ge=1, strict=True)] = 2
     """Number of accusers that is enough to block a teammate: one more than the liars to tolerate.
 
-    With a small quorum, a few liars get honest pursuers blocked; a large one may never come together. If in doubt, use
-    2.
+    With a small quorum, a few liars get honest pursuers blocked; a large one may never come together.
+
+    If in doubt, use 2.
     """
     interval: Period = 0.2
     """Time between two accusations of a pursuer, s.
@@ -277,7 +280,9 @@ class Reputation(_Observing):
     """Time in which the weight of an announcement decays to 1/e, s.
 
     With a short time, a liar is forgiven between two lies; with a long one, a pursuer that was honest for long is
-    believed long after its first lie. If in doubt, use 100 heartbeats.
+    believed long after its first lie.
+
+    If in doubt, use 100 heartbeats.
     """
 
     def judge(self, witness: Observer) -> Judge | None:
