@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.errors import AnswerError
-from desim.config.traits import is_ours
+from desim.config.traits import OURS, is_ours
 
 _ADDRESS = re.compile(r"<(?:function )?(?:[^<>]*\.)?(\w+)(?: object)? at 0x[0-9a-fA-F]+>")
 """Matches the default representation of an object or a function; its name is the group."""
@@ -57,7 +57,7 @@ def _place(model: object) -> str:
     """Return the file and the line where the class or function of a user begins; "" if they are not known."""
     if isinstance(model, FunctionType | MethodType):
         code: Any = getattr(model, "__code__", None)
-        return _named(code) if code is not None and not is_ours(type("", (), {"__module__": model.__module__})) else ""
+        return "" if code is None or str(model.__module__).partition(".")[0] in OURS else _named(code)
     theirs = model if isinstance(model, type) else type(model)
     if is_ours(theirs):
         return ""
