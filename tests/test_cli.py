@@ -916,7 +916,9 @@ def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
         ["inf", "best_response", "3"],
     ]
     assert re.fullmatch(
-        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 already stored; store: {folder}/out/sweep.sqlite\n", result.stderr
+        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 already stored; store: {folder}/out/sweep.sqlite\n"
+        r"wrote sweep.txt, means-active_time.svg, means-active_time.png beside it\n",
+        result.stderr,
     )
     assert names(folder / "out") == [
         "means-active_time.png",
@@ -965,6 +967,28 @@ def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file,
     assert second.stderr.startswith("4 runs in")
     assert "8 already stored; store: out/coins/sweep.sqlite" in second.stderr
     assert second.stdout == coins[1].stdout
+
+
+@pytest.mark.slow
+def test_a_sweep_over_a_part_of_the_grid_leaves_the_table_and_the_figure_of_all(file, tmp_path):
+    """The table of the part is printed; that of the whole store, in numeric order, is written."""
+    path = file(COINS)
+    folder = tmp_path / "out"
+    for losses in ("0.3,0.0,0.1", "0.3,0.0"):
+        made = accepted(
+            "sweep", path, "-o", folder, "-n", 2, "-g", f"network.loss.p={losses}", "-g", "protocol.kind=sap"
+        )
+    assert "of all 6 configurations of the store; the table above has 4 of them" in made.stderr
+    assert ": 4 configurations, 8 runs;" in made.stdout
+    means = (folder / "sweep.txt").read_text().split("\n\n")[0].splitlines()
+    assert ": 6 configurations, 12 runs;" in means[0]
+    losses = [line.split()[means[1].split().index("network.loss.p")] for line in means[2:]]
+    assert losses == ["0", "0.1", "0.3"] * 2
+    accepted("export", folder, folder / "runs.md")
+    head, _, *rows = (
+        [cell.strip() for cell in line.split("|")] for line in (folder / "runs.md").read_text().splitlines()[2:10]
+    )
+    assert [row[head.index("network.loss.p")] for row in rows[:6]] == losses
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import shlex
 import sys
 import time
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,7 @@ from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
     from desim.study.results.result import SweepResult
+    from desim.study.store.store import Store
     from desim.study.sweeps.sweep import Job, SweepPlan
 
 
@@ -187,6 +189,7 @@ def sweep(
                 on_start=note,
             )
         done = store.added
+        everything = None if shard else _whole_of(result, store)
     table = result.table(shown, against=reference)
     echo(json.dumps(result.document(shown), indent=2) if as_json else table)
     for warning in result.warnings(shown) if as_json else ():
@@ -194,9 +197,9 @@ def sweep(
     took = time.perf_counter() - start
     speed = f"{counted(done, 'run')} in {took:.1f} s ({done / took:.1f}/s)"
     echo(f"{speed}, {before} already stored; store: {path}", err=True)
-    if not shard:
+    if everything is not None:
         with storing(folder):
-            _write_summary(result, shown[0], folder, table)
+            _write_summary(result, everything, shown, reference, folder)
     if result.failed:
         echo(
             f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
@@ -277,13 +280,40 @@ def _plan_text(
     return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
-def _write_summary(result: "SweepResult", metric: str, folder: Path, table: str) -> None:
-    """Write the table of a sweep to its folder, and a figure if matplotlib is installed."""
+def _whole_of(result: "SweepResult", store: "Store") -> "SweepResult":
+    """Return the result of all configurations in a store; `result` itself if it has them all."""
+    from desim.study.results.result import SweepResult
+
+    return result if len(store.configurations()) == len(result.groups) else SweepResult.of(store)
+
+
+def _write_summary(
+    result: "SweepResult",
+    everything: "SweepResult",
+    metrics: Sequence[str],
+    against: Mapping[str, Any] | None,
+    folder: Path,
+) -> None:
+    """Write the table of a store to its folder, and a figure of the first metric if matplotlib is installed.
+
+    Both are of `everything` that the store has, so that a sweep over a part of its grid leaves the whole picture.
+    """
     from desim.results.run_folder import can_plot
 
-    write_whole(folder / "sweep.txt", f"{table}\n".encode())
+    try:
+        table = everything.table(metrics, against=against)
+    except ValueError:  # the configurations of an earlier grid have no such reference
+        table = everything.table(metrics)
+    names = ["sweep.txt"]
+    write_whole(folder / names[0], f"{table}\n".encode())
     if can_plot():
         from desim.analysis.drawing.plots import save
         from desim.study.results.figures import file_name
 
-        save(result.plot(metric), folder / file_name("means", metric))
+        paths = save(everything.plot(metrics[0]), folder / file_name("means", metrics[0]))
+        names += [path.name for path in paths]
+    part, whole = len(result.groups), len(everything.groups)
+    of_all = (
+        "" if part == whole else f", of all {whole} configurations of the store; the table above has {part} of them"
+    )
+    echo(f"wrote {', '.join(names)} beside it{of_all}", err=True)

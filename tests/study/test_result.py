@@ -17,7 +17,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import SHOWN, Group
+from desim.study.results.runs import SHOWN, Group, in_numeric_order
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -148,6 +148,28 @@ def test_of_independent_seeds_failed_runs_and_captures_there_is_no_such_warning(
         changed = replace(second, rows=(second.rows[0], row))
         found = replace(PLAIN, keys=("x", "network.y"), groups=(first, changed, *others)).warnings()
         assert [each.split(",")[0] for each in found] == left
+
+
+def test_the_configurations_of_several_grids_are_in_numeric_order():
+    """Numbers ascend, inf last; a key with any other value keeps the order in which its values came."""
+    settings = [
+        {"protocol": name, "network.range": reach, "mixed": mixed}
+        for name, reach, mixed in (
+            ("sap", inf, 2),
+            ("sap", 9, "a"),
+            ("cbba", 10.5, 2),
+            ("sap", 9, 2),
+            ("cbba", -1.0, 2),
+        )
+    ]
+    ordered = in_numeric_order(tuple(settings[0]), [Group(values, ()) for values in settings])
+    assert [tuple(entry.settings.values()) for entry in ordered] == [
+        ("sap", 9, 2),
+        ("sap", 9, "a"),
+        ("sap", inf, 2),
+        ("cbba", -1.0, 2),
+        ("cbba", 10.5, 2),
+    ]
 
 
 def test_runs_are_paired_by_number_not_by_place():

@@ -24,7 +24,7 @@ from desim.config.key_index import unit_of_key
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import Group, SweepRuns, text
+from desim.study.results.runs import Group, SweepRuns, is_number, text
 
 CrossoverInterval = tuple[float, float]
 ROUNDING = 1e-12
@@ -160,7 +160,7 @@ def _line(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float,
     values = result.values(key)
     if key in chosen:
         raise ValueError(f"{key} is the key along which curves cross: a and b should not fix it")
-    if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+    if not all(map(is_number, values)):
         raise ValueError(f"{key}: curves cross along numbers, and it takes {', '.join(map(text, values))}")
     wanted = {name: text(result.setting(name, value)) for name, value in chosen.items()}
     groups = [group for group in result.groups if all(text(group.settings[name]) == wanted[name] for name in wanted)]

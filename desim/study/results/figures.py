@@ -33,7 +33,7 @@ from desim.config.trust import escaped
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, CostByMetric
-from desim.study.results.runs import SHOWN, Group, SweepRuns, kind_of, text
+from desim.study.results.runs import SHOWN, Group, SweepRuns, is_number, kind_of, text
 
 APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
@@ -465,7 +465,7 @@ def _key_with_unit(key: str) -> str:
 
 def _is_swept_number(result: SweepRuns, key: str) -> bool:
     values = {group.settings[key] for group in result.groups}
-    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    numbers = all(map(is_number, values))
     return numbers and len(values) > 1 and any(map(isfinite, values))
 
 

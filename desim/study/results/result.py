@@ -15,7 +15,7 @@ from desim.config.trust import write_whole
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
 from desim.study.results.crossover import Crossover
-from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name
+from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name, in_numeric_order
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -38,6 +38,9 @@ class SweepResult(SweepRuns):
         failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
     ) -> Self:
         """Return the result of the runs in a store, for the configurations with the given hashes; None = for all.
+
+        Given configurations keep their order. Those of a whole store, which may come from several grids, are in
+        numeric order of the keys that take numbers; other values are in the order of the grid that was run last.
 
         The rows of `failed`, by (configuration hash, replication), replace the rows of the same runs in the store.
 
@@ -64,6 +67,8 @@ class SweepResult(SweepRuns):
             )
             for key in chosen
         )
+        if configurations is None:
+            groups = in_numeric_order(keys, groups)
         units = {name: unit for name, unit in store.units.items() if name not in METRICS}
         fixed = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
         return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))

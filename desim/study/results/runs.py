@@ -91,7 +91,7 @@ class SweepRuns:
     keys: tuple[str, ...]
     """The keys of the grid."""
     groups: tuple[Group, ...]
-    """The groups in the order of the grid, whose last key changes fastest."""
+    """The groups in the order of the grid, whose last key changes fastest; see `SweepResult.of` for a whole store."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
     units: Mapping[str, str] = field(default_factory=dict)
@@ -261,6 +261,30 @@ def _aligned(group: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
     return group.numbers(metric)[at], other.numbers(metric)[there]
 
 
+def in_numeric_order(keys: Sequence[str], groups: Sequence[Group]) -> tuple[Group, ...]:
+    """Return groups such that the last key changes fastest; the values of a key that takes only numbers ascend.
+
+    The values of another key are in the order of their first group.
+    """
+    ranks: list[dict[str, int]] = []
+    for key in keys:
+        values = list({repr(group.settings[key]): group.settings[key] for group in groups}.values())
+        if all(is_number(value) for value in values):
+            values.sort()
+        ranks.append({repr(value): rank for rank, value in enumerate(values)})
+    return tuple(
+        sorted(
+            groups,
+            key=lambda group: [rank[repr(group.settings[key])] for key, rank in zip(keys, ranks, strict=True)],
+        )
+    )
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a setting is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def each_name(metrics: Sequence[str]) -> Sequence[str]:
     """Return the names of metrics; one name may be given as it is."""
     return [metrics] if isinstance(metrics, str) else metrics
@@ -273,7 +297,7 @@ def text(value: Any) -> str:
 
 def _says(value: Any, number: Any) -> bool:
     """Return whether a value is a text that says a number, such as "0.50" or "5e-1" for 0.5."""
-    if not isinstance(value, str) or isinstance(number, bool) or not isinstance(number, int | float):
+    if not isinstance(value, str) or not is_number(number):
         return False
     try:
         return float(value) == number
