@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from desim.config.arguments import scenario_argument
 from desim.config.arrays import Floats, Integers
@@ -11,7 +11,7 @@ from desim.config.html import html_properties, picture_of
 from desim.config.trust import escaped
 from desim.kernel.clock_sync import synchronise
 from desim.kernel.core.clock import Clock, NodeClock, Phase
-from desim.kernel.core.events import Trace, Watcher
+from desim.kernel.core.events import Event, Trace, Watcher
 from desim.kernel.core.positions import Nodes, PositionSource
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
@@ -108,19 +108,54 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         RuntimeError: if code of the scenario calls `sys.exit`, which would otherwise look like success.
     """
     scenario_argument(Scenario).check(scenario, "run")
-    seed = scenario.seed if seed is None else seed_of(seed)
+    return run_observed(scenario, scenario.seed if seed is None else seed_of(seed), watchers, lambda _: None)
+
+
+class Simulation(NamedTuple):
+    """A run that begins: what a caller may look at while it lasts."""
+
+    agents: "Sequence[Agent]"
+    """(N,) the agents of the pursuers."""
+    state: WorldState
+    """The true state of the world."""
+    trace: Trace
+    """The events so far."""
+    counts: "Callable[[], list[Event]]"
+    """Returns the counts of messages up to now, as the trace has them at its end."""
+    stop: "Callable[[], object]"
+    """Ends the run after all other events of this instant."""
+
+
+def run_observed(
+    scenario: Scenario, seed: int, watchers: "Sequence[Watcher]", begins: "Callable[[Simulation], object]"
+) -> Result:
+    """Simulate a scenario once, as `run`.
+
+    Args:
+        scenario: the experiment.
+        seed: seed of every random stream.
+        watchers: called with each event as it happens; one that returns True ends the run.
+        begins: called once, before the first event.
+    """
     env = Clock()
     end = RunEnd(env)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
     try:
         with fresh_copy(scenario, is_run=True) as fresh:
-            _simulate(fresh, seed, env, end, trace)
+            _simulate(fresh, seed, env, end, trace, begins)
     finally:
         trace.close()
     return Result(scenario, seed, trace)
 
 
-def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Trace) -> None:
+def _simulate(
+    scenario: Scenario,
+    seed: int,
+    env: Clock,
+    end: RunEnd,
+    trace: Trace,
+    begins: "Callable[[Simulation], object]",
+) -> None:
     """Connect the parts of a simulation and let it run to its end; see `run`."""
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
@@ -162,6 +197,12 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     team = _Team(env, scenario, world, agents, judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
+
+    def counts() -> "list[Event]":
+        transported = network.transport_counts()
+        return [*([] if transported is None else [transported]), network.message_counts()]
+
+    begins(Simulation(agents, state, trace, counts, end.stop))
     team.begin()
     world.begin()
     try:
@@ -176,9 +217,8 @@ def _simulate(scenario: Scenario, seed: int, env: Clock, end: RunEnd, trace: Tra
         who = "the protocol" if notes else "code of the scenario"
         raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
     world.sample()
-    if (transport := network.transport_counts()) is not None:
-        trace.append(transport)
-    trace.append(network.message_counts())
+    for event in counts():
+        trace.append(event)
     assert end.event is not None
     trace.append(end.event)
 
