@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from protocols.geometric import Voronoi as Voronoi
     from protocols.local_min import ArgminKnown as ArgminKnown
     from protocols.local_min import LocalMin as LocalMin
+    from protocols.policy import Layer as Layer
+    from protocols.policy import Policy as Policy
     from protocols.regret_matching import GeneralisedRegretMatching as GeneralisedRegretMatching
     from protocols.regret_matching import RegretMatching as RegretMatching
     from protocols.sap import SpatialAdaptivePlay as SpatialAdaptivePlay
@@ -69,6 +71,7 @@ _CLASSES = MappingProxyType(
             "voronoi": "Voronoi",
             "argmin": "Argmin",
             "centralised": "Centralised",
+            "policy": "Policy",
         },
         "desim.disseminations": {
             "one_hop": "OneHop",

@@ -88,6 +88,11 @@ def _protocol_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit
     protocol = scenario.protocol_traits
     if protocol.host is not None and protocol.host >= count:
         yield ("protocol", "host"), no_pursuer.format(protocol.host)
+    if protocol.check_game is not None:
+        try:
+            protocol.check_game(count, len(scenario.evaders))
+        except KeyedError as error:
+            yield from ((("protocol", *problem.key.split(".")), problem.reason) for problem in error.problems)
     if isinstance(scenario.clocks.sync, TwoWay) and scenario.clocks.sync.reference >= count:
         yield ("clocks", "sync", "reference"), no_pursuer.format(scenario.clocks.sync.reference)
     for part, traits, value in (

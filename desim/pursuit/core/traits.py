@@ -54,6 +54,9 @@ class ProtocolTraits(Assuming):
     size of `announce.payload`."""
     at_once: Flag = False
     """Whether pursuers decide at the same instants, for a protocol without a schedule."""
+    check_game: Annotated[Callable[[int, int], None] | None, Follows("__call__", "actions")] = None
+    """`check_game(pursuers, evaders)` raises KeyedError if the protocol does not fit a game with these numbers of
+    players; None: it fits any."""
     host: Annotated[int | None, Parameter(int)] = None
     """The pursuer that hosts the server of the protocol; a scenario without this pursuer is invalid."""
     slot: Annotated[float | None, Parameter(int, float)] = None

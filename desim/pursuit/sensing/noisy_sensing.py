@@ -218,6 +218,20 @@ class TrackingView(LimitedView):
         lost = track.position - track.velocity * (age - sensing.track_timeout)
         return EvaderEstimate(lost + self._search(age), 0j, 0.0, track.deviation)
 
+    def covariance(self, evader: int) -> tuple[float, float, float]:
+        """Return the entries xx, xy and yy, m^2, of the covariance of the estimate of an evader; 0 if it has none.
+
+        Without a filter they are those of the newest sighting.
+        """
+        self._read_reports()
+        if isinstance(self._sensing.estimator, Unfiltered):
+            return self._newest[evader].covariance if evader in self._newest else (0.0, 0.0, 0.0)
+        track = self.track(evader)
+        if track is None or track.covariance is None:
+            return 0.0, 0.0, 0.0
+        (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
+        return xx, xy, yy
+
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one, without a velocity; None without any."""
         self._read_reports()

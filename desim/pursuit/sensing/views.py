@@ -88,6 +88,10 @@ class View:
         estimate = self.estimate(evader)
         return NOWHERE if estimate is None else estimate.position
 
+    def covariance(self, evader: int) -> tuple[float, float, float]:
+        """Return the entries xx, xy and yy, m^2, of the covariance of the estimate of an evader; 0 if it has none."""
+        return 0.0, 0.0, 0.0
+
     def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for an evader at its estimated position.
 

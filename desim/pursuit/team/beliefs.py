@@ -174,6 +174,11 @@ class Beliefs(Knowledge):
         ignored = ignored_by(self._judge, own_time, {j: belief.capture_time for j, belief in beliefs.items()})
         return {j: belief for j, belief in beliefs.items() if j not in ignored}
 
+    def sensed_positions(self) -> list[complex] | None:
+        """Return the (N,) positions of all pursuers, m; None if it does not sense those of its teammates."""
+        positions: list[complex] = self._view.state.positions().tolist()
+        return positions if self.senses_others else None
+
     def team_estimate(self, evader: int = 1) -> TeamEstimate:
         """Return its estimate of the positions, speeds and capture times of itself and its teammates.
 

@@ -5,7 +5,7 @@ from operator import attrgetter
 from typing import Any
 
 from desim.kernel.core.clock import NodeClock
-from desim.kernel.core.units import nanoseconds
+from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.network import Network
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.sensing.views import View
@@ -69,6 +69,11 @@ class Knowledge:
         """Return the time r, s, that will be left to the horizon `ahead` seconds from now, by its local clock."""
         return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
+    @property
+    def horizon(self) -> float:
+        """The latest end of the run, s."""
+        return seconds(self._state.horizon)
+
     def may_chase(self, evader: int = 1) -> bool:
         """Return whether it may choose to chase an evader.
 
@@ -88,6 +93,14 @@ class Knowledge:
     def evader(self, evader: int = 1) -> complex:
         """Return the position of an evader, m: sensed or, if it is out of range, estimated; nan if unknown."""
         return self._view.evader(evader)
+
+    def errors(self, evader: int = 1) -> tuple[float, tuple[float, float, float]]:
+        """Return the errors of the position of an evader: an upper bound, m, and the covariance xx, xy, yy, m^2.
+
+        Both are 0 if the kind of estimate does not give them, or the position is exact or unknown.
+        """
+        estimate = self._view.estimate(evader)
+        return (0.0 if estimate is None else estimate.uncertainty), self._view.covariance(evader)
 
     @property
     def radius(self) -> float:

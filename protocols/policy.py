@@ -1,0 +1,282 @@
+"""A learned rule: a linear function or a small neural network of the observation of a pursuer, from a file of weights.
+
+Paper: none; the network is a multilayer perceptron (Rosenblatt 1961), and a linear rule is one without hidden layers.
+Parameters: schedule, and the file of weights, or the names of the features and the layers.
+Assumes: nothing beyond the game in which the weights were learned.
+Messages: announcements, see `announce` in the scenario.
+Robust to loss: as far as it was learned; the ages of the newest announcements are among the features.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from math import tanh
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, ValidationInfo, model_validator
+
+from desim.config.errors import KeyedError, Problem
+from desim.config.model import FirstError, Value
+from desim.config.number_files import text_of_file
+from desim.config.suggestion import did_you_mean
+from desim.config.trust import resolve_path, write_whole
+from desim.pursuit.team.agent import Agent
+from desim.pursuit.team.observation import (
+    OfEvader,
+    OfPursuer,
+    Own,
+    evader_block,
+    observation_names,
+    own_block,
+    pursuer_blocks,
+)
+from protocols.rule import Rule
+
+Weight = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+RELATIVE = "evader"
+"""The block of the evader whose chase is scored, in the names of features."""
+CONTENT = ("features", "layers", "activation")
+"""The keys of a file of weights."""
+FORMS = "own.FIELD, evader.FIELD, evader_1.FIELD and pursuer_0.FIELD"
+"""The forms of the names of features."""
+
+
+class Layer(Value):
+    """A layer of a network: its outputs are weights x + bias, before the activation."""
+
+    weights: Annotated[tuple[Annotated[tuple[Weight, ...], FirstError()], ...], FirstError()]
+    """(K, n) weights of the n inputs, a row for each of K outputs."""
+    bias: Annotated[tuple[Weight, ...], FirstError()]
+    """(K,) constants."""
+
+    @model_validator(mode="after")
+    def _has_a_shape(self) -> Self:
+        if not self.weights or not self.weights[0]:
+            raise ValueError("weights should have at least one row, and a row at least one number")
+        for k, row in enumerate(self.weights):
+            if len(row) != self.inputs:
+                raise ValueError(f"weights should be a matrix: row {k} has {len(row)} numbers, row 0 has {self.inputs}")
+        if len(self.bias) != len(self.weights):
+            raise ValueError(f"bias should have a number for each of {len(self.weights)} rows, has {len(self.bias)}")
+        return self
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs, n."""
+        return len(self.weights[0])
+
+
+class Policy(Rule):
+    """The action of the greatest score, where a network computes the scores from an observation.
+
+    A network with one output gives the score of chasing an evader, for each evader that the pursuer may chase; that of
+    inactivity is 0. The block "evader" in the names of its features stands for the evader in question. A network with
+    M + 1 outputs gives the scores of all actions, 0 .. M. Ties go to the lowest action.
+    """
+
+    kind: Literal["policy"] = "policy"
+    file: str | None = None
+    """Path of a JSON file with `features`, `layers` and perhaps `activation`, relative to the scenario file. It is
+    read once, when the scenario is created."""
+    features: Annotated[tuple[str, ...], FirstError()] = ()
+    """Instead of a file: the names of the n inputs, as in "evader.lead", "own.time_left" or "pursuer_3.age"; see
+    `desim.pursuit.team.observation`."""
+    layers: tuple[Layer, ...] = ()
+    """Instead of a file: the layers, from the input to the output; a linear rule has one."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """The function that is applied to the outputs of all layers but the last."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, fields: Any, info: ValidationInfo) -> Any:
+        if not isinstance(fields, dict) or fields.get("file") is None:
+            return fields
+        given = [name for name in CONTENT if name in fields]
+        if given:
+            raise ValueError(f"should have a file or {given[0]}, not both")
+        return fields | {"file": None} | _content(resolve_path(fields["file"], info))
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if not self.layers or not self.features:
+            raise ValueError("should have a file of weights, or features and layers")
+        sizes = len(self.features), *(len(layer.bias) for layer in self.layers)
+        for k, layer in enumerate(self.layers):
+            if layer.inputs != sizes[k]:
+                before = "features" if k == 0 else f"outputs of layer {k - 1}"
+                raise ValueError(f"layer {k} has {layer.inputs} inputs, but there are {sizes[k]} {before}")
+        for name in self.features:
+            _check_name(name, several=self.outputs > 1)
+        return self
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs of the network: 1, or M + 1."""
+        return len(self.layers[-1].bias)
+
+    def check_game(self, pursuers: int, evaders: int) -> None:
+        """Raise KeyedError if a game has no such feature, or another number of actions than there are scores."""
+        names = observation_names(pursuers, evaders)
+        absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
+        if absent:
+            what = f"there is no {absent[0]!r} with {pursuers} pursuers and {evaders} evaders"
+            raise KeyedError(Problem(what, "features"))
+        if self.outputs not in {1, evaders + 1}:
+            what = f"the last layer should have 1 output, or {evaders + 1}, one for each action (it has {self.outputs})"
+            raise KeyedError(Problem(what, "layers"))
+
+    def given(self) -> dict[str, Any]:
+        """Return the fields that differ from their defaults, see `Value.given`; of the layers only their sizes."""
+        sizes = " x ".join(str(size) for size in (len(self.features), *(len(layer.bias) for layer in self.layers)))
+        return super().given() | {"layers": sizes}
+
+    def write(self, path: str | Path) -> Path:
+        """Write the weights to a JSON file, for `file`, and return its path.
+
+        Raises:
+            OSError: if the file cannot be written.
+        """
+        content = {name: self.model_dump(mode="json")[name] for name in CONTENT}
+        write_whole(Path(path), (json.dumps(content, indent=1) + "\n").encode())
+        return Path(path)
+
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield the action of the greatest score, or 0, at each turn."""
+        scores_of = network(self.layers, self.activation)
+        inputs = [_reader(name) for name in self.features]
+        while True:
+            options = me.options()
+            scores = [0.0] * len(options)
+            known = _Known(me)
+            if self.outputs > 1:
+                values = scores_of([read(known, 0) for read in inputs])
+                scores = [values[action] for action in options]
+            else:
+                for k, evader in enumerate(options[1:], start=1):
+                    (scores[k],) = scores_of([read(known, evader) for read in inputs])
+            yield options[scores.index(max(scores))]
+
+
+def network(layers: Sequence[Layer], activation: Literal["tanh", "relu"]) -> Callable[[Sequence[float]], list[float]]:
+    """Return the function that computes the outputs of a network from its inputs."""
+    matrices = [(np.array(layer.weights), np.array(layer.bias)) for layer in layers]
+    squash: Callable[[float], float] = tanh if activation == "tanh" else _rectified
+
+    def outputs(inputs: Sequence[float]) -> list[float]:
+        values = np.array(inputs, dtype=float)
+        for k, (weights, bias) in enumerate(matrices):
+            if k:
+                values = np.array([squash(value) for value in values.tolist()])
+            # Products that are added row by row: those of BLAS depend on the processor in the last digits.
+            values = (weights * values).sum(axis=1) + bias
+        numbers: list[float] = values.tolist()
+        return numbers
+
+    return outputs
+
+
+def _rectified(value: float) -> float:
+    """Return the rectified linear unit of a value."""
+    return max(value, 0.0)
+
+
+class _Known:
+    """The blocks of the observation of a pursuer at one turn, each computed at its first use."""
+
+    def __init__(self, me: Agent):
+        self._me = me
+        self._own: Own | None = None
+        self._evaders: dict[int, OfEvader] = {}
+        self._pursuers: list[OfPursuer] | None = None
+
+    def own(self) -> Own:
+        """Return the block of the pursuer itself."""
+        self._own = self._own or own_block(self._me)
+        return self._own
+
+    def evader(self, evader: int) -> OfEvader:
+        """Return the block of an evader."""
+        if evader not in self._evaders:
+            self._evaders[evader] = evader_block(self._me, evader)
+        return self._evaders[evader]
+
+    def pursuer(self, pursuer: int) -> OfPursuer:
+        """Return the block of a pursuer."""
+        self._pursuers = self._pursuers or pursuer_blocks(self._me)
+        return self._pursuers[pursuer]
+
+
+class _Feature(NamedTuple):
+    """The parts of the name of a feature."""
+
+    block: str
+    """own, evader or pursuer."""
+    number: int | None
+    """The number of the evader or pursuer; None for `own` and for the evader whose chase is scored."""
+    field: str
+
+
+_FIELDS = {"own": Own._fields, "evader": OfEvader._fields, "pursuer": OfPursuer._fields}
+
+
+def _parts(name: str) -> _Feature:
+    """Return the parts of the name of a feature."""
+    block, _, field = name.partition(".")
+    kind, _, number = block.partition("_")
+    return _Feature(kind, int(number) if number.isdecimal() and number.isascii() else None, field)
+
+
+def _check_name(name: str, *, several: bool) -> None:
+    """Raise ValueError if no game has a feature with this name.
+
+    Args:
+        name: the name.
+        several: whether the network gives the scores of all actions, so that there is no evader in question.
+    """
+    feature = _parts(name)
+    fields = _FIELDS.get(feature.block, ())
+    block = feature.block if feature.number is None else f"{feature.block}_{feature.number}"
+    is_numbered = {"own": False, "pursuer": True}.get(feature.block, feature.number is not None)
+    if not fields or f"{block}.{feature.field}" != name or is_numbered != (feature.number is not None):
+        raise ValueError(f"there is no feature {name!r}: names are {FORMS}")
+    if feature.field not in fields:
+        hint = did_you_mean(feature.field, fields) or f": its fields are {', '.join(fields)}"
+        raise ValueError(f"there is no feature {name!r}{hint}")
+    if several and feature.block == RELATIVE and feature.number is None:
+        raise ValueError(f"{name!r} has no number, but the network gives the scores of all actions: write evader_1")
+
+
+def _reader(name: str) -> Callable[[_Known, int], float]:
+    """Return the function that reads a feature, given the blocks and the evader whose chase is scored."""
+    block, number, field = _parts(name)
+    index = _FIELDS[block].index(field)
+    if block == "own":
+        return lambda known, _: known.own()[index]
+    if block == "pursuer":
+        return lambda known, _: known.pursuer(number or 0)[index]
+    return lambda known, evader: known.evader(number or evader)[index]
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return the content of a file of weights.
+
+    Raises:
+        ValueError: if the file cannot be read, is not JSON, or does not have the keys of weights.
+    """
+    try:
+        content = json.loads(text_of_file(path), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        known = str(error)
+        raise ValueError(known if known.startswith(str(path)) else f"{path} is not JSON: {known}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} should have an object with the keys {', '.join(CONTENT)}")
+    if unknown := [key for key in content if key not in CONTENT]:
+        raise ValueError(f"{path} has an unknown key {unknown[0]!r}{did_you_mean(unknown[0], CONTENT)}")
+    if missing := [key for key in CONTENT[:2] if key not in content]:
+        raise ValueError(f"{path} has no {missing[0]}")
+    return content
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no weight")

@@ -1,0 +1,114 @@
+"""What a pursuer observes: what it knows, within bounds, and nothing that has not arrived."""
+
+import numpy as np
+import pytest
+
+import desim
+from desim import Evader, Links, Scenario, Still, Team
+from protocols import CBAA, LocalMin, Rounds
+
+STILL = Evader(position=(10.0, 10.0), strategy=Still(), speed=0.0)
+PLACES = ((0.0, 0.0), (3.0, 0.0), (100.0, 0.0))
+
+
+def apart(**changes):
+    """Two neighbours and a pursuer out of their range; positions are announced, and the evader stands still."""
+    scenario = Scenario(
+        horizon=20.0,
+        team=Team(count=3, positions=PLACES, active_at_start=0.0, speeds=2.0),
+        evader=STILL,
+        protocol=LocalMin(schedule=Rounds(period=0.5)),
+        network=Links(latency=0.1, range=20.0),
+    )
+    return scenario.with_({"announce.payload": "state"} | changes)
+
+
+def observed(scenario, far_action, near_action=0, steps=6, **options):
+    """All observations of pursuers 0 and 1, where the far pursuer takes an action in each round."""
+    env = desim.parallel_env(scenario, 1, **options)
+    shown, _ = env.reset()
+    rows = [shown]
+    for _ in range(steps):
+        shown, *_ = env.step({"pursuer_0": 0, "pursuer_1": near_action, "pursuer_2": far_action})
+        rows.append(shown)
+    return env, np.array([[row["pursuer_0"], row["pursuer_1"]] for row in rows])
+
+
+def test_nothing_is_known_of_what_has_not_arrived():
+    _, inactive = observed(apart(), 0)
+    env, active = observed(apart(), 1)
+    assert np.array_equal(inactive, active)
+    heard = env.observation_names.index("pursuer_2.heard")
+    assert not active[:, :, heard].any()
+
+
+def test_a_change_that_arrives_is_known():
+    """The control: within range, the same change is observed, one latency later."""
+    _, inactive = observed(apart(**{"network.range": float("inf")}), 0)
+    env, active = observed(apart(**{"network.range": float("inf")}), 1)
+    differs = (inactive != active).any(axis=(1, 2))
+    assert differs.tolist() == [False] + [True] * 6
+    action, age = (env.observation_names.index(f"pursuer_2.{field}") for field in ("action", "age"))
+    assert active[1, 0, action] == 1.0
+    assert 0.1 <= active[1, 0, age] <= 0.5  # it is repeated by heartbeats
+
+
+def test_an_omniscient_observation_knows_it():
+    _, inactive = observed(apart(), 0, omniscient=True)
+    env, active = observed(apart(), 1, omniscient=True)
+    assert not np.array_equal(inactive, active)
+    rivals = env.observation_names.index("evader_1.rivals")
+    assert active[1, 0, rivals] == 1.0
+    assert "pursuer_2.age" in env.observation_names
+
+
+def test_numbers_are_those_of_the_agent():
+    env, rows = observed(apart(), 0, near_action=1)
+    me, names = env.pursuer("pursuer_0"), env.observation_names
+    seen = dict(zip(names, rows[-1, 0].tolist(), strict=True))
+    assert (seen["own.x"], seen["own.y"], seen["own.action"], seen["own.speed"]) == (0.0, 0.0, 0.0, 2.0)
+    assert seen["own.time_left"] == pytest.approx(me.time_left())
+    assert (seen["evader_1.dx"], seen["evader_1.dy"]) == (10.0, 10.0)
+    assert seen["evader_1.capture_time"] == pytest.approx(me.capture_time())
+    (rival,) = me.believed_chasers().values()
+    assert seen["evader_1.rivals"] == 1.0
+    assert seen["evader_1.free"] == 0.0
+    assert seen["evader_1.lead"] == pytest.approx(np.tanh(me.capture_time() - rival), abs=1e-6)
+    assert seen["evader_1.late"] == pytest.approx(np.tanh((me.capture_time() - me.time_left()) / 5.0), abs=1e-6)
+    body = me.latest_records()[1].body
+    assert (seen["pursuer_1.dx"], seen["pursuer_1.dy"]) == pytest.approx((body.x, body.y))
+    assert seen["pursuer_1.located"] == 1.0
+    assert (seen["pursuer_0.age"], seen["pursuer_0.heard"], seen["pursuer_0.action"]) == (0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("payload", ["action", "time", "state", "course"])
+@pytest.mark.parametrize("protocol", [LocalMin(), CBAA()])
+def test_each_payload_is_observed_within_the_bounds(payload, protocol):
+    changes = {"announce.payload": payload, "protocol": protocol, "evader": (Evader(), Evader(speed=0.5))}
+    if payload == "course":
+        changes["team.dynamics"] = {"kind": "acceleration", "limit": 5.0}
+    scenario = Scenario(horizon=1.0, team=Team(count=4)).with_(changes)
+    env = desim.env(scenario, 1)
+    env.reset()
+    for agent in env.agent_iter():
+        space = env.observation_space(agent)
+        assert np.isfinite(space.low).all()
+        assert np.isfinite(space.high).all()
+        numbers, _, terminated, truncated, _ = env.last()
+        assert space.contains(numbers)
+        env.step(None if terminated or truncated else 1)
+
+
+def test_covariances_are_those_of_the_filter():
+    scenario = Scenario(horizon=2.0, team=Team(count=3), protocol=LocalMin()).with_(
+        {"sensing.radius": 100.0, "sensing.noise": 0.5, "sensing.estimator": {"kind": "kalman"}}
+    )
+    env = desim.env(scenario, 1)
+    env.reset()
+    for _ in range(12):
+        env.step(0)
+    seen = dict(zip(env.observation_names, env.observe("pursuer_0").tolist(), strict=True))
+    assert 0.0 < seen["evader_1.xx"] < 1.0
+    assert env.pursuer("pursuer_0").errors()[1] == pytest.approx(
+        (seen["evader_1.xx"], seen["evader_1.xy"], seen["evader_1.yy"])
+    )
