@@ -20,7 +20,7 @@ from desim.config.errors import WORDINGS, Problem
 from desim.config.exports import homes_of_exports
 from desim.config.extras import naming_extras
 from desim.config.html import PICTURES
-from desim.config.packages import KINDS_OF, check_visible, explain_hidden_packages
+from desim.config.packages import ENVIRONMENTS, KINDS_OF, check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
     from desim.adapters.wrap import wrap as wrap
@@ -83,6 +83,8 @@ if TYPE_CHECKING:
     from desim.kernel.models.transport import Reliable as Reliable
     from desim.kernel.stepped_network import SteppedNetwork as SteppedNetwork
     from desim.kernel.stepped_networks import SteppedNetworks as SteppedNetworks
+    from desim.learning.make import env as env
+    from desim.learning.make import parallel_env as parallel_env
     from desim.pursuit.byzantine.lies import Equivocate as Equivocate
     from desim.pursuit.byzantine.lies import Liar as Liar
     from desim.pursuit.byzantine.lies import RandomLies as RandomLies
@@ -166,6 +168,21 @@ def _problems_of_call(error: Any, model: type, values: Mapping[str, Any]) -> tup
     return problems_of_call(error, model, values)
 
 
+def _environment(scenario: Any, seed: int | None, **options: Any) -> Any:
+    """Return an environment of a scenario; see `desim.learning.make.env`."""
+    from desim.learning.make import env
+
+    return env(scenario, seed, **options)
+
+
+def _parallel_environment(scenario: Any, seed: int | None, **options: Any) -> Any:
+    """Return a parallel environment of a scenario; see `desim.learning.make.parallel_env`."""
+    from desim.learning.make import parallel_env
+
+    return parallel_env(scenario, seed, **options)
+
+
+ENVIRONMENTS |= {"env": _environment, "parallel_env": _parallel_environment}
 PICTURES["run"] = _picture_of_run
 WORDINGS["call"] = _problems_of_call
 KINDS_OF["protocols"] = _kinds_of_protocols

@@ -38,6 +38,7 @@ FLOORS = [
     {"desim.study.results", "desim.view.pictures"},
     {"desim.study.sweeps", "desim.view.pages"},
     {"desim.study.ablation", "desim.testing"},
+    {"desim.learning"},
     {"desim.cli"},
     {"scenarios.studies", "scenarios.templates"},
     {"scenarios", "scenarios.benchmarks"},
@@ -55,7 +56,7 @@ PACKAGES = [
     {"desim.results"},
     {"desim.study"},
     {"desim.view"},
-    {"desim.testing"},
+    {"desim.learning", "desim.testing"},
     {"desim.cli"},
     {"scenarios"},
 ]

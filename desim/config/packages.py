@@ -8,9 +8,14 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 _SITE = Path(__file__).parents[2]
 PACKAGES = ("protocols", "scenarios")
+ENVIRONMENTS: dict[str, Callable[..., Any]] = {}
+"""By name, the functions that make environments for learners.
+
+`desim` hands them in, because environments are in a package above the one of scenarios."""
 KINDS_OF: dict[str, Callable[[], Mapping[str, Mapping[str, str]]]] = {}
 """By package, the function that returns its kinds, "module:name" by group and kind.
 

@@ -25,6 +25,7 @@ from desim.config.model import (
     Time,
     Value,
 )
+from desim.config.packages import ENVIRONMENTS
 from desim.config.traits import kind_of
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
 from desim.kernel.models.graphs import names_of
@@ -205,6 +206,14 @@ class Scenario(Value):
         for name, value in changes.items():
             source.replace(name, value)
         return validated(source, Scenario)
+
+    def env(self, seed: int | None = None, **options: Any) -> Any:
+        """Return an environment of PettingZoo in which one pursuer at a time decides; see `desim.env`."""
+        return ENVIRONMENTS["env"](self, seed, **options)
+
+    def parallel_env(self, seed: int | None = None, **options: Any) -> Any:
+        """Return an environment of PettingZoo in which all pursuers decide at once; see `desim.parallel_env`."""
+        return ENVIRONMENTS["parallel_env"](self, seed, **options)
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks: the main keys, and all others that differ from their defaults."""

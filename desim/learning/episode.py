@@ -1,0 +1,154 @@
+"""An episode: a run that stops at each turn of a pursuer and waits for its action.
+
+The run is performed in a greenlet, a coroutine with a stack of its own. Where a rule would yield an action, the played
+rule switches to the caller, so no schedule needs to know of it: the order of the turns is that of the run.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+from greenlet import GreenletExit, getcurrent, greenlet
+
+from desim.pursuit.team.agent import Agent
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result, Simulation, run_observed
+from protocols.rule import Rule
+
+TURNS = "turns"
+"""The attribute of a played rule that connects it with its episode; no key of a scenario."""
+
+
+class _Turns:
+    """What the two sides of an episode share.
+
+    The run refers to this object and not to the episode: greenlets keep what their stacks refer to, and the garbage
+    collector does not look into them.
+    """
+
+    def __init__(self) -> None:
+        self.simulation: Simulation | None = None
+        self.is_closed = False
+
+    def ask(self, me: Agent) -> int:
+        """Return the action of a pursuer at its turn; if the episode was closed, its present action."""
+        if not self.is_closed:
+            try:
+                action: int | None = getcurrent().parent.switch(me)
+            except GreenletExit:  # nobody refers to the episode any more
+                action = None
+            if action is not None:
+                return action
+            self.is_closed = True
+            if self.simulation is not None:
+                self.simulation.stop()
+        return me.action
+
+
+class Episode:
+    """A run that waits at each turn of a pursuer.
+
+    It is waiting for the action of `turn`, or over. `act` continues it.
+
+    Args:
+        scenario: the experiment; its protocol, a `Rule`, determines when pursuers take their turns.
+        seed: the seed of the run.
+
+    Attributes:
+        turn: the pursuer whose action is awaited; None if the episode is over.
+        result: the run; None as long as it lasts.
+
+    Raises:
+        TypeError: if the protocol has no turns of pursuers.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int):
+        self._scenario, self._seed, self._turns = scenario, seed, _Turns()
+        played = with_protocol(scenario, played_rule(rule_of(scenario), self._turns))
+        self._run = greenlet(_perform)
+        self.turn: Agent | None = None
+        self.result: Result | None = None
+        self._receive(self._run.switch(played, seed, self._turns))
+
+    @property
+    def simulation(self) -> Simulation:
+        """The agents, the state of the world, and the events so far."""
+        assert self._turns.simulation is not None
+        return self._turns.simulation
+
+    def act(self, action: int) -> None:
+        """Let the pursuer whose turn it is take an action, and continue to the next turn.
+
+        Raises:
+            ValueError: if there is no such action.
+        """
+        self._run.parent = getcurrent()  # it may be another one than that which began the episode
+        self._receive(self._run.switch(action))
+
+    def close(self) -> None:
+        """End the run at this instant; later calls have no effect."""
+        if self.result is None:
+            self._run.parent = getcurrent()
+            self._receive(self._run.switch(None))
+
+    def _receive(self, answer: Agent | Result) -> None:
+        """Take the next turn, or the result at the end, from the run."""
+        if isinstance(answer, Result):
+            self.turn, self.result = None, Result(self._scenario, self._seed, answer.trace)
+        else:
+            self.turn = answer
+
+
+def _perform(scenario: Scenario, seed: int, turns: _Turns) -> Result:
+    """Perform the run of an episode."""
+
+    def begin(simulation: Simulation) -> None:
+        turns.simulation = simulation
+
+    return run_observed(scenario, seed, (), begin)
+
+
+def rule_of(scenario: Scenario) -> Rule:
+    """Return the protocol of a scenario.
+
+    Raises:
+        TypeError: if it is not a rule, so that it has no turns at which an action could be asked for.
+    """
+    rule: Any = scenario.protocol
+    if not isinstance(rule, Rule):
+        raise TypeError(
+            f"the protocol {rule!r} has no turns at which an action could be asked for: choose a rule, which has a"
+            ' schedule, for example scenario.with_({"protocol.kind": "sap"})'
+        )
+    return rule
+
+
+def played_rule(protocol: Rule, turns: _Turns) -> Rule:
+    """Return a rule in which each action is asked for.
+
+    All else is as in the given rule: its schedule, whether pursuers without a choice take their turns, the size of its
+    messages.
+    """
+    values = {name: getattr(protocol, name) for name in type(protocol).model_fields}
+    played = _played_kind(type(protocol)).model_construct(**values)
+    played.__dict__[TURNS] = turns
+    return played
+
+
+@lru_cache(maxsize=64)
+def _played_kind(kind: type[Rule]) -> type[Rule]:
+    """Return the class of a rule in which each action is asked for."""
+
+    def actions(self: Rule, me: Agent) -> Iterator[int]:
+        turns: _Turns = self.__dict__[TURNS]
+        while True:
+            yield turns.ask(me)
+
+    return type(f"Played{kind.__name__}", (kind,), {"actions": actions, "__module__": __name__})
+
+
+def with_protocol(scenario: Scenario, protocol: Rule) -> Scenario:
+    """Return a copy of a valid scenario with another protocol; nothing is validated again."""
+    copy = scenario.model_copy()
+    copy.__dict__["protocol"] = protocol
+    return copy

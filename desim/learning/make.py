@@ -1,0 +1,125 @@
+"""The functions that make environments; they load PettingZoo (the extra `rl`) at the first call."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from desim.config.arguments import scenario_argument
+from desim.config.extras import naming_extras
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import load
+
+if TYPE_CHECKING:
+    from desim.learning.environments import AECPursuit, ParallelPursuit
+    from desim.learning.rewards import Reward
+
+
+@naming_extras()
+def env(
+    scenario: "Scenario | str | Path | None" = None,
+    seed: int | None = None,
+    *,
+    reward: "Literal['wonderful_life', 'team'] | Reward" = "wonderful_life",
+    observation: Literal["vector", "dict"] = "vector",
+    omniscient: bool = False,
+    max_cycles: int | None = None,
+    agents_leave: bool = False,
+    render_mode: Literal["rgb_array", "replay"] | None = None,
+) -> "AECPursuit":
+    """Return an environment of PettingZoo in which one pursuer at a time decides (AEC).
+
+    Use it to train a rule, or to play one by hand. The run is that of `desim.run`, but for the actions, which the
+    caller chooses: `agent_selection` is the pursuer whose turn comes next under the schedule of the scenario. A pursuer
+    observes what its agent knows, and nothing else.
+
+    Args:
+        scenario: the experiment, or the path of its file; None = that of Lee & Bakolas. Its protocol has to be a rule;
+            its schedule counts, and its choices do not.
+        seed: the seed of the first episode, as in `desim run -s`; None = a random one. Later ones have the seeds of
+            runs 1, 2, ... of this root seed, unless `reset` gets another.
+        reward: the marginal contribution of the pursuer to the utility of the team (wonderful_life), the utility of the
+            team (team), both as mean over the horizon, s; or a function of a step
+            (`desim.learning.rewards.Step`) that returns a number for all or one for each pursuer.
+        observation: a vector of numbers, whose names are `observation_names`, with the mask of the actions in the info;
+            or a dict of both ("observation" and "action_mask").
+        omniscient: whether pursuers observe the true positions and actions of all players; for comparison only.
+        max_cycles: the greatest number of turns of a pursuer; then it keeps its action, and the episode is truncated
+            when no pursuer has a turn left. None = no limit.
+        agents_leave: whether a pursuer leaves the episode when its robot breaks down; otherwise all live to its end,
+            and the mask of one that is down allows 0 only.
+        render_mode: what `render` returns: a picture of the present as an array, or the replay page as HTML.
+
+    Raises:
+        ModuleNotFoundError: if PettingZoo or greenlet is not installed; the message names the extra.
+        TypeError: if it is neither a scenario nor a path, or its protocol has no turns of pursuers.
+        ValueError: if an option is not valid.
+    """
+    from desim.learning.environments import AECPursuit
+
+    return AECPursuit(
+        _scenario(scenario, "env"),
+        seed,
+        reward=reward,
+        observation=observation,
+        omniscient=omniscient,
+        max_cycles=max_cycles,
+        agents_leave=agents_leave,
+        render_mode=render_mode,
+    )
+
+
+@naming_extras()
+def parallel_env(
+    scenario: "Scenario | str | Path | None" = None,
+    seed: int | None = None,
+    *,
+    reward: "Literal['wonderful_life', 'team'] | Reward" = "wonderful_life",
+    observation: Literal["vector", "dict"] = "vector",
+    omniscient: bool = False,
+    max_cycles: int | None = None,
+    agents_leave: bool = False,
+    render_mode: Literal["rgb_array", "replay"] | None = None,
+) -> "ParallelPursuit":
+    """Return an environment of PettingZoo in which all pursuers decide at once, in rounds.
+
+    Use it for libraries that expect the parallel interface. The schedule of the scenario becomes `rounds`, in which
+    every pursuer takes part, unless it is `rounds` already (its period counts) or another one at whose turns all decide
+    at once. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
+
+    Args:
+        scenario: as in `env`, and so are the other arguments.
+        seed: the seed of the first episode.
+        reward: the reward of a step.
+        observation: the form of observations.
+        omniscient: whether pursuers observe the true state.
+        max_cycles: the greatest number of steps; the episode is truncated then. None = no limit.
+        agents_leave: whether a pursuer leaves when its robot breaks down.
+        render_mode: what `render` returns.
+
+    Raises:
+        ModuleNotFoundError: if PettingZoo or greenlet is not installed; the message names the extra.
+        TypeError: if it is neither a scenario nor a path, or its protocol has no turns of pursuers.
+        ValueError: if an option is not valid.
+    """
+    from desim.learning.environments import ParallelPursuit
+
+    return ParallelPursuit(
+        _scenario(scenario, "parallel_env"),
+        seed,
+        reward=reward,
+        observation=observation,
+        omniscient=omniscient,
+        max_cycles=max_cycles,
+        agents_leave=agents_leave,
+        render_mode=render_mode,
+    )
+
+
+def _scenario(scenario: Any, function: str) -> Scenario:
+    """Return a scenario, given it or the path of its file; None: that of the paper."""
+    if scenario is None:
+        return Scenario()
+    if isinstance(scenario, str | Path):
+        return load(scenario)
+    scenario_argument(Scenario).check(scenario, function)
+    checked: Scenario = scenario
+    return checked

@@ -1,0 +1,106 @@
+"""Rewards: functions of a step, the time between two turns of an environment.
+
+The utility of a pursuer, or of the team, is integrated over the step and divided by the horizon. So rewards are in
+seconds, as utilities are, those between two turns of a pursuer add up, and those of a whole episode are the mean
+utility over the horizon.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from desim.pursuit.game.game import gain, welfare
+
+
+@dataclass(frozen=True)
+class Step:
+    """The time between two turns, during which the pursuers keep the actions that they have at its start.
+
+    What happens in a step without a decision, as a capture or a crash, changes the actions of the next one.
+    """
+
+    start: float
+    """Time since the start of the episode, s."""
+    end: float
+    """s; equal to `start` if the next turn is at the same instant."""
+    profile: tuple[int, ...]
+    """(N,) the action of each pursuer after the decision at the start."""
+    capture_times: tuple[tuple[float, ...], ...]
+    """(M, N) true capture times at the start, s; inf if an evader is captured."""
+    time_left: float
+    """The time left r at the start, s."""
+    horizon: float
+    """The latest end of the episode, s."""
+    captured: tuple[int, ...]
+    """The evaders that were captured during the step."""
+    is_last: bool
+    """Whether the episode ends with the step."""
+
+    @property
+    def duration(self) -> float:
+        """The length of the step, s."""
+        return self.end - self.start
+
+
+Reward = Callable[[Step], float | Sequence[float]]
+"""A reward: a number for the whole team, or one for each of the N pursuers."""
+
+
+def team(step: Step) -> float:
+    """Return the global utility of the game at the start of a step, times its share of the horizon, s."""
+    utility = welfare(np.transpose(step.capture_times), step.profile, step.time_left) if any(step.profile) else 0.0
+    return utility * step.duration / step.horizon
+
+
+def wonderful_life(step: Step) -> list[float]:
+    """Return the (N,) wonderful-life utilities at the start of a step, times its share of the horizon, s.
+
+    The utility of a pursuer is its marginal contribution to the global utility: the potential game of Lee & Bakolas.
+    """
+    utilities, share = [0.0] * len(step.profile), step.duration / step.horizon
+    for evader, times in enumerate(step.capture_times, start=1):
+        chasing = [i for i, action in enumerate(step.profile) if action == evader and times[i] < inf]
+        for i in chasing:
+            utilities[i] = share * gain(times[i], [times[j] for j in chasing if j != i], step.time_left)
+    return utilities
+
+
+REWARDS: Mapping[str, Reward] = MappingProxyType({"wonderful_life": wonderful_life, "team": team})
+"""The rewards by name."""
+
+
+def reward_named(reward: Any) -> Reward:
+    """Return a reward, given its name or the function.
+
+    Raises:
+        ValueError: if there is no such reward.
+    """
+    if callable(reward):
+        function: Reward = reward
+        return function
+    if reward not in REWARDS:
+        raise ValueError(f"a reward should be {', '.join(REWARDS)} or a function of a step (got {reward!r})")
+    return REWARDS[reward]
+
+
+def rewards_of(reward: Reward, step: Step) -> list[float]:
+    """Return the (N,) rewards of a step.
+
+    Raises:
+        ValueError: if a user's function returns neither a finite number nor one for each pursuer.
+    """
+    answer: Any = reward(step)
+    count = len(step.profile)
+    values = (
+        list(answer) if isinstance(answer, list | tuple | np.ndarray) and np.ndim(answer) == 1 else [answer] * count
+    )
+    is_number = all(isinstance(value, float | int | np.number) and isfinite(value) for value in values)
+    if not is_number or len(values) != count:
+        raise ValueError(
+            f"a reward should be a finite number, or one for each of {count} pursuers, got {answer!r} from {reward!r}"
+        )
+    return [float(value) for value in values]

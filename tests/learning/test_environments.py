@@ -1,0 +1,357 @@
+"""The environments for learners: their order, their interface, and what ends an episode."""
+
+import gc
+import pickle
+import sys
+import threading
+import warnings
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import cloudpickle
+import numpy as np
+import pettingzoo
+import pytest
+from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test
+from pettingzoo.test.state_test import state_test
+
+import desim
+from desim import Crash, Evader, Scenario, Team, load, run
+from desim.kernel.core.trace_file import line_of
+from desim.learning.environments import play
+from desim.learning.rewards import team as team_reward
+from desim.pursuit.core.events import Ended
+from desim.pursuit.game.game import welfare, wonderful_life_utility
+from protocols import CBAA, LocalMin, Rounds, Server
+from protocols.rule import SCHEDULES
+
+SCHEDULE_KINDS = sorted(SCHEDULES.choices())
+RELAY = Path(desim.examples()["relay"])
+
+
+def small(**keys):
+    """A lossy pursuit of five, with heartbeats."""
+    scenario = Scenario(horizon=2.0, team=Team(count=5, active_at_start=1.0), protocol=LocalMin())
+    changes = {"network.latency": 0.05, "network.loss": 0.1, "announce.trigger": "both", "announce.heartbeat": 0.5}
+    return scenario.with_(changes | keys)
+
+
+def lines(result):
+    return list(map(line_of, result.trace))
+
+
+def played_out(env, choose=lambda env, agent: 1):
+    """The sum of the rewards of each agent, as its turns show them."""
+    sums = dict.fromkeys(env.possible_agents, 0.0)
+    for agent in env.agent_iter():
+        _, reward, terminated, truncated, _ = env.last(observe=False)
+        sums[agent] += reward
+        env.step(None if terminated or truncated else choose(env, agent))
+    return sums
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("schedule", SCHEDULE_KINDS)
+@pytest.mark.parametrize("kind", ["sap", "local_min", "cbaa"])
+def test_a_rule_played_through_the_environment_leaves_the_native_trace(kind, schedule):
+    scenario = small(**{"protocol.kind": kind, "protocol.schedule": {"kind": schedule}, "record.messages": True})
+    env = desim.env(scenario, 4)
+    assert lines(play(env, scenario.protocol)) == lines(run(scenario, 4))
+
+
+@pytest.mark.parametrize("changes", [{}, {"fault": (Crash(node=1, start=0.5, end=1.0, memory=False),)}])
+def test_a_rule_played_in_parallel_leaves_the_native_trace(changes):
+    scenario = small(**{"protocol.schedule": Rounds(period=0.2), "record.messages": True}, **changes)
+    env = desim.parallel_env(scenario, 4)
+    assert lines(play(env, LocalMin())) == lines(run(scenario, 4))
+    other = small(**{"protocol.kind": "sap", "protocol.schedule": Rounds(period=0.2), "record.messages": True})
+    assert lines(env.result) != lines(run(other, 4))
+
+
+def test_observing_changes_nothing():
+    scenario = small(**{"sensing.noise": 0.3, "sensing.radius": 12.0, "sensing.estimator": {"kind": "kalman"}})
+    scenario = scenario.with_({"record.messages": True})
+    env = desim.env(scenario, 4)
+    env.reset()
+    rules = {}
+    while env.agents and not env.terminations[env.agent_selection]:
+        before = {agent: env.observe(agent) for agent in env.agents}
+        env.state()
+        assert all(np.array_equal(before[agent], env.observe(agent)) for agent in env.agents)
+        me = env.pursuer(env.agent_selection)
+        env.step(next(rules.setdefault(me.id, LocalMin().actions(me))))
+    assert lines(env.result) == lines(run(scenario, 4))
+
+
+SCENARIOS = {
+    "one evader": {},
+    "two evaders": {"evader": (Evader(), Evader(speed=0.5))},
+    "crashes": {"fault": (Crash(node=1, start=0.3, end=0.8, memory=False), Crash(node=2, start=0.5))},
+    "slow": {"team.speeds": 0.5},
+    "sensing": {"sensing.noise": 0.3, "sensing.radius": 12.0, "sensing.estimator": {"kind": "kalman"}},
+    "rounds": {"protocol.schedule": Rounds()},
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("options", [{}, {"observation": "dict"}, {"agents_leave": True}, {"omniscient": True}])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_pettingzoo_finds_nothing_to_complain_about(name, options):
+    scenario = small(**SCENARIOS[name])
+    make, parallel = partial(desim.env, scenario, **options), partial(desim.parallel_env, scenario, **options)
+    with warnings.catch_warnings():
+        if "observation" in options:
+            warnings.filterwarnings(
+                "ignore", message="Observation space for each agent probably should be|Observation is"
+            )
+        api_test(make(), num_cycles=50)
+    parallel_api_test(parallel(), num_cycles=50)
+    seed_test(make, num_cycles=10)
+    parallel_seed_test(parallel, num_cycles=10)
+    state_test(make(), parallel(), num_cycles=5)
+
+
+@pytest.mark.parametrize("schedule", ["rounds", "poisson"])
+def test_an_episode_ends_after_so_many_turns_of_each(schedule):
+    scenario = small(**{"protocol.schedule": {"kind": schedule}, "horizon": 20.0, "evader.position": (100.0, 0.0)})
+    max_cycles_test(
+        SimpleNamespace(env=partial(desim.env, scenario), parallel_env=partial(desim.parallel_env, scenario))
+    )
+    env = desim.env(scenario, 1, max_cycles=3)
+    env.reset()
+    played_out(env)
+    assert env.result.trace.of(Ended)[0].reason == "stopped"
+
+
+def test_an_episode_in_which_nobody_decides():
+    scenario = small(**{"team.speeds": 0.5})
+    env = desim.env(scenario, 1)
+    env.reset()
+    assert env.infos["pursuer_3"]["action_mask"].tolist() == [1, 0]
+    env.step(0)
+    assert all(env.terminations.values())
+    for _ in env.agent_iter():
+        env.step(None)
+    assert env.agents == []
+    with pytest.raises(RuntimeError, match=r"the episode is over: call reset\(\)"):
+        env.step(0)
+    parallel = desim.parallel_env(scenario, 1)
+    observations, _ = parallel.reset()
+    assert set(observations) == set(parallel.agents)
+    _, _, terminations, _, _ = parallel.step(dict.fromkeys(parallel.agents, 0))
+    assert all(terminations.values())
+    assert parallel.agents == []
+
+
+def test_a_seed_is_that_of_a_run():
+    scenario = small()
+    env = desim.env(scenario, 7)
+    seeds = []
+    for seed in (None, None, 7, None):
+        env.reset(seed=seed)
+        seeds.append(env.result.seed)
+    assert seeds == [7, 7_000_001, 7, 7_000_001]
+    free = desim.env(scenario)
+    free.reset()
+    first = free.result.seed
+    other = desim.env(scenario)
+    other.reset()
+    assert first != other.result.seed
+    with pytest.raises(ValueError, match="seed"):
+        env.reset(seed=-1)
+
+
+@pytest.mark.parametrize("dump", [pickle.dumps, cloudpickle.dumps])
+def test_an_environment_is_pickled_before_and_after_reset(dump):
+    for env in (desim.env(small(), 3), desim.parallel_env(small(), 3)):
+        assert pickle.loads(dump(env)).possible_agents == env.possible_agents
+        env.reset()
+        again = pickle.loads(dump(env))
+        assert np.array_equal(again.state(), env.state())
+    env = desim.env(small(), 3, reward=team_reward)
+    env.reset()
+    for _ in range(9):
+        env.step(1)
+    again = pickle.loads(dump(env))
+    while env.agents:
+        assert again.agent_selection == env.agent_selection
+        (seen, *rest, _), (seen_again, *rest_again, _) = env.last(), again.last()
+        assert np.array_equal(seen, seen_again)
+        assert rest == rest_again
+        action = None if rest[1] or rest[2] else 1
+        env.step(action)
+        again.step(action)
+    assert lines(again.result) == lines(env.result)
+
+
+def test_agents_live_to_the_end_unless_they_may_leave():
+    scenario = small(fault=(Crash(node=1, start=0.5, end=1.0),))
+    env = desim.env(scenario, 3)
+    env.reset()
+    while env.pursuer("pursuer_0").now < 0.7:
+        env.step(1)
+    assert env.infos["pursuer_1"]["action_mask"].tolist() == [1, 1]  # of its last turn
+    assert env._info("pursuer_1")["action_mask"].tolist() == [1, 0]
+    assert len(env.agents) == 5
+    leaving = desim.parallel_env(scenario, 3, agents_leave=True)
+    leaving.reset()
+    while len(leaving.agents) == 5:
+        *_, terminations, _, _ = leaving.step(dict.fromkeys(leaving.agents, 1))
+    assert [agent for agent, ended in terminations.items() if ended] == ["pursuer_1"]
+    assert leaving.pursuer("pursuer_0").now == pytest.approx(0.5, abs=0.11)
+
+
+def test_rewards_add_up_between_turns():
+    """In a static game, utilities change with actions only: their integral is a sum over the decisions of the trace."""
+    scenario = small(**{"motion.static": True, "capture.radius": 0.01})
+    first = desim.env(scenario, 3)
+    choose = lambda env, agent: (env.pursuer(agent).id + len(env._taken)) % 2  # noqa: E731
+    first.reset()
+    begin = first.pursuer("pursuer_0").now
+    sums = played_out(first, choose)
+    trace = first.result.trace
+    phi = np.array(first.pursuer("pursuer_0").global_state.capture_times(1))
+    profile, since, expected = list(trace.events[0].active), begin, np.zeros(5)
+    total = 0.0
+    for event in [*trace.of(desim.pursuit.core.events.Decided), trace.of(Ended)[0]]:
+        duration = event.t / 1e9 - since
+        expected += [duration / 2.0 * wonderful_life_utility(phi, profile, 2.0, i) for i in range(5)]
+        total += duration / 2.0 * welfare(phi, profile, 2.0)
+        since = event.t / 1e9
+        if hasattr(event, "pursuer"):
+            profile[event.pursuer] = event.active
+    assert list(sums.values()) == pytest.approx(expected.tolist(), abs=1e-12)
+    second = desim.env(scenario, 3, reward="team")
+    second.reset()
+    assert list(played_out(second, choose).values()) == pytest.approx([total] * 5, abs=1e-12)
+
+
+def test_a_reward_of_a_user_is_a_function_of_a_step():
+    steps = []
+    env = desim.env(small(), 3, reward=lambda step: steps.append(step) or -step.duration * len(step.profile))
+    env.reset()
+    begin = env.pursuer("pursuer_0").now
+    sums = played_out(env)
+    assert [step.is_last for step in steps] == [False] * (len(steps) - 1) + [True]
+    assert steps[0].profile == (1, 1, 1, 1, 1)
+    end = env.result.trace.of(Ended)[0].t / 1e9
+    assert list(sums.values()) == pytest.approx([-5 * (end - begin)] * 5)
+    for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan")):
+        env = desim.env(small(), 3, reward=wrong)
+        env.reset()
+        with pytest.raises(ValueError, match="a reward should be a finite number, or one for each of 5 pursuers"):
+            env.step(1)
+
+
+def test_an_action_that_a_mask_excludes_has_the_effect_of_none():
+    scenario = small(**{"team.speeds": [0.5, 2.0, 2.0, 2.0, 2.0], "protocol": CBAA()})
+    env = desim.env(scenario, 3)
+    env.reset()
+    while env.agent_selection != "pursuer_0":
+        env.step(1)
+    assert env.infos["pursuer_0"]["action_mask"].tolist() == [1, 0]
+    env.step(1)
+    assert env.pursuer("pursuer_0").action == 0
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "text"),
+    [
+        (
+            lambda: desim.env(small(), reward="much"),
+            ValueError,
+            "a reward should be wonderful_life, team or a function",
+        ),
+        (lambda: desim.env(small(), observation="list"), ValueError, "should be vector or dict"),
+        (lambda: desim.env(small(), render_mode="human"), ValueError, "should be rgb_array or replay"),
+        (lambda: desim.env(small(), max_cycles=0), ValueError, "at least 1"),
+        (lambda: desim.env(small(), -1), ValueError, "seed"),
+        (lambda: desim.env({"horizon": 2.0}), TypeError, r"env takes a scenario, not a dict: env\(Scenario"),
+        (lambda: desim.env("nowhere.toml"), FileNotFoundError, "No such file"),
+        (lambda: desim.env(small(protocol=Server())), TypeError, "has no turns at which an action could be asked for"),
+        (lambda: desim.env(small()).step(1), RuntimeError, r"call reset\(\) first"),
+        (lambda: desim.env(small()).observe("pursuer_0"), RuntimeError, r"call reset\(\) first"),
+    ],
+)
+def test_wrong_arguments_are_refused(make, error, text):
+    with pytest.raises(error, match=text):
+        make()
+
+
+def test_wrong_actions_are_refused():
+    env = desim.env(small(), 1)
+    env.reset()
+    for action in (2, -1, 0.5, None):
+        with pytest.raises(ValueError, match="an action should be from 0 to 1"):
+            env.step(action)
+    parallel = desim.parallel_env(small(), 1)
+    parallel.reset()
+    with pytest.raises(ValueError, match="pursuer_1 has no action"):
+        parallel.step({"pursuer_0": 1})
+    with pytest.raises(KeyError, match="there is no agent 'pursuer_9': they are pursuer_0 to pursuer_4"):
+        parallel.observe("pursuer_9")
+
+
+def test_it_is_registered_as_pettingzoo_registers():
+    for kind, base in (("aec", pettingzoo.AECEnv), ("parallel", pettingzoo.ParallelEnv)):
+        env = pettingzoo.make(kind, "desim/pursuit-v0", scenario=small(), max_cycles=2)
+        assert isinstance(env, base)
+        assert env.max_cycles == 2
+
+
+def test_a_scenario_is_an_environment():
+    env = small().env(3)
+    env.reset()
+    assert env.result.seed == 3
+    parallel = small().parallel_env(3, max_cycles=2)
+    assert parallel.max_cycles == 2
+    assert desim.env(str(RELAY)).scenario == load(RELAY)
+
+
+@pytest.mark.slow
+def test_a_picture_of_the_present_and_a_replay_page():
+    env = desim.env(small(), 3, render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    for _ in range(12):
+        env.step(1)
+    second = env.render()
+    assert first.shape == second.shape
+    assert second.dtype == np.uint8
+    assert (first != second).any()
+    page = desim.env(small(), 3, render_mode="replay")
+    page.reset()
+    page.step(1)
+    assert page.render().startswith("<!doctype html>")
+    assert desim.env(small()).render() is None
+
+
+@pytest.mark.slow
+def test_many_resets_need_neither_memory_nor_threads():
+    env = desim.env(small(**{"record.trajectory": 0.0}), 1)
+
+    def objects(resets):
+        for _ in range(resets):
+            env.reset()
+            env.step(1)
+        gc.collect()
+        return len(gc.get_objects()), sys.getallocatedblocks()
+
+    objects(20)
+    before, threads = objects(20), threading.active_count()
+    after = objects(1000)
+    assert threading.active_count() == threads
+    assert after[0] - before[0] < 500
+    assert after[1] - before[1] < 2000
+
+
+def test_an_environment_that_is_forgotten_ends_its_run():
+    for _ in range(3):
+        env = desim.env(small(), 1)
+        env.reset()
+        env.step(1)
+        del env
+    gc.collect()
+    result = run(small(), 1)
+    assert result.trace.of(Ended)
