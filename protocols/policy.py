@@ -1,6 +1,6 @@
 """A learned rule: a linear function or a small neural network of the observation of a pursuer, from a file of weights.
 
-Paper: none; the network is a multilayer perceptron (Rosenblatt 1961), and a linear rule is one without hidden layers.
+Paper: none. The network is a multilayer perceptron; a linear rule is one without hidden layers.
 Parameters: schedule, and the file of weights, or the names of the features and the layers.
 Assumes: nothing beyond the game in which the weights were learned.
 Messages: announcements, see `announce` in the scenario.
@@ -33,7 +33,9 @@ from desim.pursuit.team.observation import (
 )
 from protocols.rule import Rule
 
-Weight = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+MAX_WEIGHT = 1e12
+"""Largest absolute value of a weight."""
+Weight = Annotated[float, Field(ge=-MAX_WEIGHT, le=MAX_WEIGHT, allow_inf_nan=False, strict=True)]
 RELATIVE = "evader"
 """The block of the evader whose chase is scored, in the names of features."""
 CONTENT = ("features", "layers", "activation")
@@ -67,24 +69,35 @@ class Layer(Value):
         return len(self.weights[0])
 
 
+SHARP = 1e9
+FIRST_AND_IN_TIME = (
+    Layer(weights=((SHARP, 0.0), (0.0, SHARP)), bias=(0.0, 0.0)),
+    Layer(weights=((-1.0, -1.0),), bias=(1.0,)),
+)
+"""The score 1 - SHARP max(lead, 0) - SHARP max(late, 0): positive for a pursuer that is first, and in time."""
+
+
 class Policy(Rule):
     """The action of the greatest score, where a network computes the scores from an observation.
 
     A network with one output gives the score of chasing an evader, for each evader that the pursuer may chase; that of
     inactivity is 0. The block "evader" in the names of its features stands for the evader in question. A network with
     M + 1 outputs gives the scores of all actions, 0 .. M. Ties go to the lowest action.
+
+    Without weights it is the rule of `local_min` where all hear each other: it chases if no teammate that is known to
+    chase would be earlier, and it would be in time.
     """
 
     kind: Literal["policy"] = "policy"
     file: str | None = None
     """Path of a JSON file with `features`, `layers` and perhaps `activation`, relative to the scenario file. It is
     read once, when the scenario is created."""
-    features: Annotated[tuple[str, ...], FirstError()] = ()
+    features: Annotated[tuple[str, ...], FirstError()] = ("evader.lead", "evader.late")
     """Instead of a file: the names of the n inputs, as in "evader.lead", "own.time_left" or "pursuer_3.age"; see
     `desim.pursuit.team.observation`."""
-    layers: tuple[Layer, ...] = ()
+    layers: tuple[Layer, ...] = FIRST_AND_IN_TIME
     """Instead of a file: the layers, from the input to the output; a linear rule has one."""
-    activation: Literal["tanh", "relu"] = "tanh"
+    activation: Literal["tanh", "relu"] = "relu"
     """The function that is applied to the outputs of all layers but the last."""
 
     @model_validator(mode="before")
@@ -99,8 +112,8 @@ class Policy(Rule):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if not self.layers or not self.features:
-            raise ValueError("should have a file of weights, or features and layers")
+        if not self.layers or not self.features or len({"features", "layers"} & self.model_fields_set) == 1:
+            raise ValueError("should have features and layers, both of them or in a file")
         sizes = len(self.features), *(len(layer.bias) for layer in self.layers)
         for k, layer in enumerate(self.layers):
             if layer.inputs != sizes[k]:
@@ -148,13 +161,13 @@ class Policy(Rule):
         while True:
             options = me.options()
             scores = [0.0] * len(options)
-            known = _Known(me)
+            blocks = _Blocks(me)
             if self.outputs > 1:
-                values = scores_of([read(known, 0) for read in inputs])
+                values = scores_of([read(blocks, 0) for read in inputs])
                 scores = [values[action] for action in options]
             else:
                 for k, evader in enumerate(options[1:], start=1):
-                    (scores[k],) = scores_of([read(known, evader) for read in inputs])
+                    (scores[k],) = scores_of([read(blocks, evader) for read in inputs])
             yield options[scores.index(max(scores))]
 
 
@@ -181,7 +194,7 @@ def _rectified(value: float) -> float:
     return max(value, 0.0)
 
 
-class _Known:
+class _Blocks:
     """The blocks of the observation of a pursuer at one turn, each computed at its first use."""
 
     def __init__(self, me: Agent):
@@ -247,15 +260,15 @@ def _check_name(name: str, *, several: bool) -> None:
         raise ValueError(f"{name!r} has no number, but the network gives the scores of all actions: write evader_1")
 
 
-def _reader(name: str) -> Callable[[_Known, int], float]:
+def _reader(name: str) -> Callable[[_Blocks, int], float]:
     """Return the function that reads a feature, given the blocks and the evader whose chase is scored."""
     block, number, field = _parts(name)
     index = _FIELDS[block].index(field)
     if block == "own":
-        return lambda known, _: known.own()[index]
+        return lambda blocks, _: blocks.own()[index]
     if block == "pursuer":
-        return lambda known, _: known.pursuer(number or 0)[index]
-    return lambda known, evader: known.evader(number or evader)[index]
+        return lambda blocks, _: blocks.pursuer(number or 0)[index]
+    return lambda blocks, evader: blocks.evader(number or evader)[index]
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -267,8 +280,8 @@ def _content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(text_of_file(path), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        known = str(error)
-        raise ValueError(known if known.startswith(str(path)) else f"{path} is not JSON: {known}") from error
+        reason = str(error)
+        raise ValueError(reason if reason.startswith(str(path)) else f"{path} is not JSON: {reason}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} should have an object with the keys {', '.join(CONTENT)}")
     if unknown := [key for key in content if key not in CONTENT]:

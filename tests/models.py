@@ -28,6 +28,7 @@ NEEDED: dict[str, dict[str, Any]] = {
     "Jamming": {"start": 1.0, "centre": [1.0, 2.0], "radius": 1.0},
     "LatencyMatrix": {"values": [[0.0, 0.5], [0.25, 0.0]]},
     "LatencyTrace": {"table": TABLE},
+    "Layer": {"weights": [[0.5]], "bias": [0.25]},
     "Liar": {"start": 1.0, "node": 0},
     "Link": {"src": 0, "dst": 1, "latency": 0.5},
     "LossTrace": {"table": TABLE},
@@ -52,6 +53,8 @@ NEEDED: dict[str, dict[str, Any]] = {
 """The arguments without which a class has no valid object, by its name."""
 
 
+PLAYED = "desim.learning.episode"
+"""The module that makes a class of each rule that is played."""
 ABSTRACT = {"Fault", "LinkTrace", "_LossTrace"}
 """Classes without objects."""
 
@@ -64,7 +67,7 @@ def classes(base: type[Value] = Value) -> Iterator[type[Value]]:
                 if not module.name.endswith("__main__"):
                     importlib.import_module(module.name)
     for model in base.__subclasses__():
-        if model.__module__.partition(".")[0] in {"desim", "protocols"}:
+        if model.__module__.partition(".")[0] in {"desim", "protocols"} and model.__module__ != PLAYED:
             yield model
             yield from classes(model)
 

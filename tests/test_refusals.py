@@ -30,6 +30,7 @@ from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read_source
 from desim.study.plan.configurations import configurations
+from protocols import Policy
 from tests.command import JARGON
 from tests.golden import golden
 
@@ -171,7 +172,7 @@ def _headers(table: Table) -> list[str]:
 
 TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES}
-BY_HAND |= {(each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, RecordedFlow, RecordedMotion)}
+BY_HAND |= {(each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, Policy, RecordedFlow, RecordedMotion)}
 BY_HAND.add((LatencyMatrix, "values"))  # nan stands for a link that does not exist
 BY_HAND |= {(RecordedMotion, "node"), (RecordedPositions, "nodes")}
 """Keys whose refusals are written out below or in `tests/pursuit/test_recorded.py`.

@@ -1,4 +1,4 @@
-"""Environments for reinforcement learning: a run in which the caller, not the protocol, decides for the pursuers.
+"""Environments for learners: a run in which the caller decides for the pursuers, with the interface of PettingZoo.
 
-The environments have the interface of PettingZoo, which the extra `rl` installs.
+A new reward is one function in `rewards`. What a pursuer observes is in `desim.pursuit.team.observation`.
 """

@@ -27,7 +27,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.pages.replay import replay, with_recordings
 from protocols.rule import Rule
-from protocols.schedules.periodic import Rounds, Schedule
+from protocols.schedules.periodic import Rounds
 
 RENDER_MODES = ("rgb_array", "replay")
 FORMS = ("vector", "dict")
@@ -451,12 +451,8 @@ def in_rounds(scenario: Scenario) -> Scenario:
     Raises:
         TypeError: if its protocol has no schedule.
     """
-    rule = rule_of(scenario)
-    schedule: Schedule = rule.schedule
-    if isinstance(schedule, Rounds):
-        schedule = schedule.model_copy(update={"participation": 1.0})
-    elif not scenario.schedule_traits.at_once:
-        schedule = Rounds()
+    rule, for_all = rule_of(scenario), scenario.schedule_traits.for_all
+    schedule = Rounds() if for_all is None else for_all()
     return with_protocol(scenario, rule.model_copy(update={"schedule": schedule}))
 
 

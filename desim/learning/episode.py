@@ -6,7 +6,7 @@ rule switches to the caller, so no schedule needs to know of it: the order of th
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 from greenlet import GreenletExit, getcurrent, greenlet
 
@@ -115,12 +115,12 @@ def rule_of(scenario: Scenario) -> Rule:
         TypeError: if it is not a rule, so that it has no turns at which an action could be asked for.
     """
     rule: Any = scenario.protocol
-    if not isinstance(rule, Rule):
+    if scenario.protocol_traits.schedule is None or not hasattr(rule, "actions"):
         raise TypeError(
             f"the protocol {rule!r} has no turns at which an action could be asked for: choose a rule, which has a"
             ' schedule, for example scenario.with_({"protocol.kind": "sap"})'
         )
-    return rule
+    return cast("Rule", rule)
 
 
 def played_rule(protocol: Rule, turns: _Turns) -> Rule:

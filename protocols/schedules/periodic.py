@@ -16,7 +16,7 @@ Robust to loss: yes, because the times of revisions do not depend on messages.
 from collections.abc import Callable, Iterator
 from itertools import count
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field
@@ -136,6 +136,10 @@ class Rounds(Value):
     def mean_slot(self, me: Agent) -> float:
         """Return period / (q N), s, where q is `participation`."""
         return self.period / (self.participation * me.team_size)
+
+    def for_all(self) -> Self:
+        """Return the rounds in which every pursuer revises."""
+        return self.model_copy(update={"participation": 1.0})
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each round with probability `participation`."""

@@ -8,7 +8,7 @@ Robust to loss: yes, because the times of revisions do not depend on messages.
 """
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 from desim.config.choice import OneOf
 from desim.config.model import Value
@@ -40,6 +40,10 @@ class Synchronous(Value):
     def mean_slot(self, me: Agent) -> float:
         """Return the mean length of a slot of the other schedule, s."""
         return slot_length(self.schedule, me)
+
+    def for_all(self) -> Self:
+        """Return the schedule itself: every pursuer revises in each slot."""
+        return self
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot."""

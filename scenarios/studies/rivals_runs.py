@@ -42,6 +42,10 @@ SILENT = "nobody talks"
 REFERENCE = "sap"
 
 
+LEARNED = "policy"
+"""The protocol that is what its weights make of it; without any it is `local_min`."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """The results of one protocol in one scenario at one latency.
@@ -108,7 +112,7 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
 
 def measure(options: Options) -> list[Cell]:
     """Run each protocol in each scenario of `WORLDS` at each latency, and return the results."""
-    protocols = [*PROTOCOLS.choices(), SILENT]
+    protocols = [kind for kind in PROTOCOLS.choices() if kind != LEARNED] + [SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
     runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
     return [

@@ -12,19 +12,9 @@ from desim.kernel.core.trace_file import line_of
 from desim.scenario.overrides import ScenarioError
 from desim.study.plan.config_hash import identify
 from protocols import Layer, LocalMin, Policy
-from protocols.policy import network
+from protocols.policy import SHARP, network
 
 FEATURES = ("evader.lead", "evader.free", "evader.rivals", "evader.chosen", "evader.late")
-SHARP = 1e12
-AS_LOCAL_MIN = Policy(
-    features=("evader.lead", "evader.late"),
-    layers=(
-        Layer(weights=((SHARP, 0.0), (0.0, SHARP)), bias=(0.0, 0.0)),
-        Layer(weights=((-1.0, -1.0),), bias=(1.0,)),
-    ),
-    activation="relu",
-)
-"""Chases if no known rival has a smaller capture time and it would be in time: the score is 1, or very negative."""
 
 
 def small(protocol, evader=None, **changes):
@@ -49,9 +39,9 @@ def test_a_network_is_its_formula(activation):
     assert network(layers, activation)(x.tolist()) == pytest.approx((second @ hidden + bias[1]).tolist())
 
 
-def test_weights_can_express_local_min():
+def test_without_weights_it_is_local_min():
     """On a complete graph and with one evader, local_min asks no more than who is first and in time."""
-    assert lines(small(AS_LOCAL_MIN)) == lines(small(LocalMin()))
+    assert lines(small(Policy())) == lines(small(LocalMin()))
     assert lines(small(Policy(features=("own.x",), layers=(Layer(weights=((0.0,),), bias=(1.0,)),)))) != lines(
         small(LocalMin())
     )
@@ -60,8 +50,8 @@ def test_weights_can_express_local_min():
 def test_scores_of_all_actions_and_scores_of_each_chase_agree():
     """Two evaders: the scores 0, s_1, s_2 by one network, or s_j by one that is evaluated for each evader."""
     evaders = Evader(), Evader(speed=0.5)
-    each = AS_LOCAL_MIN
-    names = tuple(name.replace("evader", f"evader_{j}") for j in (1, 2) for name in AS_LOCAL_MIN.features)
+    each = Policy()
+    names = tuple(name.replace("evader", f"evader_{j}") for j in (1, 2) for name in Policy().features)
     hidden = tuple(tuple(SHARP * (i == j) for i in range(4)) for j in range(4))
     scores = (0.0,) * 4, (-1.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, -1.0)
     layers = Layer(weights=hidden, bias=(0.0,) * 4), Layer(weights=scores, bias=(0.0, 1.0, 1.0))
@@ -151,7 +141,8 @@ def test_a_file_that_is_wrong_is_refused(content, why, tmp_path):
 @pytest.mark.parametrize(
     ("table", "why"),
     [
-        ("", "should have a file of weights, or features and layers"),
+        ("features = ['own.x']", "should have features and layers, both of them or in a file"),
+        ("layers = []", "should have features and layers, both of them or in a file"),
         ('file = "no.json"', "no.json cannot be read"),
         ('file = "../w.json"', "leads out of the folder"),
         ('file = "w.json"\nfeatures = ["own.x"]', "should have a file or features, not both"),

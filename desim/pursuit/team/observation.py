@@ -107,16 +107,16 @@ def evader_block(me: Agent, evader: int, *, omniscient: bool = False) -> OfEvade
     """
     view = me.global_state if omniscient else me
     place = view.evader(evader) if evader in me.evaders() else complex(nan, nan)
-    known = not isnan(place.real)
-    offset = place - me.position() if known else 0j
-    uncertainty, (xx, xy, yy) = (0.0, (0.0, 0.0, 0.0)) if omniscient or not known else me.errors(evader)
+    is_known = not isnan(place.real)
+    offset = place - me.position() if is_known else 0j
+    uncertainty, (xx, xy, yy) = (0.0, (0.0, 0.0, 0.0)) if omniscient or not is_known else me.errors(evader)
     phi = me.global_state.capture_times_of([me.id], evader)[0] if omniscient else me.capture_time(evader)
     rivals = _true_chasers(me, evader) if omniscient else list(me.believed_chasers(evader).values())
     least = min((time for time in rivals if not isnan(time)), default=nan)
     # Both may be infinite: then none of the two is first.
     lead = 0.0 if isnan(least) or phi == least else tanh(phi - least)
     return OfEvader(
-        known,
+        is_known,
         offset.real,
         offset.imag,
         uncertainty,

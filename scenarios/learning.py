@@ -1,0 +1,150 @@
+"""Train a rule and compare it with the rules of the literature: the cross-entropy method, with numpy only.
+
+A linear rule of six features, "chase if their weighted sum is positive", is trained at a latency of 0.1 s to minimise
+the active time of the team plus three times the time in which nobody chases. Then it is compared, on seeds that it has
+not seen, with local_min, Spatial Adaptive Play and pursuers that always chase, over the latency. With --delays,
+instead: a rule trained without delay against one trained with a delay of 1 s, each on both.
+
+An interrupted study goes on where it was: what it has measured is in OUT/NAME.progress.json. The weights of the rule
+are in OUT/learning.weights.json, for `protocol = { kind = "policy", file = "learning.weights.json" }`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import click
+from click import Option
+
+from desim.analysis.tables import aligned
+from scenarios.studies.learning_runs import (
+    DELAY,
+    LATENCIES,
+    LATENCY,
+    NO_DELAY,
+    RIVALS,
+    Cell,
+    Generation,
+    compare,
+    document,
+    in_words,
+    linear,
+    notebook,
+    train,
+)
+from scenarios.studies.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WITHOUT, WITH = "trained without delay", f"trained with {DELAY:g} s"
+
+
+def table(cells: Sequence[Cell], runs: int) -> str:
+    """Return the costs as text, a row per rule and a column per latency."""
+    rules, latencies = list(dict.fromkeys(cell.rule for cell in cells)), sorted({cell.latency for cell in cells})
+    rows: list[tuple[str, ...]] = [("rule", *(f"L = {latency:g} s" for latency in latencies))]
+    for rule in rules:
+        here = {cell.latency: cell for cell in cells if cell.rule == rule}
+        rows.append((rule, *(f"{here[l].cost:.2f} +- {here[l].standard_error:.2f}" for l in latencies)))  # noqa: E741
+    return f"Active time + 3 x idle time, s, {runs} runs of equal seeds, with standard errors\n{aligned(rows)}"
+
+
+def weights_table(weights: Sequence[float]) -> str:
+    """Return the weights in words."""
+    rows = [(name, f"{weight:+.2f}", meaning) for name, weight, meaning in in_words(weights)]
+    return f"Weights, the strongest first\n{aligned([('feature', 'weight', 'the pursuer'), *rows])}"
+
+
+def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure":
+    """Draw the learning curve, the costs over the latency, and the weights in words."""
+    from desim.analysis.drawing import palette, plots
+
+    with plots.styled(figsize=(9.0, 6.0)) as figure:
+        grid = figure.add_gridspec(2, 2)
+        curve, costs, words = (figure.add_subplot(grid[place]) for place in ((0, 0), (0, 1), (1, slice(None))))
+        numbers = range(1, len(generations) + 1)
+        curve.plot(numbers, [generation.typical for generation in generations], color=palette.GREY, label="all")
+        best = [generation.best for generation in generations]
+        curve.plot(numbers, best, color=palette.SERIES[0], label="best candidate")
+        rival = next((cell.cost for cell in cells if (cell.rule, cell.latency) == ("local_min", LATENCY)), None)
+        if rival is not None:
+            curve.axhline(rival, color=palette.SERIES[1], ls=":", label="local_min")
+        curve.set(xlabel="generation", ylabel="cost (s)", yscale="log")
+        curve.legend(fontsize=7)
+        _draw_costs(costs, cells)
+        _draw_words(words, generations[-1].mean)
+    return figure
+
+
+def _draw_costs(axes: "Axes", cells: Sequence[Cell]) -> None:
+    """Draw the cost of each rule over the latency."""
+    from desim.analysis.drawing import palette
+
+    for colour, rule in zip(palette.SERIES, dict.fromkeys(cell.rule for cell in cells), strict=False):
+        here = [cell for cell in cells if cell.rule == rule]
+        axes.errorbar(
+            [cell.latency for cell in here],
+            [cell.cost for cell in here],
+            yerr=[cell.standard_error for cell in here],
+            color=colour,
+            marker="o",
+            ms=3,
+            label=rule,
+        )
+    axes.set(xlabel="latency (s)", ylabel="cost, unseen seeds (s)", yscale="log")
+    axes.legend(fontsize=7)
+
+
+def _draw_words(axes: "Axes", weights: Sequence[float]) -> None:
+    """Draw each weight as a bar, with its meaning."""
+    from desim.analysis.drawing import palette
+
+    named = in_words(weights)
+    axes.barh(range(len(named)), [weight for _, weight, _ in named], color=palette.SERIES[0])
+    axes.set_yticks(range(len(named)), [meaning for _, _, meaning in named])
+    axes.invert_yaxis()
+    axes.axvline(0.0, color="black", lw=0.8)
+    axes.set(xlabel="weight")
+
+
+def _with_delays(options: Options) -> None:
+    """Train a rule without delay and one with it, and compare both on both."""
+    options = replace(options, name="learning_delays")
+    notes = notebook(options)
+    trained = {
+        WITHOUT: train(options, notes, NO_DELAY, WITHOUT),
+        WITH: train(options, notes, DELAY, WITH),
+    }
+    rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
+    cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
+    text = "\n\n".join(
+        [table(cells, options.runs), *(f"{name}\n{weights_table(g[-1].mean)}" for name, g in trained.items())]
+    )
+    content = {name: document(generations, []) for name, generations in trained.items()}
+    options.show(content | {"costs": document([], cells)["costs"]}, text)
+
+
+@study(
+    "learning",
+    __doc__,
+    30,
+    Option(["--delays"], is_flag=True, help="Compare training with and without delay instead."),
+)
+def main(options: Options) -> None:
+    """Train, compare and draw."""
+    if options.own["delays"]:
+        _with_delays(options)
+        return
+    notes = notebook(options)
+    generations = train(options, notes, LATENCY, "training")
+    learned = linear(generations[-1].mean)
+    cells = compare(options, notes, {"learned": learned, **RIVALS}, LATENCIES)
+    text = f"{table(cells, options.runs)}\n\n{weights_table(generations[-1].mean)}"
+    options.show(document(generations, cells), text, lambda: picture(generations, cells))
+    click.echo(f"wrote {learned.write(options.out / 'learning.weights.json')}", err=True)
+
+
+if __name__ == "__main__":
+    main()
