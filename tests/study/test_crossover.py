@@ -89,6 +89,9 @@ def test_an_interval_that_the_values_do_not_bound_has_no_end():
     crossing = sweep_of(sap, cbba).crossover("active_time", KEY, A, B)
     assert crossing.high == inf
     assert "beyond 0.4 s" in str(crossing)
+    assert crossing.winner is None
+    assert "beats" not in str(crossing)
+    assert "protocol = sap and protocol = cbba are not told apart" in str(crossing)
     assert crossing.document()["interval"][1] == "Infinity" or crossing.document()["interval"][1] is None
 
 
@@ -101,6 +104,23 @@ def test_curves_that_do_not_cross_have_no_crossing():
         "active time: no crossing for network.latency.value from 0 to 0.4 s: protocol = cbba beats protocol = sap"
     )
     assert crossing.document()["interval"] is None
+
+
+@pytest.mark.parametrize(("shift", "crosses"), [(0.0, True), (0.2, False)])
+def test_curves_that_scatter_more_than_they_differ_have_no_winner(shift, crosses):
+    """Differences of -1 and 1 in turn with means of 0.1 and less: no value of the key tells the two apart."""
+    base = np.array([[1.0], [2.0], [3.0], [4.0]]) + np.zeros(4)
+    noise = np.array([[1.0], [-1.0], [1.0], [-1.0]]) + np.array([0.1, -0.1, 0.1, -0.1]) + shift
+    crossing = sweep_of(base + noise, base).crossover("active_time", KEY, A, B)
+    assert (crossing.at is not None) == crosses
+    assert crossing.winner is None
+    assert crossing.undecided == ((0.0, 0.4),)
+    assert crossing.document()["winner_beyond"] is None
+    sentence = str(crossing)
+    assert "protocol = sap and protocol = cbba are not told apart" in sentence
+    assert "from 0 to 0.4 s" in sentence or "network.latency.value = 0 to 0.4 s" in sentence
+    assert "beats" not in sentence
+    assert ("the means cross 3 times, the last time at 0.3 s" in sentence) == crosses
 
 
 def test_the_last_of_several_crossings_counts_and_touching_is_none():

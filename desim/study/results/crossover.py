@@ -55,19 +55,38 @@ class Crossover:
     """The number of seeds for which all runs have a value."""
     span: CrossoverInterval
     """The least and the greatest value of the key."""
-    is_apart: bool
-    """Whether the two curves can be told apart at each value of the key, if they do not cross."""
+    undecided: tuple[CrossoverInterval, ...]
+    """The intervals of values of the key at which the two curves are not told apart, in ascending order."""
     confidence: float
+
+    @property
+    def winner(self) -> str | None:
+        """The name of the better curve beyond `at`, or everywhere if they do not cross; the lesser if neither is known.
+
+        None: the two are not told apart up to the greatest value of the key, or, without a crossing, at any value.
+        """
+        if self.high == inf or (self.at is None and self._is_never_apart):
+            return None
+        other = next((name for name in self.names if name != self.least), self.least)
+        return other if self.more_is == "better" else self.least
+
+    @property
+    def _is_never_apart(self) -> bool:
+        return any(low <= self.span[0] and high >= self.span[1] for low, high in self.undecided)
 
     def __str__(self) -> str:
         unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
-        other = next((name for name in self.names if name != self.least), self.least)
-        better, worse = (other, self.least) if self.more_is == "better" else (self.least, other)
-        relation = f"{better} beats {worse}" if self.more_is else f"{self.least} is less than {other}"
         low, high = self.span
         tail = f"{self.pairs} pairs of runs with the same seed"
+        if (winner := self.winner) is None:
+            relation = f"{' and '.join(self.names)} are not told apart"
+        else:
+            other = next((name for name in self.names if name != winner), winner)
+            relation = f"{winner} {'beats' if self.more_is else 'is less than'} {other}"
         if self.at is None:
-            doubt = "" if self.is_apart else ", not at every value distinguishable from 0"
+            if winner is None:
+                return f"{words(self.metric)}: {relation} for {self.key} from {low:g} to {high:g}{unit} ({tail})"
+            doubt = ", not at every value distinguishable from 0" if self.undecided else ""
             return (
                 f"{words(self.metric)}: no crossing for {self.key} from {low:g} to {high:g}{unit}: {relation}"
                 f" throughout{doubt} ({tail})"
@@ -76,9 +95,16 @@ class Crossover:
             f"below {low:g}" if self.low == -inf else f"{self.low:.3g}",
             (f"beyond {high:g}" if self.high == inf else f"{self.high:.3g}"),
         )
-        several = f"; the means cross {len(self.crossings)} times, and this is the last" * (len(self.crossings) > 1)
+        crossings = len(self.crossings)
+        several = f"; the means cross {crossings} times, and this is the last" * (crossings > 1)
+        start = f"{self.at:.3g}{unit} on"
+        if winner is None:
+            start = f"{low if self.low == -inf else self.low:.3g} to {high:g}{unit}"
+            last = "the last time " * (crossings > 1)
+            several = f"; the means cross{f' {crossings} times,' * (crossings > 1)} {last}at {self.at:.3g}{unit}"
+            relation += "" if self.low == -inf else " any more"
         return (
-            f"{words(self.metric)}: {relation} from {self.key} = {self.at:.3g}{unit} on ({100 * self.confidence:g} %"
+            f"{words(self.metric)}: {relation} from {self.key} = {start} ({100 * self.confidence:g} %"
             f" interval {ends[0]} to {ends[1]}{unit}, Fieller, {tail}{several})"
         )
 
@@ -93,6 +119,8 @@ class Crossover:
             "confidence": self.confidence,
             "crossings": list(self.crossings),
             "least_beyond": self.least,
+            "winner_beyond": self.winner,
+            "undecided": [list(ends) for ends in self.undecided],
             "pairs": self.pairs,
             "sentence": str(self),
         }
@@ -146,7 +174,7 @@ class Crossover:
             more,
             len(differences),
             (x[0], x[-1]),
-            not undecided,
+            tuple(undecided),
             confidence,
         )
 
