@@ -434,7 +434,8 @@ CLAIMS = (
     Claim(
         "delay",
         VALIDATION,
-        "the excess is {0.83 +- 0.03} for a token ring, {1.75 +- 0.12} for a random order and {1.59 +- 0.03} for rounds",
+        "the excess is {0.83 +- 0.03} for a token ring, {1.75 +- 0.12} for a random order and {1.59 +- 0.03} for"
+        " rounds",
         [excess(schedule) for schedule in ("token_ring", "shared_seed", "rounds")],
         sigmas=NORMAL_975,
     ),

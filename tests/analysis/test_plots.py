@@ -40,6 +40,10 @@ def chase(reason="captured", capturer=1, name="chase", samples=3) -> Result:
     return Result(Scenario(name=name), 3, trace)
 
 
+CHASERS = ["pursuer that chased for a while", "pursuer 2, which captures"]
+CAPTURES = ["capture of 1 by 0, 0.40 s", "capture of 2 by 0, 1.00 s"]
+
+
 def texts(root) -> list[str]:
     return ["".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")]
 
@@ -49,14 +53,12 @@ def texts(root) -> list[str]:
     [
         (
             history(),
-            ["pursuer at the start", "pursuer that chased for a while", "pursuer 2, which captures", "evader"]
-            + ["capture, 1.00 s"],
+            ["pursuer at the start", *CHASERS, "evader", "capture, 1.00 s"],
             [[5.0, 6.0]],
         ),
         (
             pair(),
-            ["pursuer at the start", "pursuer that captures", "evader", "", "capture of 1 by 0, 0.40 s"]
-            + ["capture of 2 by 0, 1.00 s"],
+            ["pursuer at the start", "pursuer that captures", "evader", "", *CAPTURES],
             [[5.0, 5.4], [9.0, 2.0]],
         ),
     ],
