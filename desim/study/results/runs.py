@@ -300,7 +300,7 @@ def _says(value: Any, number: Any) -> bool:
     if not isinstance(value, str) or not is_number(number):
         return False
     try:
-        return float(value) == number
+        return bool(float(value) == number)
     except ValueError:
         return False
 
