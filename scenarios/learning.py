@@ -114,8 +114,8 @@ def _with_delays(options: Options) -> None:
     options = replace(options, name="learning_delays")
     notes = notebook(options)
     trained = {
-        WITHOUT: train(options, notes, NO_DELAY, WITHOUT),
-        WITH: train(options, notes, DELAY, WITH),
+        WITHOUT: train(options, notes, NO_DELAY),
+        WITH: train(options, notes, DELAY),
     }
     rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
     cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
@@ -138,7 +138,7 @@ def main(options: Options) -> None:
         _with_delays(options)
         return
     notes = notebook(options)
-    generations = train(options, notes, LATENCY, "training")
+    generations = train(options, notes, LATENCY)
     learned = linear(generations[-1].mean)
     cells = compare(options, notes, {"learned": learned, **RIVALS}, LATENCIES)
     text = f"{table(cells, options.runs)}\n\n{weights_table(generations[-1].mean)}"

@@ -154,21 +154,22 @@ def notebook(options: Options) -> Notebook:
     return Notebook(options.out / f"{options.name}.progress.json", identity)
 
 
-def train(options: Options, notes: Notebook, latency: float, label: str) -> list[Generation]:
+def train(options: Options, notes: Notebook, latency: float) -> list[Generation]:
     """Return the generations of a training by the cross-entropy method (Rubinstein 1999) at a latency, s.
 
     The candidates of a generation are normal draws, all are run with the same seeds, and the next ones are drawn around
-    the mean of the best. Seeds are not used again, and none is among those of the comparison.
+    the mean of the best. Seeds are not used again, and none is among those of the comparison. Trainings at several
+    latencies have the same draws and seeds.
     """
     scales, generations = np.array(SCALES), list[Generation]()
     mean, deviation = np.zeros(len(SCALES)), scales
     for number in range(GENERATIONS):
-        draws = stream(options.seed, f"candidates {label}", number).standard_normal((CANDIDATES, len(SCALES)))
+        draws = stream(options.seed, "candidates training", number).standard_normal((CANDIDATES, len(SCALES)))
         candidates = mean + deviation * draws
         rules = [linear(weights.tolist()) for weights in candidates]
         first = number * SEEDS
         seeds = [run_seed(options.seed + 1, first + k) for k in range(SEEDS)]
-        text = f"{label}, generation {number + 1} of {GENERATIONS}"
+        text = f"training at {latency:g} s, generation {number + 1} of {GENERATIONS}"
         costs = notes.remember(text, partial(_costs, rules, latency, seeds, options.jobs, text))
         by_candidate = np.array(costs).reshape(CANDIDATES, SEEDS).mean(axis=1)
         elite = candidates[np.argsort(by_candidate, kind="stable")[:ELITE]]
