@@ -140,13 +140,49 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                         f"protocols.{module}"
                         for module in (
                             *("sap", "best_response", "binary_log_linear", "fictitious_play", "regret_matching"),
-                            *("local_min", "cbaa", "cbba", "server", "geometric", "centralised"),
+                            *("local_min", "cbaa", "cbba", "server", "geometric", "centralised", "policy"),
                         )
                     ),
                 ),
                 Section("Schedules", "When a pursuer decides.", ("protocols.schedules",)),
                 Section("Temperatures", "How random the choices are.", ("protocols.temperature",)),
                 Section("Disseminations", "How announcements spread.", ("protocols.dissemination",)),
+            ),
+        ),
+        "learning": Page(
+            "Learning",
+            "Environments of PettingZoo, and what pursuers observe in them; see [Learning](../../howto/learning.md).",
+            (
+                Section(
+                    "Environments",
+                    "A run in which the caller decides for the pursuers.",
+                    ("desim.learning",),
+                    (
+                        "desim.learning.environments.AECPursuit",
+                        "desim.learning.environments.ParallelPursuit",
+                        "desim.learning.environments.play",
+                    ),
+                ),
+                Section(
+                    "Rewards",
+                    "Functions of a step.",
+                    names=(
+                        "desim.learning.rewards.Step",
+                        "desim.learning.rewards.wonderful_life",
+                        "desim.learning.rewards.team",
+                    ),
+                ),
+                Section(
+                    "Observations",
+                    "What a pursuer knows, as named numbers.",
+                    names=(
+                        "desim.pursuit.team.observation.observation",
+                        "desim.pursuit.team.observation.observation_names",
+                        "desim.pursuit.team.observation.Own",
+                        "desim.pursuit.team.observation.OfEvader",
+                        "desim.pursuit.team.observation.OfPursuer",
+                    ),
+                ),
             ),
         ),
         "own": Page(
