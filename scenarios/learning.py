@@ -62,8 +62,8 @@ def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure
     from desim.analysis.drawing import palette, plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
-        grid = figure.add_gridspec(2, 2)
-        curve, costs, words = (figure.add_subplot(grid[place]) for place in ((0, 0), (0, 1), (1, slice(None))))
+        above, below = figure.subfigures(2, 1)
+        (curve, costs), words = above.subplots(1, 2), below.subplots()
         numbers = range(1, len(generations) + 1)
         curve.plot(numbers, [generation.typical for generation in generations], color=palette.GREY, label="all")
         best = [generation.best for generation in generations]

@@ -3,7 +3,8 @@
 `AECPursuit` asks one pursuer at a time, in the order of any schedule. `ParallelPursuit` asks all in rounds.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import inf
 from secrets import randbits
 from typing import Any, ClassVar
 
@@ -17,7 +18,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.kernel.core.units import seconds
 from desim.learning.episode import Episode, rule_of, with_protocol
-from desim.learning.rewards import Reward, Step, reward_named, rewards_of
+from desim.learning.rewards import REWARDS, Reward, Step, reward_named, rewards_of
 from desim.learning.spaces import Spaces, Vector
 from desim.pursuit.core.events import Ended, Sampled
 from desim.pursuit.core.state import coordinates
@@ -74,8 +75,11 @@ class Pursuit:
         self.scenario = scenario
         self._played = scenario if render_mode is None else with_recordings(scenario)
         self._reward, self._agents_leave = reward_named(reward), agents_leave
+        self._counts_chasers = reward in REWARDS
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
+        self._ids = {name: i for i, name in enumerate(self.possible_agents)}
+        self._actions = range(len(scenario.evaders) + 1)
         self.agents: list[str] = []
         self._spaces = Spaces(scenario, with_masks=observation == "dict", omniscient=omniscient)
         self.observation_spaces = {name: self._spaces.of_observations() for name in self.possible_agents}
@@ -155,11 +159,11 @@ class Pursuit:
 
     def _number_of(self, agent: str) -> int:
         """Return the id of a pursuer, given its name."""
-        if agent not in self.action_spaces:
+        if agent not in self._ids:
             raise KeyError(
                 f"there is no agent {agent!r}: they are {self.possible_agents[0]} to {self.possible_agents[-1]}"
             )
-        return int(agent.removeprefix("pursuer_"))
+        return self._ids[agent]
 
     def _begin(self, seed: int | None) -> Episode:
         """Begin the next episode.
@@ -186,25 +190,26 @@ class Pursuit:
 
     def _checked(self, agent: str, action: Any) -> int:
         """Return an action as an integer; ValueError if it is none of the actions of the game."""
+        if type(action) is int and action in self._actions:  # the check of the space takes longer
+            return action
         if action is None or not self.action_spaces[agent].contains(action):
             raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
         return int(action)
 
     def _first_half(self, actions: Mapping[int, int]) -> Step:
         """Return the step that begins now with some actions, by pursuer; its end is still open."""
-        world = self._world
-        agents, now = self._running.simulation.agents, world.now
+        world, agents = self._world, self._running.simulation.agents
         profile = world.profile.copy()
         for i, action in actions.items():
             profile[i] = action if action in agents[i].options() else 0
-        times = tuple(body.capture_times(now) for body in world.bodies)
-        start = seconds(now)
+        times = chasers_times(world, profile) if self._counts_chasers else all_times(world)
+        start = seconds(world.now)
         return Step(
             start,
             start,
             tuple(profile),
             times,
-            world.time_left(now),
+            world.time_left(world.now),
             self.scenario.horizon,
             tuple(world.at_large),
             False,
@@ -306,7 +311,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             episode.act(chosen)
         self._select()
         rewards = self._rewards(begun)
-        self.rewards = {name: rewards[self._number_of(name)] for name in self.agents}
+        self.rewards = {name: rewards[self._ids[name]] for name in self.agents}
         self._accumulate_rewards()
         self._deads_step_first()
 
@@ -414,6 +419,26 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
         self._restart()
         for actions in taken:
             self.step(actions)
+
+
+def all_times(world: WorldState) -> tuple[tuple[float, ...], ...]:
+    """Return the (M, N) capture times now, s."""
+    return tuple(body.capture_times(world.now) for body in world.bodies)
+
+
+def chasers_times(world: WorldState, profile: Sequence[int]) -> tuple[tuple[float, ...], ...]:
+    """Return the (M, N) capture times now, s, of those that chase the evader under a profile; inf for the others.
+
+    The utilities of the game depend on no others, and those of few are computed sooner.
+    """
+    rows = []
+    for body in world.bodies:
+        chasing = [i for i, action in enumerate(profile) if action == body.number]
+        times = [inf] * len(profile)
+        for i, time in zip(chasing, body.capture_times_of(chasing, world.now) if chasing else (), strict=True):
+            times[i] = time
+        rows.append(tuple(times))
+    return tuple(rows)
 
 
 def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None) -> Result:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,7 +30,8 @@ class Step:
     profile: tuple[int, ...]
     """(N,) the action of each pursuer after the decision at the start."""
     capture_times: tuple[tuple[float, ...], ...]
-    """(M, N) true capture times at the start, s; inf if an evader is captured."""
+    """(M, N) true capture times at the start, s; inf if an evader is captured. A reward of a user gets those of all
+    pursuers; those of the game get only those that chase the evader, and inf for others."""
     time_left: float
     """The time left r at the start, s."""
     horizon: float
@@ -62,6 +63,8 @@ def wonderful_life(step: Step) -> list[float]:
     The utility of a pursuer is its marginal contribution to the global utility: the potential game of Lee & Bakolas.
     """
     utilities, share = [0.0] * len(step.profile), step.duration / step.horizon
+    if not any(step.profile):
+        return utilities
     for evader, times in enumerate(step.capture_times, start=1):
         chasing = [i for i, action in enumerate(step.profile) if action == evader and times[i] < inf]
         for i in chasing:
@@ -94,6 +97,8 @@ def rewards_of(reward: Reward, step: Step) -> list[float]:
         ValueError: if a user's function returns neither a finite number nor one for each pursuer.
     """
     answer: Any = reward(step)
+    if reward is wonderful_life:  # the check below takes longer
+        return cast("list[float]", answer)
     count = len(step.profile)
     values = (
         list(answer) if isinstance(answer, list | tuple | np.ndarray) and np.ndim(answer) == 1 else [answer] * count

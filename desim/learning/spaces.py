@@ -34,6 +34,7 @@ class Spaces:
 
     def __init__(self, scenario: Scenario, *, with_masks: bool, omniscient: bool):
         self._with_masks, self._omniscient = with_masks, omniscient
+        self._masks: dict[tuple[int, ...], Mask] = {}
         self._pursuers, self._evaders = scenario.team.count, len(scenario.evaders)
         self.observation_names = observation_names(self._pursuers, self._evaders)
         centre, extent = reach_of(scenario)
@@ -69,11 +70,10 @@ class Spaces:
 
     def mask(self, me: Agent) -> Mask:
         """Return the mask of the actions of a pursuer now; one that is down can only be inactive."""
-        mask = np.zeros(self._evaders + 1, dtype=np.int8)
-        mask[0] = 1
-        if not me.global_state.state.broken[me.id]:
-            mask[list(me.options())] = 1
-        return mask
+        options = (0,) if me.global_state.state.broken[me.id] else tuple(me.options())
+        if options not in self._masks:
+            self._masks[options] = np.isin(np.arange(self._evaders + 1), options).astype(np.int8)
+        return self._masks[options].copy()
 
     def state_of(self, state: WorldState) -> Vector:
         """Return the true state of the world now, in the order of `state_names`."""
