@@ -218,17 +218,9 @@ class Pursuit:
     def _rewards(self, begun: Step) -> list[float]:
         """Return the (N,) rewards of a step that has begun and ends now."""
         world, is_last = self._world, self._running.turn is None
-        captured = tuple(evader for evader in begun.captured if evader not in world.at_large)
-        step = Step(
-            begun.start,
-            seconds(world.now),
-            begun.profile,
-            begun.capture_times,
-            begun.time_left,
-            begun.horizon,
-            captured,
-            is_last,
-        )
+        at_large = begun.captured  # a step that has begun has the evaders that are at large there
+        captured = () if len(at_large) == len(world.at_large) else tuple(sorted(set(at_large) - set(world.at_large)))
+        step = begun._replace(end=seconds(world.now), captured=captured, is_last=is_last)
         return rewards_of(self._reward, step)
 
     def _leavers(self) -> list[str]:

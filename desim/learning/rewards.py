@@ -6,18 +6,16 @@ utility over the horizon.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from desim.pursuit.game.game import gain, welfare
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """The time between two turns, during which the pursuers keep the actions that they have at its start.
 
     What happens in a step without a decision, as a capture or a crash, changes the actions of the next one.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import seconds
 from desim.pursuit.team.agent import Agent
-from desim.pursuit.team.announcements import Located, TimedAssignment, action_in_game
+from desim.pursuit.team.announcements import Assignment, Located, TimedAssignment, action_in_game
 
 LATE = 5.0
 """The time, s, by which a capture has to be late or early for `OfEvader.late` to be 0.76 or -0.76."""
@@ -172,14 +172,19 @@ def _of_teammate(
         teammate: the id of the teammate.
         record: its newest announcement that has arrived; None without any.
     """
-    body = None if record is None else record.body
     place = None if sensed is None else sensed[teammate]
-    if place is None and isinstance(body, Located):
-        place = complex(body.x, body.y)
+    age, action, claim = 0.0, 0, 0.0
+    if record is not None:
+        body = record.body
+        age = min(max(me.now - seconds(record.stamp), 0.0), me.horizon)
+        if type(body) is Assignment:  # as a rule; the questions below take longer
+            action = body.active
+        else:
+            action = action_in_game(body, me.evader_count) or 0
+            if place is None and isinstance(body, Located):
+                place = complex(body.x, body.y)
+            claim = min(body.capture_time, me.horizon) if isinstance(body, TimedAssignment) else 0.0
     offset = 0j if place is None else place - here
-    age = 0.0 if record is None else min(max(me.now - seconds(record.stamp), 0.0), me.horizon)
-    claim = min(body.capture_time, me.horizon) if isinstance(body, TimedAssignment) else 0.0
-    action = action_in_game(body, me.evader_count) or 0
     return OfPursuer(record is not None, age, action, place is not None, offset.real, offset.imag, claim)
 
 
