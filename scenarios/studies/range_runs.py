@@ -29,10 +29,10 @@ from scenarios.studies.study import Options
 
 N = 10
 TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})
-RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
+RANGES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 20.0)
 """Communication ranges R, m."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-GAMES_PER_RUN = 20
+GAMES_PER_RUN = 100
 """Number of games at t = 0 per run requested with --runs; their equilibria are found by enumeration."""
 CLOCKS = Poisson(rate=10.0)
 HEARTBEAT = 0.3
@@ -91,7 +91,7 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],
         protocol=chosen,
-        announce=Announcements(start="known", heartbeat=HEARTBEAT, **settings),
+        announce=Announcements(heartbeat=HEARTBEAT, **settings),
         network=Links(range=range, latency=Constant(value=0.005)),
     )
 

@@ -61,7 +61,7 @@ class Setting(NamedTuple):
     """Distance of the evader from the middle of the team at the start, m, so that a pursuit takes longer and actions
     change less often; 0: it starts in the middle, as in the paper."""
 
-    start: Start = "known"
+    start: Start = "announced"
     """How the initial actions become known; if they are announced, these announcements count as changes of action."""
 
     @property
