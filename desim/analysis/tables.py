@@ -58,10 +58,15 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
     is_equal = any(ALL_EQUAL in row for row in rows)
     unseen = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
+    late = portable_sum(run.end_time >= scenario.horizon for run in runs)
+    why = (
+        f"{counted(late, 'run')} ended at the horizon of {scenario.horizon:g} s, which may be too short for a capture\n"
+    )
     return (
         _heading(scenario, seeds)
         + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t interval{unseen}\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
+        + ("" if captured or not late else why)
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
     )
@@ -125,16 +130,22 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     )
     evaders = len(scenario.evaders)
     if evaders == 1:
-        yield "captured", outcome, ""
+        yield "captured", outcome, _note_of_end(scenario, run)
         return
     end = f"the last after {run.end_time:.3f} s" if run.captured else outcome.removeprefix("no, ")
-    yield "captured", f"{run.captures} of {evaders}", end
+    note = _note_of_end(scenario, run)
+    yield "captured", f"{run.captures} of {evaders}", f"{end}, {note}" if note else end
     times, by = run.capture_times, run.capturers
     for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
         time_and_pursuer = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
         yield f"  evader {evader}", time_and_pursuer, ""
     if evaders > SHOWN:
         yield f"  and {evaders - SHOWN} more", "", ""
+
+
+def _note_of_end(scenario: Scenario, run: Summary) -> str:
+    """Return a note if the horizon ended the run, and not a capture or a watcher; else ""."""
+    return "" if run.captured or run.end_time < scenario.horizon else "the horizon: it may be too short for a capture"
 
 
 def _rows_of_run(scenario: Scenario, run: Summary, shown: Sequence[str]) -> Iterator[tuple[str, str, str]]:

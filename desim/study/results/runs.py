@@ -18,6 +18,8 @@ from desim.study.store.run_table import Row, RunTable
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
+CAPTURE_TIMES = frozenset({"capture_time", "mean_capture_time"})
+"""The metrics that a run without a capture lacks."""
 MESSAGING = ("network.", "announce.")
 """The first parts of keys that have an effect only if pursuers need messages."""
 NEEDLESS = (
@@ -213,22 +215,37 @@ class SweepRuns:
         return [first.setdefault(other, k) for k, other in enumerate(other_settings)]
 
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
-        """Return a warning for each key of the grid on which neither `captured` nor any of the given metrics depends.
+        """Return a warning if no run captured, and one for each key on which nothing that is shown depends.
 
-        Runs with the same seed that differ only in such a key agree in all these metrics, bit for bit. A warning may
-        also be limited to one value of another key, for example to one protocol. There is no warning if seeds are
-        independent, or if a run failed. `SweepPlan.warnings` returns the warnings that need no runs.
+        Shown are `captured` and the given metrics. If no run ended by a capture, and a time of captures is shown, the
+        horizon may be too short. Runs with the same seed that differ only in a key without effect agree in all these
+        metrics, bit for bit. A warning may also be limited to one value of another key, for example to one protocol.
+        There is no such warning if seeds are independent, or if a run failed. `SweepPlan.warnings` returns the warnings
+        that need no runs.
         """
         metrics = each_name(metrics)
+        captureless = [] if (sentence := self._without_capture(metrics)) is None else [sentence]
         if self.failed or not self.common:
-            return []
+            return captureless
         names = ", ".join(("captured", *map(words, metrics)))
-        return [
+        return captureless + [
             f"{where}nothing shown ({names}) depends on {key}: equal in {counted(count, 'pair')} of runs that differ"
             f" in it only{NEEDLESS * key.startswith(MESSAGING)}"
             for key in self.keys
             for where, count in self._without_effect(key, metrics)
         ]
+
+    def _without_capture(self, metrics: Sequence[str]) -> str | None:
+        """Return a sentence if a time of captures is among the metrics, and no run ended by a capture; else None."""
+        if CAPTURE_TIMES.isdisjoint(metrics) or any(group.present("captured").any() for group in self.groups):
+            return None
+        ends = [end for group in self.groups for end in group.present("end_time").tolist()]
+        if not ends:
+            return None
+        return (
+            f"no run ended by a capture, the longest after {max(ends):g} s, so that capture times are missing: the"
+            " `horizon` may be too short, or no pursuer fast enough"
+        )
 
     def _without_effect(self, key: str, metrics: Sequence[str]) -> Iterator[tuple[str, int]]:
         """Yield the condition under which a key has no effect, and the number of pairs of runs that differ in it only.
