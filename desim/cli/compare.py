@@ -2,10 +2,32 @@
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from desim.cli.options import JSON, Pair, echo, fail, storing
+
+if TYPE_CHECKING:
+    from desim.study.results.crossover import Crossover
+    from desim.study.results.threshold import Threshold
+
+
+class Percent(click.ParamType[float]):
+    """A parameter type: a share in percent, such as 10%."""
+
+    name = "N%"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the share: 0.1 for 10%."""
+        number, sign, rest = str(value).partition("%")
+        try:
+            if not sign or rest:
+                raise ValueError
+            return float(number) / 100.0
+        except ValueError:
+            self.fail(f"{value!r} should be a share in percent, 10% for instance", param, ctx)
+
 
 FORMAT = click.option(
     "--format",
@@ -60,8 +82,15 @@ def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: s
 @click.command()
 @click.argument("source", metavar="DIR", type=click.Path(path_type=Path))
 @click.argument("key", metavar="KEY")
-@click.argument("a", metavar="A", type=Pair())
-@click.argument("b", metavar="B", type=Pair())
+@click.argument("a", metavar="[A]", type=Pair(), required=False)
+@click.argument("b", metavar="[B]", type=Pair(), required=False)
+@click.option(
+    "--over",
+    type=Percent(),
+    help="Without A and B: from which value of KEY on the metric is this share over its mean at the baseline, e.g. 10%"
+    " (-10%: under it).",
+)
+@click.option("--baseline", metavar="VALUE", help="With --over: the value of KEY at the baseline; default: the least.")
 @click.option("-y", "--y", "metric", metavar="METRIC", default="active_time", show_default=True, help="The metric.")
 @click.option(
     "--where",
@@ -74,26 +103,37 @@ def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: s
 def crossover(
     source: Path,
     key: str,
-    a: tuple[str, str],
-    b: tuple[str, str],
+    a: tuple[str, str] | None,
+    b: tuple[str, str] | None,
+    over: float | None,
+    baseline: str | None,
     metric: str,
     where: tuple[tuple[str, str], ...],
     as_json: bool,
 ) -> None:
-    """Say from which value of KEY on A is better than B in a sweep, with a 95 % interval.
+    """Say from which value of KEY on A is better than B in a sweep, or the metric over a share, with a 95 % interval.
 
     A and B are values of another key, for instance: desim crossover out/relay network.latency.value protocol=sap
-    protocol=cbba
+    protocol=cbba. With --over, the curve is compared with its own baseline: desim crossover out/relay
+    network.latency.value --over 10%
     """
     from desim.study.results.result import SweepResult
     from desim.study.sweeps.folder import open as open_results
 
+    if (over is None) != (a is not None and b is not None) or (over is not None and a is not None):
+        raise click.UsageError("give either the two curves A and B, protocol=sap protocol=cbba, or --over 10%")
+    if baseline is not None and over is None:
+        raise click.UsageError("--baseline is an option of --over")
     try:
         with storing():
             result = open_results(source)
         if not isinstance(result, SweepResult):
             fail(f"{source}: is a run, and a crossover is of a sweep")
-        crossing = result.crossover(metric, key, dict([a]), dict([b]), where=dict(where))
+        crossing: Crossover | Threshold
+        if a is not None and b is not None:
+            crossing = result.crossover(metric, key, dict([a]), dict([b]), where=dict(where))
+        else:
+            crossing = result.threshold(metric, key, over or 0.0, baseline=baseline, where=dict(where))
     except (OSError, ValueError) as error:
         fail(str(error))
     echo(json.dumps(crossing.document(), indent=2) if as_json else str(crossing))

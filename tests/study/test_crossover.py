@@ -11,7 +11,7 @@ from desim.analysis.metrics import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.crossover import _crossings, _undecided
+from desim.study.results.crossover import sign_changes, undecided_parts
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
 from desim.study.store.run_table import Row
@@ -56,7 +56,7 @@ def test_the_interval_of_two_points_is_fiellers_closed_form():
     """For d at 0 and e at 1, x = m / (m - n); the ends are the roots of (m + x s)^2 = q (v + 2 x c + x^2 w)."""
     rng = np.random.default_rng(2)
     differences = np.column_stack([rng.normal(-1.0, 0.5, 20), rng.normal(1.0, 0.5, 20)])
-    (interval,) = _undecided([0.0, 1.0], differences, 0.95)
+    (interval,) = undecided_parts([0.0, 1.0], differences, 0.95)
     ratio = -differences[:, 0].mean() / (differences[:, 1] - differences[:, 0]).mean()
     q = 2.093024054408263**2 / 20  # t(19), 97.5 %
     covariance = np.cov(differences[:, 0], differences[:, 1] - differences[:, 0])
@@ -67,7 +67,7 @@ def test_the_interval_of_two_points_is_fiellers_closed_form():
     rest = g * (covariance[0, 0] - covariance[0, 1] ** 2 / covariance[1, 1])
     half = sqrt(q) / abs(slope) / (1 - g) * sqrt(spread - rest)
     assert interval == (pytest.approx(middle - half), pytest.approx(middle + half))
-    assert _crossings([0.0, 1.0], differences.mean(axis=0).tolist()) == (pytest.approx(ratio),)
+    assert sign_changes([0.0, 1.0], differences.mean(axis=0).tolist()) == (pytest.approx(ratio),)
 
 
 @pytest.mark.slow_but_one
@@ -76,7 +76,7 @@ def test_the_interval_holds_the_points_at_which_a_t_test_does_not_decide(seed):
     """A loop over a fine grid, with scipy's t test of the differences that are interpolated run by run."""
     rng = np.random.default_rng(seed)
     sap, cbba = random_tables(rng, 12, noise=0.1 + 0.1 * seed)
-    intervals = _undecided(X, sap - cbba, 0.9)
+    intervals = undecided_parts(X, sap - cbba, 0.9)
     for point in np.linspace(0.0, 0.4, 401):
         values = [np.interp(point, X, line) for line in sap - cbba]
         inside = any(low - 1e-12 <= point <= high + 1e-12 for low, high in intervals)
@@ -124,10 +124,10 @@ def test_curves_that_scatter_more_than_they_differ_have_no_winner(shift, crosses
 
 
 def test_the_last_of_several_crossings_counts_and_touching_is_none():
-    assert _crossings([0, 1, 2, 3], [1.0, -1.0, 1.0, -3.0]) == (0.5, 1.5, 2.25)
-    assert _crossings([0, 1, 2], [1.0, 0.0, 1.0]) == ()
-    assert _crossings([0, 1, 2], [0.0, 1.0, 2.0]) == ()
-    assert _crossings([0, 1, 2, 3], [1.0, 0.0, 0.0, -1.0]) == (1.5,)
+    assert sign_changes([0, 1, 2, 3], [1.0, -1.0, 1.0, -3.0]) == (0.5, 1.5, 2.25)
+    assert sign_changes([0, 1, 2], [1.0, 0.0, 1.0]) == ()
+    assert sign_changes([0, 1, 2], [0.0, 1.0, 2.0]) == ()
+    assert sign_changes([0, 1, 2, 3], [1.0, 0.0, 0.0, -1.0]) == (1.5,)
     base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
     crossing = sweep_of(base + np.array([1.0, -1.0, 1.0, -3.0]), base).crossover("active_time", KEY, A, B)
     assert crossing.least == "protocol = sap"
@@ -193,8 +193,8 @@ def test_the_interval_covers_as_often_as_it_says(confidence):
     for _ in range(studies):
         sap, cbba = random_tables(rng, 10, noise=0.1)
         differences = sap - cbba
-        at = _crossings(X, differences.mean(axis=0).tolist())
-        intervals = _undecided(X, differences, confidence)
+        at = sign_changes(X, differences.mean(axis=0).tolist())
+        intervals = undecided_parts(X, differences, confidence)
         low, high = next((ends for ends in intervals if at and ends[0] <= at[-1] <= ends[1]), (inf, -inf))
         covered += (low <= X[0] or low <= 0.15) and (high >= X[-1] or high >= 0.15)
     error = sqrt(confidence * (1.0 - confidence) / studies)
@@ -209,7 +209,7 @@ def test_an_interval_for_independent_runs_would_cover_too_often():
     for shuffled in (False, True):
         sap, cbba = random_tables(rng, 30)
         other = cbba[rng.permutation(30)] if shuffled else cbba
-        low, high = max(_undecided(X, sap - other, 0.95), key=lambda ends: ends[1] - ends[0])
+        low, high = max(undecided_parts(X, sap - other, 0.95), key=lambda ends: ends[1] - ends[0])
         widths.append(high - low)
     assert widths[0] < 0.5 * widths[1]
 

@@ -142,33 +142,31 @@ class Crossover:
             raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
         if not result.common:
             raise ValueError("runs with independent seeds cannot be paired: a crossover needs sweep.seeds = common")
-        lines = [_line(result, key, {**(where or {}), **chosen}) for chosen in (a, b)]
+        lines = [curve(result, key, {**(where or {}), **chosen}) for chosen in (a, b)]
         x = sorted(lines[0].keys() & lines[1].keys())
         if len(x) < 2:
             raise ValueError(f"{key}: a crossover needs two or more finite numbers that both curves have, got {len(x)}")
         names = in_words(a), in_words(b)
         if names[0] == names[1]:
             raise ValueError(f"a crossover needs two curves, got {names[0]} twice")
-        differences = _differences([[line[value] for value in x] for line in lines], metric)
+        table = paired_values([line[value] for line in lines for value in x], metric)
+        differences = table[:, : len(x)] - table[:, len(x) :]
         if len(differences) < 2:
             raise ValueError(f"{metric}: a crossover needs two seeds with a value at all {len(x)} values of {key}")
         means = differences.mean(axis=0)
-        crossings = _crossings(x, means.tolist())
-        undecided = _undecided(x, differences, confidence)
+        crossings = sign_changes(x, means.tolist())
+        undecided = undecided_parts(x, differences, confidence)
         beyond = next((value for value in reversed(means.tolist()) if value), 0.0)
         at = crossings[-1] if crossings else None
-        low, high = nan, nan
-        if at is not None:  # the interval around it; rounding may leave a crossing without scatter outside
-            near = 1e-9 * (x[-1] - x[0])
-            low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
+        low, high = (nan, nan) if at is None else interval_around(at, x, undecided)
         more = METRICS[metric].more_is if metric in METRICS else None
         return cls(
             metric,
             key,
             names,
             at,
-            -inf if low <= x[0] else low,
-            inf if high >= x[-1] else high,
+            low,
+            high,
             crossings,
             names[0] if beyond < 0.0 else names[1],
             more,
@@ -179,7 +177,14 @@ class Crossover:
         )
 
 
-def _line(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float, Group]:
+def interval_around(at: float, x: Sequence[float], undecided: Sequence[CrossoverInterval]) -> CrossoverInterval:
+    """Return the undecided interval that holds a crossing; an end at that of `x` is infinite: it is not bounded."""
+    near = 1e-9 * (x[-1] - x[0])  # rounding may leave a crossing without scatter outside
+    low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
+    return -inf if low <= x[0] else low, inf if high >= x[-1] else high
+
+
+def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float, Group]:
     """Return the configurations of a curve by their finite value of the key.
 
     Raises:
@@ -201,22 +206,19 @@ def _line(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float,
     return {float(value): group for group in groups if isfinite(value := group.settings[key])}
 
 
-def _differences(lines: Sequence[Sequence[Group]], metric: str) -> Floats:
-    """Return the (seeds, values of the key) differences of the first from the second curve, without missing values."""
-    groups = [group for line in lines for group in line]
+def paired_values(groups: Sequence[Group], metric: str) -> Floats:
+    """Return the (seeds, groups) values of a metric for the seeds that have a value in every group."""
     by_seed = [
         dict(zip((row.seed for row in group.rows if row.ok), group.numbers(metric).tolist(), strict=True))
         for group in groups
     ]
     shared = sorted(set.intersection(*map(set, by_seed)))
     table = np.array([[numbers[seed] for numbers in by_seed] for seed in shared]).reshape(len(shared), len(groups))
-    table = table[np.isfinite(table).all(axis=1)]
-    count = len(lines[0])
-    differences: Floats = table[:, :count] - table[:, count:]
-    return differences
+    complete: Floats = table[np.isfinite(table).all(axis=1)]
+    return complete
 
 
-def _crossings(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
+def sign_changes(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
     """Return where the polyline through the means changes its sign; a stretch of zeros changes it in its middle."""
     nonzero = [k for k, value in enumerate(means) if value]
     crossings = []
@@ -230,7 +232,7 @@ def _crossings(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
     return tuple(crossings)
 
 
-def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> list[CrossoverInterval]:
+def undecided_parts(x: Sequence[float], differences: Floats, confidence: float) -> list[CrossoverInterval]:
     """Return the intervals of points at which the paired t interval of the interpolated difference includes 0.
 
     On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
@@ -244,7 +246,7 @@ def _undecided(x: Sequence[float], differences: Floats, confidence: float) -> li
     parts: list[CrossoverInterval] = []
     for k in range(len(x) - 1):
         start, rise = differences[:, k], differences[:, k + 1] - differences[:, k]
-        v, c, w = _covariance(start, start), _covariance(start, rise), _covariance(rise, rise)
+        v, c, w = covariance(start, start), covariance(start, rise), covariance(rise, rise)
         m, slope = float(start.mean()), float(rise.mean())
         shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
         parts += [(x[k] + low * (x[k + 1] - x[k]), x[k] + high * (x[k + 1] - x[k])) for low, high in shares]
@@ -280,7 +282,7 @@ def _at(a: float, b: float, c: float, u: float) -> float:
     return (a * u + b) * u + c
 
 
-def _covariance(first: Floats, second: Floats) -> float:
+def covariance(first: Floats, second: Floats) -> float:
     """Return the covariance of two samples of equal size; its last digit is the same on all processors."""
     products: list[float] = ((first - first.mean()) * (second - second.mean())).tolist()
     return portable_sum(products) / (len(products) - 1)

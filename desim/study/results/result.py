@@ -16,6 +16,7 @@ from desim.study.results import export
 from desim.study.results import tables as sweep_tables
 from desim.study.results.crossover import Crossover
 from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name, in_numeric_order
+from desim.study.results.threshold import Threshold
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -203,6 +204,37 @@ class SweepResult(SweepRuns):
                 key or two seeds are common to both curves, or seeds are independent.
         """
         return Crossover.of(self, metric, key, a, b, where, confidence)
+
+    def threshold(
+        self,
+        metric: str,
+        key: str,
+        over: float,
+        *,
+        baseline: Any = None,
+        where: Mapping[str, Any] | None = None,
+        confidence: float = 0.95,
+    ) -> Threshold:
+        """Return from which value of a key on a metric exceeds its baseline by a share, with an interval.
+
+            swept.threshold("active_time", "network.loss.p", 0.1)
+
+        The runs are paired by seed, and the curve of means is that of `crossover`. The relative difference at the end
+        of the curve has Fieller's interval; see `desim.study.results.threshold`.
+
+        Args:
+            metric: the name of the metric; its mean at the baseline should be positive.
+            key: a key of the grid that takes numbers.
+            over: the share of the baseline's mean: 0.1 = more than 10 % over it, -0.1 = more than 10 % under it.
+            baseline: the value of the key that the others are compared with; None = the least one.
+            where: the values of the other keys that take several.
+            confidence: the probability that the interval covers the value of the key.
+
+        Raises:
+            ValueError: if the sweep has no such metric, key or value, the mean at the baseline is not positive, there
+                are fewer than two values of the key or two seeds with a value at each, or seeds are independent.
+        """
+        return Threshold.of(self, metric, key, over, baseline, where, confidence)
 
     def __str__(self) -> str:
         return self.table()

@@ -1,0 +1,201 @@
+"""From which value of a key on a metric exceeds its baseline by a share, with a confidence interval: what costs 10 %?
+
+A run with the metric y at a value of the key, and b at the baseline with the same seed, gives the difference
+y - (1 + share) b. Where its mean changes sign, the ratio of the means is 1 + share. The t test of this difference is
+the one from which Fieller 1954, "Some Problems in Interval Estimation", makes the interval of a ratio of two means. The
+value of the key therefore has the interval of `desim.study.results.crossover`, and the relative difference at the end
+of the curve has Fieller's interval: both hold what the same paired test does not exclude. An interval by the delta
+method would be symmetric, and wrong where the baseline is not far from 0 in standard errors.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isinf, nan, sqrt
+from typing import Any, Self
+
+from desim.analysis.metrics import check_numeric, words
+from desim.config.arrays import Floats
+from desim.config.json_numbers import json_number
+from desim.config.key_index import unit_of_key
+from desim.scenario.scenario import Scenario
+from desim.study.results.crossover import (
+    CrossoverInterval,
+    covariance,
+    curve,
+    interval_around,
+    paired_values,
+    sign_changes,
+    undecided_parts,
+)
+from desim.study.results.runs import SweepRuns, text
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """The value of a key from which on a metric differs from its baseline by more than a share."""
+
+    metric: str
+    key: str
+    over: float
+    """The share of the baseline's mean: 0.1 = 10 % more, -0.1 = 10 % less."""
+    baseline: Any
+    """The value of the key at the baseline."""
+    at: float | None
+    """The value at which the interpolated mean last exceeds the share for good; None = it does not, or it always does.
+
+    If it exceeds the share at the least value of the key and not at the greatest, the first value at which it ceases.
+    """
+    is_beyond: bool | None
+    """Whether the share is exceeded beyond `at`, or everywhere; False: below `at`, or nowhere; None: not decided."""
+    low: float
+    """The lower end of the confidence interval of `at`; -inf = below the least value of the key."""
+    high: float
+    """The upper end; inf = above the greatest value of the key."""
+    crossings: tuple[float, ...]
+    """All values at which the interpolated mean crosses the share."""
+    pairs: int
+    """The number of seeds for which all runs have a value."""
+    span: CrossoverInterval
+    """The least and the greatest value of the key."""
+    relative: tuple[CrossoverInterval, CrossoverInterval]
+    """The intervals of the relative difference from the baseline at the two ends of `span`."""
+    relative_means: tuple[float, float]
+    """The relative differences of the means there."""
+    confidence: float
+
+    def __str__(self) -> str:
+        unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
+        amount = f"{100 * abs(self.over):.3g} %"
+        side = "over" if self.over > 0 else "under"
+        subject = f"{words(self.metric)}: {{}} {amount} {side} its mean at {self.key} = {text(self.baseline)}{unit}"
+        low, high = self.span
+        ends = (
+            f"below {low:g}" if self.low == -inf else f"{self.low:.3g}",
+            f"beyond {high:g}" if self.high == inf else f"{self.high:.3g}",
+        )
+        interval = f" ({100 * self.confidence:g} % interval {ends[0]} to {ends[1]}{unit})"
+        if self.is_beyond is None:
+            where = f" is not decided at {self.key} = {high:g}{unit}"
+            sentence = subject.format("whether it is more than") + where
+            sentence += "" if self.at is None else f"; the means cross at {self.at:.3g}{unit}{interval}"
+        elif self.at is not None:
+            where = f"from {self.key} = {self.at:.3g}{unit} {'on' if self.is_beyond else 'down'}"
+            sentence = f"{subject.format('more than')} {where}{interval}"
+        elif self.is_beyond:
+            sentence = f"{subject.format('more than')} at all of {self.key} from {low:g} to {high:g}{unit}"
+        else:
+            sentence = f"{subject.format('not more than')} up to {high:g}{unit}"
+            if self.crossings:
+                sentence += f", though in between: the means cross {len(self.crossings)} times"
+        last = 0 if self.at is not None and self.is_beyond is False else 1
+        less, more = self.relative[last]
+        at_end = f"at {self.span[last]:g}{unit} it is {100 * self.relative_means[last]:+.3g} %"
+        doubt = "not bounded" if isinf(less) else f"{100 * less:+.3g} to {100 * more:+.3g} %"
+        return f"{sentence}; {at_end} ({doubt}; Fieller, {self.pairs} runs with the same seeds at each value)"
+
+    def document(self) -> dict[str, Any]:
+        """Return the threshold as JSON-compatible values."""
+        return {
+            "metric": self.metric,
+            "key": self.key,
+            "over": self.over,
+            "baseline": json_number(self.baseline),
+            "at": self.at,
+            "is_beyond": self.is_beyond,
+            "interval": None if self.at is None else [json_number(self.low), json_number(self.high)],
+            "confidence": self.confidence,
+            "crossings": list(self.crossings),
+            "pairs": self.pairs,
+            "relative_at_ends": [
+                {"value": value, "mean": mean, "interval": [json_number(end) for end in ends]}
+                for value, mean, ends in zip(self.span, self.relative_means, self.relative, strict=True)
+            ],
+            "sentence": str(self),
+        }
+
+    @classmethod
+    def of(
+        cls,
+        result: SweepRuns,
+        metric: str,
+        key: str,
+        over: float,
+        baseline: Any = None,
+        where: Mapping[str, Any] | None = None,
+        confidence: float = 0.95,
+    ) -> Self:
+        """Return from where on a metric exceeds its baseline; see `SweepResult.threshold`."""
+        check_numeric(metric, result.units)
+        if not 0.0 < confidence < 1.0:
+            raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
+        if not over or not -1.0 < over < inf:
+            raise ValueError(f"over should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
+        if not result.common:
+            raise ValueError("runs with independent seeds cannot be paired: a threshold needs sweep.seeds = common")
+        line = curve(result, key, where or {})
+        x = sorted(line)
+        if len(x) < 2:
+            raise ValueError(f"{key}: a threshold needs two or more finite numbers, got {len(x)}")
+        reference = x[0] if baseline is None else result.setting(key, baseline)
+        others = {**(where or {}), key: reference}
+        chosen = {name: text(result.setting(name, value)) for name, value in others.items()}
+        (base,) = (
+            group for group in result.groups if all(text(group.settings[name]) == chosen[name] for name in chosen)
+        )
+        table = paired_values([*(line[value] for value in x), base], metric)
+        if len(table) < 2:
+            raise ValueError(f"{metric}: a threshold needs two seeds with a value at all {len(x)} values of {key}")
+        values, bases = table[:, :-1], table[:, -1]
+        if not bases.mean() > 0.0:
+            place = f"{key} = {text(reference)}"
+            raise ValueError(
+                f"{metric}: a share of the baseline needs a positive mean, got {bases.mean():g} at {place}"
+            )
+        sign = 1.0 if over > 0.0 else -1.0
+        excess = sign * (values - (1.0 + over) * bases[:, None])
+        means = excess.mean(axis=0).tolist()
+        crossings, undecided = sign_changes(x, means), undecided_parts(x, excess, confidence)
+        is_beyond: bool | None = means[-1] > 0.0
+        is_below = means[0] > 0.0 and not is_beyond
+        at = None if not crossings else crossings[-1] if is_beyond else crossings[0] if is_below else None
+        low, high = (nan, nan) if at is None else interval_around(at, x, undecided)
+        if undecided and undecided[-1][1] >= x[-1]:
+            is_beyond = None
+        ends = (values[:, 0], values[:, -1])
+        return cls(
+            metric,
+            key,
+            over,
+            reference,
+            at,
+            is_beyond,
+            low,
+            high,
+            crossings,
+            len(table),
+            (x[0], x[-1]),
+            (_relative(ends[0], bases, confidence), _relative(ends[1], bases, confidence)),
+            (float(ends[0].mean() / bases.mean()) - 1.0, float(ends[1].mean() / bases.mean()) - 1.0),
+            confidence,
+        )
+
+
+def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInterval:
+    """Return Fieller's interval of mean(values) / mean(bases) - 1 for pairs; infinite if the base may be 0.
+
+    It holds the ratios r at which the paired t interval of values - r bases includes 0: between the roots of
+    (m - r n)^2 = q (v - 2 r c + r^2 w), with the means m and n, the variances v and w, the covariance c, and
+    q = t^2 / runs.
+    """
+    from scipy.special import stdtrit
+
+    runs = len(values)
+    q = float(stdtrit(runs - 1, 0.5 + confidence / 2)) ** 2 / runs
+    m, n = float(values.mean()), float(bases.mean())
+    square = n * n - q * covariance(bases, bases)
+    if square <= 0.0:
+        return -inf, inf
+    half = m * n - q * covariance(values, bases)
+    rest = m * m - q * covariance(values, values)
+    root = sqrt(max(0.0, half * half - square * rest))
+    return (half - root) / square - 1.0, (half + root) / square - 1.0
