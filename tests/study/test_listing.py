@@ -2,6 +2,7 @@
 
 import json
 import os
+import sqlite3
 
 import pytest
 
@@ -47,6 +48,19 @@ def test_each_result_has_a_line_with_its_state(results):
     assert [name for name in found if name.startswith("two")] == ["two/seed-0", "two/seed-1"]
     assert set(found) == {"one", "swept", "parts", "two/seed-0", "two/seed-1"}
     assert {entry.scenario for entry in ls(results)} == {"relay"}
+
+
+def test_a_store_of_a_script_is_listed_with_its_file(tmp_path):
+    """And can be opened by what is listed; another file of SQLite is no result."""
+    mine = tmp_path / "mine.sqlite"
+    desim.sweep(
+        desim.Scenario(horizon=0.1, team=desim.Team(count=2)), {"network.loss.p": [0.0, 0.3]}, reps=1, store=mine
+    )
+    sqlite3.connect(tmp_path / "other.sqlite").execute("CREATE TABLE things (name TEXT)").connection.close()
+    (tmp_path / "broken.sqlite").write_text("no database")
+    (entry,) = ls(tmp_path)
+    assert (entry.folder, entry.kind, entry.runs, entry.state) == (mine, "sweep", 2, "complete")
+    assert len(desim.open(entry.folder).groups) == 2
 
 
 def test_the_date_is_that_of_the_newest_file(results):

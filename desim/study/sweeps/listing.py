@@ -25,6 +25,7 @@ class Entry:
     """A result in a folder."""
 
     folder: Path
+    """The folder; the file of a store that has another name than `desim sweep` gives, as `sweep(store=...)` may."""
     kind: str
     """run, sweep, explain, merge, or the name of a study."""
     scenario: str
@@ -77,7 +78,8 @@ class Listing(list[Entry]):
 def ls(folder: str | Path = "out") -> Listing:
     """List the runs, sweeps and explanations in a folder and its subfolders.
 
-    Hidden folders and links are not followed, and no code of a result is run.
+    Stores that a script made with `sweep(store=...)` are listed with their file. Hidden folders and links are not
+    followed, and no code of a result is run.
 
     Raises:
         NotADirectoryError: if it is no folder.
@@ -96,6 +98,22 @@ def _entries(folder: Path) -> Iterator[Entry]:
         files = [*stores, *(here / name for name in (TRACE, provenance.FILE) if name in names)]
         if TRACE in names or stores or (provenance.FILE in names and not _is_batch(here, folders)):
             yield _entry(here, stores, TRACE in names, max(file.stat().st_mtime for file in files))
+        for store in sorted(here.glob("*.sqlite")):
+            if store.name != STORE and not store.match(STORE_PARTS) and (entry := _entry_of_store(store)) is not None:
+                yield entry
+
+
+def _entry_of_store(path: Path) -> Entry | None:
+    """Return the entry of a store of another name than that of the command line; None if it is no readable store."""
+    try:
+        with Store(path, read_only=True) as store:
+            if "name" not in store.about:
+                return None
+            runs, failed, name = len(store), store.failed_runs, store.read_property("name", str)
+    except (OSError, ValueError):
+        return None
+    state = f"{failed:,} failed" if failed else "complete" if runs else "empty"
+    return Entry(path, "sweep", name, path.stat().st_mtime, runs, state)
 
 
 def _is_batch(folder: Path, folders: list[str]) -> bool:
