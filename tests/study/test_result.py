@@ -163,6 +163,16 @@ def test_a_sweep_without_a_capture_says_that_the_horizon_may_be_too_short():
     assert SweepResult("none", (), ()).warnings() == []
 
 
+def test_means_over_different_numbers_of_runs_are_not_for_comparison():
+    """With a difference beside them they contradict it; configurations of equally many runs have no such note."""
+    first, second = PLAIN.groups
+    uneven = replace(PLAIN, groups=(first, replace(second, rows=second.rows[:2])))
+    note = "the means are over 2 to 3 runs, and so over different seeds: compare configurations by their differences"
+    assert note in uneven.table()
+    assert note in uneven._repr_html_()
+    assert "over different seeds" not in PLAIN.table() + replace(uneven, common=False).table()
+
+
 def test_the_configurations_of_several_grids_are_in_numeric_order():
     """Numbers ascend, inf last; a key with any other value keeps the order in which its values came."""
     settings = [

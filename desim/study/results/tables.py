@@ -48,9 +48,19 @@ def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
 
 
 def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
-    """Yield the notes below the tables: what is known at the start, how many runs failed, and the warnings."""
+    """Yield the notes below the tables.
+
+    They say what is known at the start, whether the means are over different seeds, how many runs failed, and what the
+    sweep warns of.
+    """
     if result.start_rule is not None:
         yield result.start_rule
+    counts = [len(group.rows) for group in result.groups]
+    if result.common and len(set(counts)) > 1:
+        yield (
+            f"the means are over {min(counts)} to {max(counts)} runs, and so over different seeds: compare"
+            " configurations by their differences, which are over the seeds that both have"
+        )
     for group in result.groups:
         if group.failed:
             row = group.failed[0]
