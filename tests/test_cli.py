@@ -1078,8 +1078,8 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
     assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 are stored, 8 remain\n")
     assert [line.split() for line in result.stdout.splitlines()[2:]] == [
-        ["3", "1", "1.0", "sap"],
-        ["3", "1", "1.0", "best_response"],
+        ["3", "1", "1", "sap"],
+        ["3", "1", "1", "best_response"],
         ["3", "1", "inf", "sap"],
         ["3", "1", "inf", "best_response"],
     ]

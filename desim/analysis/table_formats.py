@@ -22,6 +22,8 @@ LATEX = {
 """The commands for the characters that LaTeX reads as commands, or prints as others."""
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$])")
 """Matches the characters that Markdown, or mathematics in it, reads as commands."""
+INFINITE = {"inf": r"$\infty$", "-inf": r"$-\infty$"}
+"""The symbols of cells that are infinite."""
 NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?"
 MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<rest>| .*)")
 """Matches a number, perhaps with a half width and a remark."""
@@ -86,6 +88,8 @@ def latex_text(text: str) -> str:
 def _latex_cell(cell: str) -> str:
     """Return a cell for LaTeX: a number, with its half width if it has one, is mathematics."""
     match = MEASURED.fullmatch(cell)
+    if cell in INFINITE:
+        return INFINITE[cell]
     if match is None:
         return latex_text(cell).replace(" .. ", "--")
     mean, width = (_latex_number(match[name] or "") for name in ("mean", "width"))

@@ -6,8 +6,8 @@ from typing import Any
 import click
 
 from desim.cli.many import store_files
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, is_import_allowed, limited, storing
-from desim.cli.recorded import check_recorded_options, is_recorded, result_of
+from desim.cli.options import ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, is_import_allowed, limited, storing
+from desim.cli.recorded import check_recorded_options, is_recorded, labels_of, result_of
 from desim.config.file_names import STORE, TRACE
 
 KINDS = (
@@ -44,6 +44,13 @@ KINDS = (
     help="Of a sweep, to .tex or .md: a metric in the tables; can be repeated. Default: active_time, capture_time and"
     " messages_sent.",
 )
+@LABEL
+@click.option(
+    "--without",
+    multiple=True,
+    metavar="COLUMN",
+    help="Of a sweep, to .tex or .md: the head of a column that is left out, e.g. captured; can be repeated.",
+)
 @SEED
 @limited
 @ALLOW_IMPORT
@@ -54,6 +61,8 @@ def export(
     kinds: tuple[str, ...],
     exporter: str | None,
     metrics: tuple[str, ...],
+    labels: tuple[tuple[str, str], ...],
+    without: tuple[str, ...],
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
@@ -71,6 +80,8 @@ def export(
         raise click.UsageError(
             f"--metric chooses the metrics of the tables of a sweep (.tex, .md); {file} has them all"
         )
+    if (labels or without) and file.suffix not in {".tex", ".md"}:
+        raise click.UsageError(f"--label and --without are of the tables of a sweep (.tex, .md), and {file} has none")
     if _is_run(source):
         _export_run(source, file, kinds, exporter, seed, overrides)
         return
@@ -79,7 +90,7 @@ def export(
         raise click.UsageError(f"--event chooses events of a run, and {source} is a sweep")
     if exporter is not None:
         raise click.UsageError(f"--exporter writes a run, and {source} is a sweep")
-    _export_sweep(source, file, metrics)
+    _export_sweep(source, file, metrics, labels, without)
 
 
 def _is_run(source: Path) -> bool:
@@ -128,8 +139,16 @@ def _export_run(
     echo(f"wrote {written}{file}", err=True)
 
 
-def _export_sweep(source: Path, file: Path, metrics: tuple[str, ...]) -> None:
+def _export_sweep(
+    source: Path,
+    file: Path,
+    metrics: tuple[str, ...],
+    labels: tuple[tuple[str, str], ...],
+    without: tuple[str, ...],
+) -> None:
     """Write the runs of a sweep to a file, or the tables of metrics; end the program if that is not possible."""
+    from desim.analysis.table_formats import SUFFIXES
+    from desim.analysis.tables import counted
     from desim.study.results.result import SweepResult
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
@@ -140,9 +159,11 @@ def _export_sweep(source: Path, file: Path, metrics: tuple[str, ...]) -> None:
     with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
-        result.write(file, metrics or SHOWN)
+        result.write(file, metrics or SHOWN, labels=labels_of(result, labels), without=without)
     except OSError as error:
         fail(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:
         fail(str(error))
-    echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
+    runs = counted(sum(len(group.rows) for group in result.groups), "run")
+    what = f"tables of {counted(len(result.groups), 'configuration')}, {runs}," if file.suffix in SUFFIXES else runs
+    echo(f"wrote {what} to {file}", err=True)

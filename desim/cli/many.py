@@ -263,13 +263,14 @@ def _plan_text(
     """
     from desim.analysis.statistics import FIRST_LOOK
     from desim.analysis.tables import aligned, counted
+    from desim.study.results.runs import text
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
     done = [run_of_grid for run_of_grid in wanted if run_of_grid in there]
     counts = [Counter(key for key, _ in keys_of) for keys_of in (wanted, done)]
     rows = [("runs", "stored", *plan.configurations[0].settings)]
     rows += [
-        (*(str(counts_of[configuration.key]) for counts_of in counts), *map(str, configuration.columns.values()))
+        (*(str(counts_of[configuration.key]) for counts_of in counts), *map(text, configuration.columns.values()))
         for configuration in plan.configurations
     ]
     rule = ""

@@ -126,6 +126,14 @@ class Pair(click.ParamType[tuple[str, str]]):
         return first, second
 
 
+LABEL = click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    type=Pair(),
+    metavar="VALUE=TEXT",
+    help='The text for a value of a key, e.g. sap="SAP (ours)", or for a key; can be repeated.',
+)
 AGAINST = click.option(
     "--against",
     multiple=True,

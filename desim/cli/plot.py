@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, Pair, echo, fail, limited, making
-from desim.cli.recorded import SOURCE, is_recorded, results_of
+from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, limited, making
+from desim.cli.recorded import SOURCE, is_recorded, labels_of, results_of
 from desim.config.file_names import PICTURE_SUFFIXES, files
 
 if TYPE_CHECKING:
@@ -79,14 +79,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
     " that of -x.",
 )
 @AGAINST
-@click.option(
-    "--label",
-    "labels",
-    multiple=True,
-    type=Pair(),
-    metavar="VALUE=TEXT",
-    help='The text for a value of a key, e.g. sap="SAP (ours)"; can be repeated.',
-)
+@LABEL
 @click.option("--xlabel", metavar="TEXT", help="The label of the abscissa; between dollar signs, mathematics.")
 @click.option("--ylabel", metavar="TEXT", help="The label of the ordinate.")
 @click.option(
@@ -198,25 +191,11 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     if "against" in options:
         options["against"] = dict(options["against"])
     if "labels" in options:
-        options["labels"] = dict(_split_at_value(result, *pair) for pair in options["labels"])
+        options["labels"] = labels_of(result, options["labels"])
     figure = result.plot(kind=kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
     name = file_name(kind, options.get("y"), options.get("against"))
     paths = picture_paths(source, out, kind, name)
     write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths)
-
-
-def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
-    """Return the value and the text of a --label; `first` and `second` are its parts before and after the first "=".
-
-    A value of the sweep may contain "=", so the label is split after its shortest beginning that is a value of the
-    sweep. If no beginning is a value, the label is split at the first "=".
-    """
-    from desim.study.results.runs import text
-
-    values = {text(value) for key in result.keys for value in result.values(key)}
-    parts = f"{first}={second}".split("=")
-    splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
-    return next((split for split in splits if split[0] in values), (first, second))
 
 
 def _check_options(kind: str) -> None:

@@ -1,6 +1,7 @@
 """The results that a command shows: read from a folder, or simulated for the command."""
 
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,3 +97,22 @@ def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Res
     from desim.view.pages.replay import with_recordings
 
     return run(with_recordings(source_of(file, overrides)[1]), seed)
+
+
+def labels_of(result: "SweepResult", labels: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return the texts of the options --label by value."""
+    return dict(_split_at_value(result, *pair) for pair in labels)
+
+
+def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
+    """Return the value and the text of a --label; `first` and `second` are its parts before and after the first "=".
+
+    A value of the sweep may contain "=", so the label is split after its shortest beginning that is a value of the
+    sweep. If no beginning is a value, the label is split at the first "=".
+    """
+    from desim.study.results.runs import text
+
+    values = {text(value) for key in result.keys for value in result.values(key)}
+    parts = f"{first}={second}".split("=")
+    splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
+    return next((split for split in splits if split[0] in values), (first, second))

@@ -173,6 +173,26 @@ def test_means_over_different_numbers_of_runs_are_not_for_comparison():
     assert "over different seeds" not in PLAIN.table() + replace(uneven, common=False).table()
 
 
+def test_a_table_has_labels_and_leaves_out_columns():
+    """Keys, values, metrics and heads may have a label; numbers of runs are no values of a key."""
+    labels = {"network.range": "range (m)", "inf": "unlimited", "active_time": "chase", "pairs": "n"}
+    table = PLAIN.table(["active_time"], labels=labels, without=["captured"], format="markdown")
+    heads = [line for line in table.splitlines() if line.startswith("| range")]
+    assert heads == ["| range (m) | runs | chase |", "| range (m) | n | chase |"]
+    assert "| unlimited | 3 | 3.333 ± 2.586 |" in table
+    assert "captured" not in table
+    assert r"$\infty$ & 3 &" in PLAIN.table(["active_time"], without=["captured"], format="latex").replace("$3$", "3")
+    assert "four  " in PLAIN.table(labels={"4.00": "four"})
+    for options, message in (
+        ({"labels": {"rnage": "x"}}, "no key takes the value rnage"),
+        ({"without": ["capture"]}, "no table has a column capture: they have "),
+    ):
+        with pytest.raises(ValueError, match=message):
+            PLAIN.table(**options)
+    with pytest.raises(ValueError, match="are those of tables"):
+        PLAIN.write("runs.csv", without=["captured"])
+
+
 def test_the_configurations_of_several_grids_are_in_numeric_order():
     """Numbers ascend, inf last; a key with any other value keeps the order in which its values came."""
     settings = [

@@ -1,6 +1,5 @@
 """Figures of sweeps and explanations."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import floor, inf, isfinite, log10, nan
 from textwrap import fill
@@ -33,7 +32,7 @@ from desim.config.trust import escaped
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, CostByMetric
-from desim.study.results.runs import SHOWN, Group, SweepRuns, is_number, kind_of, text
+from desim.study.results.runs import SHOWN, Group, SweepRuns, is_number, labels_of_values, text
 
 APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
@@ -114,7 +113,7 @@ def means(
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
-    labels = _labels_of_values(result, keys, labels)
+    labels = labels_of_values(result, labels)
     abscissa = _abscissa(result, x, keys)
     all_points = _points(result, metric, against)
     panels, flat = _panels(result, all_points, abscissa, keys), _flat(all_points)
@@ -159,21 +158,6 @@ def means(
             over(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
         _add_legend(figure, legend_title)
     return figure
-
-
-def _labels_of_values(result: SweepRuns, keys: Sequence[str], labels: Mapping[str, str]) -> dict[str, str]:
-    """Return labels by the value of a key, also those that were given for a kind; see `means`.
-
-    Raises:
-        ValueError: if a label belongs to no value, or to a kind that several values have.
-    """
-    values = {text(value) for key in (*result.keys, *keys) for value in result.values(key)}
-    kinds = Counter(map(kind_of, values))
-    if unknown := [name for name in labels if name not in values and name not in result.keys and kinds[name] != 1]:
-        problem = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
-        raise ValueError(f"{problem} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
-    of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
-    return {**of_kinds, **labels}
 
 
 def _panels(

@@ -142,6 +142,8 @@ class SweepResult(SweepRuns):
         *,
         against: Mapping[str, Any] | None = None,
         format: TableFormat = "text",  # noqa: A002 - the word of users
+        labels: Mapping[str, str] = MappingProxyType({}),
+        without: Sequence[str] = (),
     ) -> str:
         """Return the table of means, the table of paired differences and the notes (failed runs, warnings).
 
@@ -156,12 +158,19 @@ class SweepResult(SweepRuns):
             against: values of some keys, which the references have; None = the first value of the first key.
             format: text: aligned, for terminals; latex: tabulars with the rules of booktabs, without a caption;
                 markdown: tables of GitHub's Markdown. Names are escaped.
+            labels: texts to show in place of keys, values, metrics, and the heads "runs", "captured" and "pairs".
+            without: the heads of columns to be left out, such as "captured".
 
         Raises:
-            ValueError: if the sweep has no such metric, or there is no such format.
+            ValueError: if the sweep has no such metric, there is no such format, or a label or a column to be left out
+                belongs to nothing in the tables.
         """
         notes = sweep_tables.notes(self, each_name(metrics))
-        return formatted(self.tables(metrics, against=against), notes, format, right_from=len(self.keys))
+        tables = self.tables(metrics, against=against)
+        if labels or without:
+            tables = sweep_tables.relabelled(self, tables, each_name(metrics), labels, without)
+        kept = len(self.keys) - sum(key in without for key in self.keys)
+        return formatted(tables, notes, format, right_from=kept)
 
     def tables(
         self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
@@ -260,19 +269,32 @@ class SweepResult(SweepRuns):
         """
         return export.data_frame(self)
 
-    def write(self, file: str | Path, metrics: Sequence[str] = SHOWN) -> None:
+    def write(
+        self,
+        file: str | Path,
+        metrics: Sequence[str] = SHOWN,
+        *,
+        labels: Mapping[str, str] = MappingProxyType({}),
+        without: Sequence[str] = (),
+    ) -> None:
         """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`); or its tables: .tex or .md.
 
         Args:
             file: the file; its suffix sets the format.
             metrics: the metrics in the tables of a .tex or .md; the other files have all.
+            labels: of the tables; see `table`.
+            without: the columns that the tables leave out; see `table`.
 
         Raises:
-            ValueError: if the file has another suffix, or the sweep has no such metric.
+            ValueError: if the file has another suffix, the sweep has no such metric, a label or a column belongs to
+                nothing, or is given for a file that has no tables.
             ImportError: if a package for Parquet is not installed.
             OSError: if the file cannot be written.
         """
         if (path := Path(file)).suffix in SUFFIXES:
-            write_whole(path, f"{self.table(metrics, format=SUFFIXES[path.suffix])}\n".encode())
+            table = self.table(metrics, format=SUFFIXES[path.suffix], labels=labels, without=without)
+            write_whole(path, f"{table}\n".encode())
+        elif labels or without:
+            raise ValueError(f"{path}: labels and columns to be left out are those of tables, .tex or .md")
         else:
             export.write(self, path)

@@ -1,6 +1,7 @@
 """The runs of a sweep by configuration: their means and paired differences."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -320,6 +321,32 @@ def _says(value: Any, number: Any) -> bool:
         return bool(float(value) == number)
     except ValueError:
         return False
+
+
+def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collection[str] = ()) -> dict[str, str]:
+    """Return labels by the value of a key as shown, also those that were given for a kind, or as 0.0 for 0.
+
+    Args:
+        result: the result of a sweep.
+        labels: texts by value, by kind of a value, by key, or by another of `names`.
+        names: what else may have a label.
+
+    Raises:
+        ValueError: if a label belongs to nothing, or to a kind that several values have.
+    """
+    settings = [value for key in result.keys for value in result.values(key)]
+    values = set(map(text, settings))
+    labels = {
+        next((text(value) for value in settings if name not in values and _says(name, value)), name): label_of_name
+        for name, label_of_name in labels.items()
+    }
+    kinds = Counter(map(kind_of, values))
+    allowed = {*values, *result.keys, *names}
+    if unknown := [name for name in labels if name not in allowed and kinds[name] != 1]:
+        problem = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
+        raise ValueError(f"{problem} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+    of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
+    return {**of_kinds, **labels}
 
 
 def kind_of(value: str) -> str:

@@ -1,6 +1,6 @@
 """The result of a sweep as tables of text, and as JSON: means by configuration, and paired differences."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import SweepRuns, text
+from desim.study.results.runs import SweepRuns, labels_of_values, text
 
 Table = tuple[str, list[tuple[str, ...]]]
 """The title of a table, and its rows of text; the first row is the header."""
@@ -34,6 +34,42 @@ def tables(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any]
     elif result.common and key is not None:
         first = f"{key} = {text(result.groups[0].settings[key])}" + ", all else equal" * (len(result.keys) > 1)
         yield f"difference from {first}, run by run with the same seed", _difference_rows(result, metrics)
+
+
+def relabelled(
+    result: SweepRuns,
+    tables: Iterable[Table],
+    metrics: Sequence[str],
+    labels: Mapping[str, str],
+    without: Sequence[str] = (),
+) -> list[Table]:
+    """Return tables with labels in place of keys, values, metrics and other heads of columns, without some columns.
+
+    Args:
+        result: the result of a sweep.
+        tables: its tables.
+        metrics: the metrics in them.
+        labels: texts by key, value, kind of a value, name of a metric, or head of a column ("runs", "captured").
+        without: the heads of columns that are left out.
+
+    Raises:
+        ValueError: if a label or a column to be left out belongs to nothing in the tables.
+    """
+    made = list(tables)
+    heads = {cell for _, rows in made for cell in rows[0]}
+    shown = labels_of_values(result, labels, {*heads, *metrics})
+    for metric in metrics:
+        if metric in shown:
+            shown |= dict.fromkeys((title(metric, result.units), words(metric)), shown[metric])
+    if unknown := [name for name in without if name not in heads]:
+        raise ValueError(f"no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
+    count = len(result.keys)
+    results: list[Table] = []
+    for name, (head, *rows) in made:
+        kept = [k for k, cell in enumerate(head) if cell not in without]
+        body = [[shown.get(row[k], row[k]) if k < count else row[k] for k in kept] for row in rows]
+        results.append((name, [tuple(shown.get(head[k], head[k]) for k in kept), *map(tuple, body)]))
+    return results
 
 
 def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
