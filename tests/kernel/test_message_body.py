@@ -246,6 +246,17 @@ def test_a_body_without_size_needs_one():
     network.send(0, 1, generator, size=np.int16(40), transport=Reliable())
 
 
+def test_a_content_is_nested_at_most_100_levels_deep():
+    assert in_json_types(nested(1, MAX_DEPTH)) == nested_list(MAX_DEPTH)
+    for body in (nested(1, MAX_DEPTH + 1), cyclic(), Cell()):
+        with pytest.raises(ValueError, match="nested more than 100 levels deep, or contains itself"):
+            in_json_types(body)
+
+
+def nested_list(depth):
+    return [nested_list(depth - 1)] if depth else 1
+
+
 @pytest.mark.parametrize("body", [cyclic(), nested(1, 5000)])
 def test_a_body_that_contains_itself_has_no_size(body):
     with pytest.raises(ValueError, match="has no size: it is nested too deeply, or contains itself"):

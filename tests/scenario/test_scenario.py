@@ -29,6 +29,23 @@ SEEDS = st.integers(0, 2**63)
 SHARES = st.floats(0, 1)
 
 
+@pytest.mark.parametrize("speeds", [0.5, [0.25, 0.5, 0.0]])
+def test_the_top_speed_of_a_team_is_that_of_its_fastest_pursuer(speeds):
+    assert Team(count=3, speeds=speeds).top_speed == 0.5
+    assert Team(count=1, speeds=0.0).top_speed == 0.0
+
+
+def test_a_team_with_the_names_of_a_graph_has_its_order(tmp_path):
+    (tmp_path / "starts.csv").write_text("t,node,x,y\n0,a,1,2\n0,b,3,4\n")
+    team = Team(positions={"kind": "recorded", "file": str(tmp_path / "starts.csv")})
+    numbered = team.numbered(("b", "a"))
+    assert (numbered.names, numbered.positions) == (("b", "a"), ((3.0, 4.0), (1.0, 2.0)))
+    for names in (("a", "b"), ("a", "c"), ("a",), ("a", "b", "c")):
+        assert team.numbered(names) is team
+    for other in (Team(positions=[(0.0, 1.0), (2.0, 3.0)]), Team(count=2)):
+        assert other.numbered(("b", "a")) is other
+
+
 def test_the_default_is_the_scenario_of_the_paper():
     """Lee & Bakolas, section "Simulation": 20 pursuers in 20 m x 20 m, one twice as fast, ideal network, t_f = 30 s."""
     scenario = Scenario()

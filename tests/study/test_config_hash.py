@@ -238,6 +238,14 @@ MADE_OF = {
 }
 
 
+def test_the_folder_of_a_module_is_not_in_the_hash_of_code_that_imports_it():
+    def names(module):
+        return StablePickler(UserCode()).digest((lambda: None).__code__.replace(co_names=("mine.helper", module)))
+
+    assert names("mine@3f2a.helper") == names("mine@77aa.helper") == names("mine.helper")
+    assert names("mine.helper") != names("yours.helper")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("make", MADE_OF.values(), ids=MADE_OF)
 def test_nested_differences_change_the_hash(make):
