@@ -310,7 +310,7 @@ class Evader(Value):
         """Whether its motion is not simple."""
         return not self.dynamics.is_simple
 
-    def heading(self, seed: int, index: int = 0) -> complex:
+    def heading(self, seed: int, index: int) -> complex:
         """Return the initial heading, of length 1; `index` counts all evaders of the scenario from 0."""
         (heading,) = headings_with(self.dynamics, stream(seed, "evader heading", index), 1)
         return heading

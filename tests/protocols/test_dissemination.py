@@ -4,6 +4,7 @@ Positions are static and no pursuer has a record at first; the latency is L = 0.
 """
 
 from collections import Counter
+from math import inf
 
 import networkx as nx
 import numpy as np
@@ -22,6 +23,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.transport import Coded, Reliable
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
@@ -78,6 +80,15 @@ def test_one_hop_dissemination_reaches_only_the_neighbours():
     when, result = arrivals(nx.path_graph(5), OneHop())
     assert when == {1: 1.25}
     assert result.trace.of(MessageCounts)[0].transmissions == 1
+
+
+@pytest.mark.parametrize(
+    ("model", "hops"),
+    [(OneHop(), 1), (ReliableOneHop(), 1), (CodedOneHop(), 1), (Flooding(hops=3), 3), (Gossip(), inf)],
+)
+def test_only_what_is_forwarded_travels_over_several_hops(model, hops):
+    traits = DisseminationTraits.of(model)
+    assert (traits.hops, traits.relays) == (hops, hops > 1)
 
 
 @pytest.mark.parametrize("hops", [1, 2, 3, 5, FAR])

@@ -7,10 +7,14 @@ from math import inf
 import numpy as np
 import pytest
 
+from desim import Scenario, run
 from desim.config.model import Value
 from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Ended
 from desim.pursuit.team.agent import Agent
-from desim.testing import ContractError, check_metric, check_protocol, check_schedule
+from desim.testing import ContractError, check_metric, check_protocol, check_schedule, metrics
+from desim.testing.judging import SEED
 from protocols.rule import Rule
 
 
@@ -308,6 +312,14 @@ def test_a_wrong_schedule_is_told_what_is_wrong_with_it(name):
     model, what = SCHEDULES[name]
     with pytest.raises(ContractError, match=what):
         check_schedule(model, limit=0.5 if "does not end" in what else 20.0)
+
+
+@pytest.mark.parametrize("name", metrics.SITUATIONS)
+def test_the_runs_for_which_a_metric_is_computed_end_as_their_names_say(name):
+    (ended,) = run(Scenario(**metrics.SITUATIONS[name]), SEED).trace.of(Ended)
+    assert (ended.reason == "captured") == (name in {"a run that ends with a capture", "a run that ends at time 0"})
+    assert (ended.t == 0) == (name == "a run that ends at time 0")
+    assert ended.t == 0.5 * SECOND or ended.reason == "captured"
 
 
 @pytest.mark.parametrize("name", METRICS)
