@@ -288,7 +288,6 @@ def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
         ({"seed": -1}, "the seed should be at least 0"),
         ({"idle": 0}, "wrap takes no idle= for an environment of PettingZoo, but message, graph, capacity, dt"),
     ],
-    ids=str,
 )
 def test_a_wrong_option_is_refused(options, why):
     with pytest.raises((ValueError, TypeError), match=why):
