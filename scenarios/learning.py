@@ -11,7 +11,7 @@ are in OUT/learning.weights.json, for `protocol = { kind = "policy", file = "lea
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click import Option
@@ -62,7 +62,8 @@ def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure
     from desim.analysis.drawing import palette, plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
-        above, below = figure.subfigures(2, 1)
+        rows: Any = figure.subfigures(2, 1)
+        above, below = rows
         (curve, costs), words = above.subplots(1, 2), below.subplots()
         numbers = range(1, len(generations) + 1)
         curve.plot(numbers, [generation.typical for generation in generations], color=palette.GREY, label="all")
