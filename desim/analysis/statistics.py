@@ -60,7 +60,7 @@ OTHERS = 0.05
 """Largest share of runs that may differ from values that are all equal, if these are to end a sequential study."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Estimate:
     """The mean of a value over independent runs, and its uncertainty."""
 
@@ -74,6 +74,10 @@ class Estimate:
         if self.others is not None:
             return f"{self.mean:.4g} in all of {runs} (of all others, at most {self.others:.1%} differ, 95 %)"
         return f"{self.mean:.4g} +- {self.half_width:.2g} (95 % interval, {runs})"
+
+    def __repr__(self) -> str:
+        width = f"half_width={self.half_width:.6g}, standard_error={self.standard_error:.6g}"
+        return f"{type(self).__name__}(mean={self.mean:.6g}, {width}, count={self.count})"
 
     @property
     def others(self) -> float | None:
@@ -145,7 +149,7 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
         return mean(first[both] - second[both])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class IndependentDifference(Estimate):
     """The difference of two means over independent runs, by Welch's t interval; `count` is the smaller of the two."""
 

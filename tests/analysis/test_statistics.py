@@ -40,6 +40,12 @@ def test_the_half_width_is_students_quantile_times_the_standard_error(count, qua
     assert found.half_width / found.standard_error == pytest.approx(quantile, rel=1e-9)
 
 
+def test_the_repr_of_an_estimate_has_its_half_width():
+    """Of 1 to 5: sqrt(0.5) 2.7764451052 = 1.96324; Welch's estimate has it, too."""
+    assert repr(estimate([1, 2, 3, 4, 5])) == "Estimate(mean=3, half_width=1.96324, standard_error=0.707107, count=5)"
+    assert repr(statistics.independent([1.0, 2.0], [1.0, 2.0])).startswith("IndependentDifference(mean=0, half_width=")
+
+
 def test_a_single_value_has_a_mean_and_no_uncertainty():
     found = estimate([4.5])
     assert (found.mean, found.count) == (4.5, 1)

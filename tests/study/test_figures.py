@@ -545,6 +545,14 @@ def test_the_reference_has_its_label_in_the_label_of_the_axis():
     assert axes.get_ylabel() == "difference in active time from SAP (ours) (s)"
 
 
+def test_a_reference_of_several_keys_is_named_with_them():
+    """A label of a value alone, such as "unlimited, 0", would not say what is 0."""
+    swept = result({"x": [0.0, 2.0], "protocol": ["sap", "cbaa"]})
+    options = {"against": {"protocol": "sap", "x": 0.0}, "labels": {"sap": "SAP (ours)", "x": "loss"}}
+    (axes,) = means(swept, "active_time", x="protocol", **options).axes
+    assert axes.get_ylabel() == "difference in active time from protocol = SAP (ours), loss = 0 (s)"
+
+
 def test_a_metric_that_is_equal_in_every_run_has_no_scale_around_it():
     swept = result({"x": [1.0, 2.0], "protocol": ["sap", "cbaa"]})
     zero = [

@@ -433,13 +433,20 @@ def _with_unit(
     if against is None:
         return _literal(f"{words(metric)}{unit}")
     reference = {key: text(result.setting(key, value)) for key, value in against.items()}
-    if any(value in labels for value in reference.values()):
+    if len(reference) > 1:  # values alone do not say of which keys they are
         names = ", ".join(
-            escaped(labels[value]) if value in labels else _literal(value) for value in reference.values()
+            f"{_label_or_text(key, labels)}{_literal(' = ')}{_label_or_text(value, labels)}"
+            for key, value in reference.items()
         )
+    elif any(value in labels for value in reference.values()):
+        names = ", ".join(_label_or_text(value, labels) for value in reference.values())
     else:
         names = _literal(in_words(reference))
     return f"{_literal(f'difference in {words(metric)} from ')}{names}{_literal(unit)}"
+
+
+def _label_or_text(name: str, labels: Mapping[str, str]) -> str:
+    return escaped(labels[name]) if name in labels else _literal(name)
 
 
 def _key_with_unit(key: str) -> str:

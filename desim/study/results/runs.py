@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,8 @@ class SweepRuns:
 
     def differences(self, metric: str, reference: Reference = None) -> list[Estimate]:
         """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
+
+        There is one for each of `groups`, in their order. A configuration that is its own reference has 0, in all runs.
 
         Args:
             metric: the name of the metric.
@@ -298,7 +300,7 @@ def in_numeric_order(keys: Sequence[str], groups: Sequence[Group]) -> tuple[Grou
     )
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: Any) -> TypeGuard[float]:
     """Return whether a setting is a number; true and false are none."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
@@ -318,7 +320,7 @@ def _says(value: Any, number: Any) -> bool:
     if not isinstance(value, str) or not is_number(number):
         return False
     try:
-        return bool(float(value) == number)
+        return float(value) == float(number)
     except ValueError:
         return False
 
