@@ -166,6 +166,7 @@ def test_what_has_no_crossover_is_refused(tmp_path):
     cases = [
         (swept, ("activetime", KEY, A, B), "did you mean 'active_time'"),
         (swept, ("active_time", "network.latncy.value", A, B), "the grid has no key"),
+        (swept, ("active_time", "network", A, B), "no key network, did you mean network.latency.value"),
         (swept, ("active_time", "protocol", {KEY: 0.0}, {KEY: 0.1}), "cross along numbers, and it takes sap, cbba"),
         (swept, ("active_time", KEY, A, A), "got protocol = sap twice"),
         (swept, ("active_time", KEY, {"protocol": "cbaa"}, B), "does not take the value cbaa"),

@@ -174,7 +174,7 @@ class SweepRuns:
             ValueError: if the grid has no such key.
         """
         if key not in self.keys:
-            near = close_to(key, self.keys)
+            near = [name for name in self.keys if f"{name}.".startswith(f"{key}.")] or close_to(key, self.keys)
             hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
             raise ValueError(f"the grid has no key {key}{hint}")
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
