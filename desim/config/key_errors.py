@@ -253,7 +253,8 @@ def suggestion(word: str, allowed: Sequence[str]) -> str:
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
-    meant = [RENAMED.get(plain, plain), *MEANT.get(plain, ())]
+    initials = "".join(part[0] for part in plain.split("_") if part)  # spatial_adaptive_play is sap
+    meant = [RENAMED.get(plain, plain), *MEANT.get(plain, ()), *([initials] if len(initials) > 1 else [])]
     return [name for name in meant if name in allowed] or close_to(plain, allowed)
 
 
