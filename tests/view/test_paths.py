@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from desim.analysis.drawing.palette import EVADER_MARKS, HUES
 from desim.analysis.drawing.plots import COLUMN, styled
@@ -92,6 +93,13 @@ def test_a_name_at_the_edge_stays_inside():
     for box in boxes(axes):
         assert axes.bbox.x0 - 1 <= box.x0 < box.x1 <= axes.bbox.x1 + 1
         assert axes.bbox.y0 - 1 <= box.y0 < box.y1 <= axes.bbox.y1 + 1
+
+
+def test_labels_do_not_move_the_axes():
+    axes = Figure().add_subplot()
+    texts = label_points(axes, [(0.0, 0.0), (1.0, 1.0)], ["1", "2"])
+    assert [text.get_text() for text in texts] == ["1", "2"]
+    assert not any(text.get_in_layout() for text in texts)
 
 
 @pytest.mark.slow
