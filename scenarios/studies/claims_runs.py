@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import reduce
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -295,8 +296,18 @@ def noisy(diffusion: float) -> Scenario:
     return load(SCENARIOS / "noisy.toml").with_(changes)
 
 
+def consistency(diffusion: float) -> Number:
+    """Return what measures the normalised squared error of `noisy`, over the runs in which a position is estimated."""
+
+    def number(options: Options) -> tuple[float, float]:
+        (errors,) = options.measure([noisy(diffusion)], "", normalised_error)
+        return of(mean([error for error in errors if not isnan(error)]))
+
+    return number
+
+
 def normalised_error(result: Result) -> float:
-    """Return the mean normalised squared error of the estimated positions of the evader."""
+    """Return the mean normalised squared error of the estimated positions of the evader; nan if none was estimated."""
     positions = {sample.t: sample.evaders[0] for sample in result.trace.of(Sampled)}
     errors = []
     for estimated in result.trace.of(Estimated):
@@ -304,7 +315,7 @@ def normalised_error(result: Result) -> float:
             x, y = estimated.x - positions[estimated.t][0], estimated.y - positions[estimated.t][1]
             square = estimated.yy * x * x - 2.0 * estimated.xy * x * y + estimated.xx * y * y
             errors.append(square / (estimated.xx * estimated.yy - estimated.xy**2))
-    return float(np.mean(errors))
+    return float(np.mean(errors)) if errors else nan
 
 
 def nearest_only(me: Any) -> Any:
