@@ -113,6 +113,8 @@ def means(
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
+    for key in keys:
+        result.values(key)  # refuses a key that the grid lacks
     labels = labels_of_values(result, labels)
     abscissa = _abscissa(result, x, keys)
     all_points = _points(result, metric, against)
