@@ -971,6 +971,21 @@ def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file,
 
 
 @pytest.mark.slow
+def test_exported_tables_have_labels_and_leave_out_columns(coins, tmp_path):
+    """A number may be written otherwise, and the kind of a value stands for it; rows of runs have no labels."""
+    folder, _ = coins
+    words = ("export", folder / "out", tmp_path / "t.tex", "--label", "1.00=near", "--label", "network.range=range")
+    assert accepted(*words, "--without", "captured").stderr.startswith("wrote tables of 4 configurations, 12 runs, to ")
+    text = (tmp_path / "t.tex").read_text()
+    assert "\nrange & protocol.kind & runs & active time, s &" in text
+    assert "\nnear & sap & $3$ &" in text
+    assert "\n$\\infty$ & sap & $3$ &" in text
+    refusal = refused("export", folder / "out", tmp_path / "t.csv", "--label", "1.00=near")
+    assert "are of the tables of a sweep (.tex, .md)" in " ".join(refusal)
+    assert "no table has a column capture" in " ".join(refused(*words, "--without", "capture"))
+
+
+@pytest.mark.slow
 def test_a_sweep_over_a_part_of_the_grid_leaves_the_table_and_the_figure_of_all(file, tmp_path):
     """The table of the part is printed; that of the whole store, in numeric order, is written."""
     path = file(COINS)
@@ -1039,7 +1054,7 @@ def test_the_grid_of_the_command_line_adds_to_that_of_the_file_and_replaces_its_
     assert head.startswith("unnamed: 6 configurations, 6 runs; ")
     assert titles.split() == ["runs", "stored", "network.range", "evader.speed", "protocol"]
     found = [line.split()[2:] for line in configurations]
-    assert found == [[a, "0.5", b] for a in ("inf", "3.0", "4") for b in ("cbba", "sap(tau=constant(value=0.5))")]
+    assert found == [[a, "0.5", b] for a in ("inf", "3", "4") for b in ("cbba", "sap(tau=constant(value=0.5))")]
 
 
 @pytest.mark.parametrize(
