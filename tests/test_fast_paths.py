@@ -22,6 +22,7 @@ NO_PAIR = {
     "desim/kernel/tc/writer.py": "refuses what it cannot write",
     "desim/pursuit/motion/flow.py": "says that there is no flow, and nothing is computed in another way",
     "desim/pursuit/sensing/noisy_sensing.py": "checks what a model of a user returns, and not that of ours",
+    "desim/pursuit/team/observation.py": "saves questions that have one answer for that type",
     "protocols/schedules/periodic.py": "the block is a part of what a seed means, so there is no other way",
 }
 """Modules with these words or questions that have no second way, and why."""

@@ -319,9 +319,12 @@ def nothing(me):
         (Broken(fault="divides"), "division"),
         (Broken(fault="ends"), r"actions\(me\) of Broken should never end"),
         (Broken(fault="returns"), r"actions\(me\) of Broken should yield actions, not return True"),
-        (no_process, "a protocol should be a generator.*no_process"),
-        (no_event, r"should yield events such as me\.sleep\(0\.1\) \(got 0\.1\)"),
-        (nothing, r"should yield events .* \(got None\)"),
+        (
+            no_process,
+            r"a protocol, .*should be a generator .*, got None from no_process \(tests/test_protocols\.py, ",
+        ),
+        (no_event, r"should yield events such as me\.sleep\(0\.1\), got 0\.1 from no_event"),
+        (nothing, r"should yield events .*, got None from nothing"),
     ],
     ids=["divides", "ends", "returns", "no process", "no event", "nothing"],
 )

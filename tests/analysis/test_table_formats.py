@@ -28,7 +28,7 @@ def test_a_latex_table_has_the_rules_of_booktabs_and_numbers_as_mathematics():
         r"\midrule",
         r"sap\_1 \& co & $30$ & 90.0\% (74.4\%--96.5\%) & $1{,}234.5 \pm 10.0$ (29) \\",
         r"a\textbar{}b & $1$ & - & $-0.250$ \\",
-        r"inf & $2$ & \$5 & $+1.50 \times 10^{-4}$ \\",
+        r"$\infty$ & $2$ & \$5 & $+1.50 \times 10^{-4}$ \\",
         r" & $100$ & x & $0.000$ in all, others \textless{} 3.7\% \\",
         r"\bottomrule",
         r"\end{tabular}",

@@ -177,8 +177,14 @@ class Locked:
 
 
 PROTOCOLS = {
-    "no generator": (returns, r"a run of five pursuers raises TypeError: a protocol should be a generator"),
-    "a number": (yields_a_number, r"should yield events such as me\.sleep\(0\.1\) \(got 0\.1\) \(pursuer 0, at 0 s"),
+    "no generator": (
+        returns,
+        r"five pursuers raises AnswerError: a protocol, .* be a generator .*, got None from returns",
+    ),
+    "a number": (
+        yields_a_number,
+        r"yield events such as me\.sleep\(0\.1\), got 0\.1 from yields_a_number .*\(pursuer 0, at 0 s",
+    ),
     "no arguments": (lambda: None, r"is not a protocol: should accept a call with \(me\)"),
     "spins": (spins, r"a run of five pursuers does not end, or no simulated time passes"),
     "stands still": (stands_still, r"a run of five pursuers does not end, or no simulated time passes"),
