@@ -22,6 +22,7 @@ from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import repeat
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, records_in
+from desim.pursuit.team.timing import StandstillError
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
@@ -92,6 +93,20 @@ def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed):
     with pytest.raises(
         ValueError, match=rf"^pursuer 1: {call}\({time}\): the {allowed}.*return\)\n\(pursuer 1, at 0.25 s "
     ):
+        play(protocol)
+
+
+@pytest.mark.parametrize("wait", [lambda me: me.sleep(0), lambda me: me.at(-1.0), lambda me: me.sleep(1e-12)])
+def test_waiting_for_the_present_without_end_is_an_error(wait, monkeypatch):
+    monkeypatch.setattr("desim.pursuit.team.timing.MAX_AT_ONE_INSTANT", 50)
+
+    def protocol(me):
+        for _ in range(3):
+            yield me.sleep(0.25)
+            for _ in range(30 if me.now < 0.6 else 60):
+                yield wait(me)
+
+    with pytest.raises(StandstillError, match=r"pursuer 0 has waited 50 times for the same instant, 0\.75 s: time "):
         play(protocol)
 
 

@@ -10,6 +10,12 @@ from desim.kernel.network import Network
 
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite, nan or negative waiting time."""
+MAX_AT_ONE_INSTANT = 100_000
+"""The number of times that a pursuer may wait for the present instant before it is told that time stands still."""
+
+
+class StandstillError(RuntimeError):
+    """A pursuer waits for the present instant again and again, so that time does not go on."""
 
 
 class Timing:
@@ -33,17 +39,21 @@ class Timing:
         self.id = pursuer
         self.restarts = 0
         self._env, self._clock, self._network = env, clock, network
+        self._instant, self._waits = -1, 0
+        """The last instant at which it waited for the present, ns, and how often it did so then."""
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
             ValueError: if the time is infinite, nan or not a number.
+            StandstillError: if it waits for the present without end.
         """
         if type(time) is not float:
             time = real(time, f"pursuer {self.id}: at: the time")
         try:
-            return Instant(self._env, max(self._clock.when(time), self._env.now), phase + self.id)
+            due = max(self._clock.when(time), self._env.now)
+            return self._event(due, phase)
         except (OverflowError, ValueError) as error:
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
@@ -52,14 +62,27 @@ class Timing:
 
         Raises:
             ValueError: if the duration is negative, infinite, nan or not a number.
+            StandstillError: if it waits for the present without end.
         """
         if type(duration) is not float:
             duration = real(duration, f"pursuer {self.id}: sleep: the duration")
         try:
-            return Instant(self._env, self._env.now + self._clock.span(duration), phase + self.id)
+            return self._event(self._env.now + self._clock.span(duration), phase)
         except (OverflowError, ValueError) as error:
             text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
             raise ValueError(text) from error
+
+    def _event(self, due: int, phase: Phase) -> Instant:
+        """Return the event of this pursuer at a time, ns."""
+        if due == self._env.now:
+            self._waits = self._waits + 1 if due == self._instant else 1
+            self._instant = due
+            if self._waits > MAX_AT_ONE_INSTANT:
+                raise StandstillError(
+                    f"pursuer {self.id} has waited {MAX_AT_ONE_INSTANT:,} times for the same instant,"
+                    f" {self._clock.now:.9g} s: time stands still; wait for longer, as in yield me.sleep(0.1)"
+                )
+        return Instant(self._env, due, phase + self.id)
 
     def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
         """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
