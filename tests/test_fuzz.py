@@ -47,6 +47,8 @@ SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
 LIMIT = 1.0
 """Time after which a run is ended, s."""
+WAITING = re.compile(r"processes wait\n  (the world: |pursuer \d+: |[\d,]+ processes wait at )\S+\.py:\d+ \(\S+\): ")
+"""The head of what processes wait for, and its first line, of one process or of several at one line of code."""
 SLOW = 100.0
 """Longest time that a command may take whose run is ended after the limit, s: it hangs, however slow the machine."""
 OK, OUT_OF_TIME, WRONG_INPUT, FAILED = 0, 1, 2, 3
@@ -285,7 +287,7 @@ def call(*args: object) -> tuple[int, str, str]:
         )
         assert re.search(said, made.stderr, re.MULTILINE), made.stderr
         if "of simulated time" in made.stderr:
-            assert re.search(r"processes wait\n  (the world|pursuer \d+): \S+\.py:\d+ \(\S+\): ", made.stderr)
+            assert WAITING.search(made.stderr)
     return made.exit_code, made.stdout, made.stderr
 
 

@@ -19,6 +19,10 @@ ALLOWED = {
         "desim.analysis.timeline": "Crash",
         "desim.testing.messages": "Crash Partition",
     },
+    "a check of a family has parts for the bases that users derive from": {
+        "desim.testing.faults": "ByzantineFault ClockSkew Fault Window",
+        "desim.testing.flows": "UniformFlow",
+    },
     "netem has no other link models; what is none of these is reported as missing": {
         "desim.kernel.tc.writer": "Bernoulli Bitrate Constant Correlated FourState"
         " GilbertElliott Netem Uniform Unlimited"

@@ -42,7 +42,20 @@ UNSIGNED = (np.uint8, np.uint16, np.uint32, np.uint64)
 FLOATS = (np.float16, np.float32, np.float64, np.longdouble)
 
 
-ALONE_WRONG = {"dimensions", "duty_cycle", "frequencies", "gateways", "noise", "share", "spreading_factors", "table"}
+ALONE_WRONG = {
+    *(
+        "bias",
+        "dimensions",
+        "duty_cycle",
+        "frequencies",
+        "gateways",
+        "noise",
+        "share",
+        "spreading_factors",
+        "table",
+        "weights",
+    )
+}
 """Fields that are right together with others only, so that only refusals are compared."""
 
 

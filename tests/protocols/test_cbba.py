@@ -231,11 +231,12 @@ def test_the_winner_timeout_tolerates_lost_messages(schedule):
 class Unequal:
     """A schedule: a turn every 0.1 s, but for pursuer 1 only the first three."""
 
-    mean_slot = 0.1
+    def mean_slot(self, me):
+        return 0.1
 
     def __call__(self, me, revise):
         for k in range(1, 100):
-            yield me.at(k * self.mean_slot)
+            yield me.at(k * 0.1)
             if me.id != 1 or k <= 3:
                 revise()
                 me.announce()

@@ -54,7 +54,7 @@ CASES = [(check, kind, model) for check, family in CHECKS for kind, model in fam
     ("check", "kind", "model"), CASES, ids=[f"{check.__name__}-{kind}" for check, kind, _ in CASES]
 )
 def test_a_built_in_kind_passes_the_check_of_its_family(check, kind, model):
-    check(model(**(PARAMETERS | NEEDED).get(model.__name__, {})))
+    check(model(**(NEEDED | PARAMETERS).get(model.__name__, {})))
 
 
 @pytest.mark.parametrize("kind", ["constant", "uniform", "matrix"])
