@@ -10,6 +10,13 @@ import numpy as np
 import pettingzoo
 import pytest
 from gymnasium import spaces
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
+from pettingzoo.test.example_envs import (
+    generated_agents_env_action_mask_info_v0,
+    generated_agents_env_action_mask_obs_v0,
+    generated_agents_env_v0,
+    generated_agents_parallel_v0,
+)
 from pettingzoo.utils import aec_to_parallel, parallel_to_aec
 
 import desim
@@ -21,17 +28,6 @@ LINKS = Links(latency=Lognormal(mean=0.1, cv=0.5), loss=0.1)
 WARNED = "Observation is not a NumPy array|probably should be gymnasium.spaces|all zeros|named in the format"
 """What the tests of PettingZoo say of all environments whose spaces are dicts, and of some without a wrapper."""
 PARALLEL = ("sisl/pursuit_v5", "butterfly/knights_archers_zombies_v11")
-
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # its tests import environments in a way that it calls old
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
-    from pettingzoo.test.example_envs import (
-        generated_agents_env_action_mask_info_v0,
-        generated_agents_env_action_mask_obs_v0,
-        generated_agents_env_v0,
-        generated_agents_parallel_v0,
-    )
 
 
 def checked(test, *arguments, **options):
