@@ -14,7 +14,10 @@ class _Talking:
     """What both kinds of environments have: the network, and spaces with messages."""
 
     env: Any
-    _messages: AgentMessages
+
+    def __init__(self, env: Any, links: Any = None, **options: Any):
+        super().__init__(env)  # type: ignore[call-arg]  # that of the wrapper of PettingZoo, which comes next
+        self._messages = AgentMessages(env, links, **options)
 
     @property
     def network(self) -> SteppedNetwork:
@@ -52,10 +55,6 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
         **options: as in `desim.adapters.agent_messages.AgentMessages`.
     """
 
-    def __init__(self, env: Any, links: Any = None, **options: Any):
-        super().__init__(env)
-        self._messages = AgentMessages(env, links, **options)
-
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
         """Begin an episode; see `pettingzoo.ParallelEnv.reset`."""
         observations, infos = self.env.reset(seed=seed, options=options)
@@ -83,10 +82,6 @@ class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no ty
         links: as in `SteppedNetwork`.
         **options: as in `desim.adapters.agent_messages.AgentMessages`.
     """
-
-    def __init__(self, env: Any, links: Any = None, **options: Any):
-        super().__init__(env)
-        self._messages = AgentMessages(env, links, **options)
 
     def observe(self, agent: Hashable) -> Any:
         """Return the observation of an agent now, with what it has heard."""

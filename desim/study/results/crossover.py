@@ -137,11 +137,7 @@ class Crossover:
         confidence: float = 0.95,
     ) -> Self:
         """Return where two curves of a sweep cross; see `SweepResult.crossover`."""
-        check_numeric(metric, result.units)
-        if not 0.0 < confidence < 1.0:
-            raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
-        if not result.common:
-            raise ValueError("runs with independent seeds cannot be paired: a crossover needs sweep.seeds = common")
+        check_paired(result, metric, confidence)
         lines = [curve(result, key, {**(where or {}), **chosen}) for chosen in (a, b)]
         x = sorted(lines[0].keys() & lines[1].keys())
         if len(x) < 2:
@@ -182,6 +178,15 @@ def interval_around(at: float, x: Sequence[float], undecided: Sequence[Crossover
     near = 1e-9 * (x[-1] - x[0])  # rounding may leave a crossing without scatter outside
     low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
     return -inf if low <= x[0] else low, inf if high >= x[-1] else high
+
+
+def check_paired(result: SweepRuns, metric: str, confidence: float) -> None:
+    """Raise ValueError if a metric of a sweep cannot be compared by pairs of runs with intervals of a confidence."""
+    check_numeric(metric, result.units)
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
+    if not result.common:
+        raise ValueError("runs with independent seeds cannot be paired: the sweep needs sweep.seeds = common")
 
 
 def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float, Group]:

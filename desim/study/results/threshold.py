@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from math import inf, isinf, nan, sqrt
 from typing import Any, Self
 
-from desim.analysis.metrics import check_numeric, words
+from desim.analysis.metrics import words
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
 from desim.study.results.crossover import (
     CrossoverInterval,
+    check_paired,
     covariance,
     curve,
     interval_around,
@@ -125,13 +126,9 @@ class Threshold:
         confidence: float = 0.95,
     ) -> Self:
         """Return from where on a metric exceeds its baseline; see `SweepResult.threshold`."""
-        check_numeric(metric, result.units)
-        if not 0.0 < confidence < 1.0:
-            raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
+        check_paired(result, metric, confidence)
         if not over or not -1.0 < over < inf:
             raise ValueError(f"over should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
-        if not result.common:
-            raise ValueError("runs with independent seeds cannot be paired: a threshold needs sweep.seeds = common")
         line = curve(result, key, where or {})
         x = sorted(line)
         if len(x) < 2:
