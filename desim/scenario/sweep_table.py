@@ -64,7 +64,7 @@ class Sweep(Value):
     @classmethod
     def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
         """Raise an error if the grid of an untrusted file names code; the values of the grid are validated later."""
-        named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if is_unlisted_import(kind)]
+        named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds_in(grid) if is_unlisted_import(kind)]
         if named:
             text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
             misfits = [(("sweep", "grid", key), refusal(kind)) for key, kind in named]
@@ -79,7 +79,7 @@ class Sweep(Value):
         return hash((self.reps, self.seeds, tuple(self.grid)))
 
 
-def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
+def _kinds_in(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
     """Yield each kind in the values of a grid, also in nested tables, as a pair (key of the grid, kind)."""
 
     def inside(value: Any) -> Iterator[Any]:

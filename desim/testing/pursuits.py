@@ -141,7 +141,7 @@ class MotionWatcher:
 
     def __init__(self, scenario: Scenario):
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
-        self._at_large = np.full(len(self._evader_speeds), np.inf)  # time of capture, ns; inf before it
+        self._capture_times = np.full(len(self._evader_speeds), np.inf)  # ns; inf while free
         self._moves = not scenario.motion.static
         self._relays = scenario.team.relays
         self._active = ActiveTimeWatcher()
@@ -160,11 +160,11 @@ class MotionWatcher:
         elif isinstance(event, Sampled):
             self._check_positions(event)
         elif isinstance(event, Captured):
-            self._at_large[event.evader - 1] = event.t
+            self._capture_times[event.evader - 1] = event.t
 
     def _check_positions(self, event: Started | Sampled) -> None:
         places = self._places(event)
-        moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
+        moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._capture_times)])
         moving[[*self._relays, *self._brakes]] = event.t
         if self._last is not None:
             since, before, moved = self._last
@@ -172,8 +172,8 @@ class MotionWatcher:
             if not is_uniform(self._environment.flow) and event.t > since:
                 bound = bound + self._environment.top_speed * seconds(event.t - since)
             distance = lengths(places - before)
-            slack = ROUNDING * (1.0 + bound) + 1e-12 * lengths(places) + 2.0 * self._places.error
-            fast = np.flatnonzero(~(distance <= bound + slack))
+            tolerance = ROUNDING * (1.0 + bound) + 1e-12 * lengths(places) + 2.0 * self._places.error
+            fast = np.flatnonzero(~(distance <= bound + tolerance))
             if len(fast):
                 player = fast[0]
                 raise AssertionError(
@@ -235,22 +235,22 @@ class InertiaWatcher:
         steps: tuple[float, float],
     ) -> None:
         """Compare two successive displacements (m) of a player, and the times (s) that they take."""
-        slack, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
+        tolerance, duration = 10.0 * (ROUNDING + self._places.error), (steps[0] + steps[1]) / 2.0
         quantity = dynamics.limits
         if quantity == "acceleration":
             if abs(steps[0] - steps[1]) > ROUNDING:
                 return
-            rate, slack = abs(second - first) / duration**2, slack / duration**2
+            rate, tolerance = abs(second - first) / duration**2, tolerance / duration**2
         else:
             shortest = min(abs(first), abs(second))
-            if shortest <= slack or dynamics.limit * duration >= 1.0:
+            if shortest <= tolerance or dynamics.limit * duration >= 1.0:
                 return
             rate, share = abs(phase(second / first)) / duration, (dynamics.limit * duration) ** 2
             at_full_speed = min(abs(first) / steps[0], abs(second) / steps[1]) >= self._speeds[player] * (1.0 - share)
             rate *= 1.0 if at_full_speed else 0.5
-            slack = slack / shortest / duration + dynamics.limit * share
+            tolerance = tolerance / shortest / duration + dynamics.limit * share
         self.judged += 1
-        if not rate <= dynamics.limit + slack:
+        if not rate <= dynamics.limit + tolerance:
             raise AssertionError(
                 f"no player exceeds its {quantity}: player {player} (the pursuers come first) {rate} > {dynamics.limit}"
             )

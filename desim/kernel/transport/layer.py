@@ -209,9 +209,9 @@ class TransportLayer:
         if transport.lifespan < inf:
             age = self._clocks[node].at(now) - self._clocks[flow.src].at(message.stamp)
             if age >= transport.lifespan:
-                self._log.expire(flow, node, seq)
+                self._log.expired(flow, node, seq)
                 return
-        self._log.deliver(flow, node, seq, message, attempt)
+        self._log.delivered(flow, node, seq, message, attempt)
         self._inboxes.deliver(message, flow.port, [node], now, next(self._numbers))
         if transport.deadline < inf:
             self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
@@ -221,7 +221,7 @@ class TransportLayer:
         expectations = self._nodes[node].expectations
         expectation = expectations.get((kind, src, port))
         if expectation is None and within <= MAX_TIME:
-            tell = self._log.miss_deadline if kind == "deadline" else self._log.lose_liveliness
+            tell = self._log.deadline_missed if kind == "deadline" else self._log.liveliness_lost
 
             def miss() -> None:
                 if self._is_up(node):

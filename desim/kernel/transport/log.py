@@ -47,7 +47,7 @@ class TransportLog:
         self._delivered = self._expired = self._retransmissions = self._missed = self._lost = self._delay = 0
         self._given_up: Counter[GiveUp] = Counter()
 
-    def deliver(self, flow: MessageFlow, node: int, seq: int, message: Message, attempt: int) -> None:
+    def delivered(self, flow: MessageFlow, node: int, seq: int, message: Message, attempt: int) -> None:
         """Record the delivery of a message to a node."""
         now = self._env.now
         self._delivered += 1
@@ -57,29 +57,29 @@ class TransportLog:
             Delivered(now, flow.src, node, str(flow.port), is_to_all, seq, message.stamp, attempt, message.body)
         )
 
-    def retransmit(self, flow: MessageFlow, node: int, seq: int, attempt: int) -> None:
+    def retransmitted(self, flow: MessageFlow, node: int, seq: int, attempt: int) -> None:
         """Record a repeated transmission of a message to a node."""
         self.attempts += 1
         self._retransmissions += 1
         self._append(Retransmitted(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, attempt))
 
-    def give_up(self, flow: MessageFlow, node: int, seq: int, cause: GiveUp) -> None:
+    def given_up(self, flow: MessageFlow, node: int, seq: int, cause: GiveUp) -> None:
         """Record that a sender gave up a message to a node."""
         self._given_up[cause] += 1
         self._append(GivenUp(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, cause))
 
-    def expire(self, flow: MessageFlow, node: int, seq: int) -> None:
+    def expired(self, flow: MessageFlow, node: int, seq: int) -> None:
         """Record that a receiver dropped a message because of its age."""
         self._expired += 1
         self._append(Expired(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq))
 
-    def miss_deadline(self, src: int, node: int, port: str) -> None:
+    def deadline_missed(self, src: int, node: int, port: str) -> None:
         """Record that a node has waited too long for a message of another."""
         self._missed += 1
         if self._trace is not None:
             self._trace.append(DeadlineMissed(self._env.now, src, node, str(port)))
 
-    def lose_liveliness(self, src: int, node: int, port: str) -> None:
+    def liveliness_lost(self, src: int, node: int, port: str) -> None:
         """Record that a node has received nothing from another for the time of its lease."""
         self._lost += 1
         if self._trace is not None:

@@ -198,7 +198,7 @@ class ReliableSender:
     def _act(self, entry: Entry, node: int, owed: Owed) -> None:
         """Repeat a message to a receiver, tell the receiver of a held message not to wait, or give the message up."""
         if owed.attempts > self._model.max_repeats:
-            self._log.give_up(self._flow, node, entry.seq, "repeats")
+            self._log.given_up(self._flow, node, entry.seq, "repeats")
             self._finish(entry, node)
             self._close_gap(node)
             return
@@ -209,7 +209,7 @@ class ReliableSender:
             skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, base)
             self._endpoint.transmit(self._flow.src, node, self._endpoint.env.now, skip, SKIP_SIZE)
         else:
-            self._log.retransmit(self._flow, node, entry.seq, owed.attempts)
+            self._log.retransmitted(self._flow, node, entry.seq, owed.attempts)
             self._send_segment(entry, node, base, owed.attempts)
 
     def _send_segment(self, entry: Entry, dst: int | None, base: int, attempt: int) -> None:
@@ -231,7 +231,7 @@ class ReliableSender:
         """Give up a message to all receivers that have not acknowledged it."""
         del self._entries[entry.seq]
         for node in entry.owed:
-            self._log.give_up(self._flow, node, entry.seq, cause)
+            self._log.given_up(self._flow, node, entry.seq, cause)
             self._close_gap(node)
 
     def _finish(self, entry: Entry, node: int) -> None:

@@ -5,7 +5,7 @@ a function, or an instance of such a class) covers
 
 - the values that it holds;
 - the source of its module and of the user modules that this module imports, directly or indirectly;
-- the versions of the installed packages that these modules import, except those in `KNOWN`;
+- the versions of the installed packages that these modules import, except those in `HASHED_BY_NAME`;
 - the content of the data files that it declares or that these modules have opened (`desim.config.data_files`).
 
 If its module belongs to an installed package, all modules of the package are hashed. If the object is defined in a
@@ -39,7 +39,7 @@ from desim.config.own_modules import plain_name
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.study.plan.user_code import KNOWN, UserCode, package_of
+from desim.study.plan.user_code import HASHED_BY_NAME, UserCode, package_of
 
 UNSWEPT = MappingProxyType(
     {
@@ -182,7 +182,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             raise TypeError(f"{kind.__qualname__!r} objects have no stable order")
         if kind is np.ndarray and not value.dtype.hasobject:
             return "array", str(value.dtype), value.shape, content_hash(value.tobytes())
-        if kind is FunctionType or (package_of(kind.__module__) not in KNOWN and not isinstance(value, type)):
+        if kind is FunctionType or (package_of(kind.__module__) not in HASHED_BY_NAME and not isinstance(value, type)):
             self.user.files |= declared(value)
         if isinstance(value, ModuleType | FunctionType | type) and (name := self._import_name(value)):
             return name
@@ -219,7 +219,8 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     def _import_name(self, value: Any) -> str:
         """Return the name "module:name" by which a module, function or class can be imported, and add its module.
 
-        Return "" if it cannot be imported, or if its module has no source and does not belong to a package in `KNOWN`.
+        Return "" if it cannot be imported, or if its module has no source and does not belong to a package in
+        `HASHED_BY_NAME`.
         """
         module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
         if module == "builtins":  # some of its types, such as NoneType, cannot be looked up

@@ -22,7 +22,7 @@ from desim.config.own_modules import folder_in_name, module_beside, plain_name
 from desim.config.traits import OURS
 from desim.results.environment import NUMERICS
 
-KNOWN = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
+HASHED_BY_NAME = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 """The packages whose classes and functions are hashed by name only."""
 
 
@@ -30,8 +30,8 @@ class UserCode:
     """The hashes of user modules and of what they depend on.
 
     With a module, the user modules that it imports directly or indirectly are added, the data files that these modules
-    have opened, and the versions of the installed packages that they import, except those in `KNOWN`. If the module is
-    itself installed, all modules of its package are added instead.
+    have opened, and the versions of the installed packages that they import, except those in `HASHED_BY_NAME`. If the
+    module is itself installed, all modules of its package are added instead.
 
     Attributes:
         code: the hash of the source of each user module, the version of each installed package, and what a caller adds,
@@ -45,8 +45,8 @@ class UserCode:
         self._modules: set[str] = set()
 
     def add(self, name: str) -> bool:
-        """Add a module; return whether it has a source, or belongs to a package in `KNOWN`."""
-        if name in self._modules or name in self.code or package_of(name) in KNOWN:
+        """Add a module; return whether it has a source, or belongs to a package in `HASHED_BY_NAME`."""
+        if name in self._modules or name in self.code or package_of(name) in HASHED_BY_NAME:
             return True
         file = None if name == "__main__" else _file(name)
         if file is None:
@@ -68,7 +68,7 @@ class UserCode:
                 package = package_of(module)
                 if (home := _file(package)) is None or not is_installed(home):
                     self.add(module)
-                elif package not in KNOWN:
+                elif package not in HASHED_BY_NAME:
                     self.code |= _versions(_distributions().get(package, ()))
         return True
 
@@ -92,7 +92,7 @@ def _package(name: str, file: Path) -> Mapping[str, str]:
     hashes = [(path.relative_to(folder).as_posix(), content_hash(path.read_bytes())) for folder, path in files]
     distributions = _distributions().get(name, ())
     lines = [line for distribution in distributions for line in requires(distribution) or () if "extra ==" not in line]
-    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - KNOWN
+    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - HASHED_BY_NAME
     return {name: content_hash(json.dumps(hashes).encode()), **_versions([*distributions, *sorted(needed)])}
 
 
