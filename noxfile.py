@@ -42,7 +42,7 @@ def digests(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def slow(session: nox.Session) -> None:
-    """Run the slow tests with all combinations of parameters."""
+    """Run the slow tests with all combinations of parameters and the tests marked whole."""
     session.install("-e", ".[test]")
     session.run("pytest", "-m", "slow", "--whole-products", *session.posargs)
 

@@ -35,8 +35,9 @@ for package in (desim, protocols):
 
 
 def pytest_addoption(parser):
-    """Offer all cases of the tests that have several `parametrize`."""
-    parser.addoption("--whole-products", action="store_true", help="all combinations, not each value at least once")
+    """Offer the large cases, and all cases of the tests that have several `parametrize`."""
+    what = "all combinations, not each value at least once, and the tests marked whole"
+    parser.addoption("--whole-products", action="store_true", help=what)
 
 
 def values_of(item):
@@ -61,9 +62,14 @@ def covering(cases):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Thin the products, and mark the cases of a test that are slow: those it names, or all but the first."""
-    tests = {}
+    """Leave out `whole` tests, thin products, mark the slow cases of a test: those it names, or all but the first."""
+    asked_for = config.option.whole_products or any("::" in argument for argument in config.args)
+    kept = {item for item in items if asked_for or not item.get_closest_marker("whole")}
     for item in items:
+        if item.get_closest_marker("whole"):
+            item.add_marker("slow")
+    tests = {}
+    for item in (item for item in items if item in kept):
         tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
     for cases in tests.values():
         slow = cases[1:] if cases[0].get_closest_marker("slow_but_one") else []
@@ -71,10 +77,9 @@ def pytest_collection_modifyitems(config, items):
             slow = [item for item in cases if item.callspec.id in mark.args]
         for item in slow:
             item.add_marker("slow")
-    if config.option.whole_products or any("::" in argument for argument in config.args):
-        return
     # A test of several `parametrize` asks one question in all corners. Each value is met here, not each combination.
-    kept = set().union(*(covering(cases) if len(values_of(cases[0])) > 1 else cases for cases in tests.values()))
+    if not asked_for:
+        kept = set().union(*(covering(cases) if len(values_of(cases[0])) > 1 else cases for cases in tests.values()))
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = [item for item in items if item in kept]
 
