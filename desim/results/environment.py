@@ -74,7 +74,9 @@ def _versions() -> dict[str, str | None]:
     return versions | {name: _version(name) for name in (*NUMERICS, *sorted(plugged))}
 
 
+@cache
 def _version(distribution: str) -> str | None:
+    """Return the version of an installed distribution; read once, for each sweep asks for those that compute twice."""
     try:
         return version(distribution)
     except PackageNotFoundError:  # on the path, but not installed

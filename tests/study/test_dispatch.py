@@ -111,7 +111,46 @@ def test_the_time_of_a_run_is_its_share_of_the_time_of_its_batch(monkeypatch):
     assert took == 0.5
 
 
-@pytest.mark.slow
+class Mortal(InProcess):
+    """Workers in this process that die at some seeds, with all that has been submitted."""
+
+    def __init__(self, *deadly):
+        super().__init__()
+        self.max_pending, self.deadly, self.pending, self.renewed = 4, deadly, [], 0
+
+    def submit(self, call):
+        if any(future.done() for future, _ in self.pending):
+            raise BrokenExecutor
+        self.pending.append((Future(), call))
+        return self.pending[-1][0]
+
+    def done(self, futures):
+        (future, call), *others = self.pending
+        if any(seed in self.deadly for _, seed in call.args[0]):
+            for lost, _ in self.pending:
+                lost.set_exception(BrokenExecutor())
+        else:
+            future.set_result(call())
+            self.pending = others
+        return {future for future in futures if future.done()}
+
+    def renew(self):
+        self.pending, self.renewed = [], self.renewed + 1
+
+
+@pytest.mark.parametrize("deadly", [(0,), (3, 4), (11, 12), (0, 6, 12), range(13)])
+def test_of_runs_that_were_lost_with_their_workers_only_the_deadly_have_crashed(deadly):
+    """Whatever shared a batch with one, or was under way beside it, is repeated alone."""
+    workers = Mortal(*deadly)
+    outcomes = sorted(drive([(None, seed) for seed in range(13)], workers, lambda seed: -seed, lambda _, seed: seed))
+    assert [k for k, _ in outcomes] == [*range(13)]  # each once
+    for k, outcome in outcomes:
+        expected = ("crashed", None, CRASHED) if k in deadly else ("ok", -k, "")
+        assert (outcome.status, outcome.value, outcome.traceback) == expected
+    assert workers.renewed > len(deadly)  # once for those that died together, and for each that dies alone
+
+
+@pytest.mark.whole
 def test_a_run_that_ends_its_worker_costs_no_other_run(scenario):
     """The first is killed; of the last two, at once, each leaves with exit code 0."""
     ways = {0: "kill", 11: "leave", 12: "leave"}

@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing, nullcontext
+from functools import partial
 from io import StringIO
 from math import inf, nan
 from pathlib import Path
@@ -109,11 +110,17 @@ def test_independent_seeds_are_all_different_and_the_same_every_time():
 @pytest.mark.slow
 def test_independent_seeds_are_the_same_in_another_process():
     """Or a store could not be continued by another process."""
-    plan = SweepPlan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID)
-    script = "from tests.study.test_sweep import *;print(independent())"
+    scenario = BASE.model_copy(update={"sweep": Sweep(seeds="independent")})
+    plan = SweepPlan.of(scenario, GRID)
+    script = (
+        "from desim.scenario.scenario import Scenario\n"
+        "from desim.study.sweeps.sweep import SweepPlan\n"
+        f"plan = SweepPlan.of(Scenario.model_validate_json({scenario.model_dump_json()!r}), {GRID}, 4, 5)\n"
+        "print([plan.seed(cell, k) for cell in plan.configurations for k in range(4)])"
+    )
     done = subprocess.run(
         [sys.executable, "-c", script],
-        env={"PYTHONHASHSEED": "3", "PYTHONPATH": ":".join([str(Path(__file__).parents[2]), *sys.path])},
+        env={"PYTHONHASHSEED": "3", "PYTHONPATH": str(Path(__file__).parents[2])},
         capture_output=True,
         text=True,
         check=True,
@@ -134,7 +141,7 @@ def test_independent_runs_are_no_pairs():
 def test_common_seeds_make_differences_precise():
     """Of active time, between latencies of 0 and 0.02 s: var + var' of unpaired runs over the variance of pairs.
 
-    1245 with these 50 pairs, and at least 11 with five other sets, for few seeds make most of the difference. The
+    1245 with 50 pairs, and at least 11 with five other sets, for few seeds make most of the difference. The
     control, run k paired with run k + 1, has 1 up to chance: 0.74 to 1.20.
     """
     found = sweep(BASE.model_copy(update={"horizon": 2.0}), {"network.latency.value": [0.0, 0.02]}, 50, seed=0)
@@ -147,25 +154,32 @@ def test_common_seeds_make_differences_precise():
 # How many runs.
 
 
+@pytest.fixture
+def looks(monkeypatch):
+    """Let sweeps take their first look at 10 runs instead of 100; return that stopping rule."""
+    monkeypatch.setattr(module, "runs_needed", partial(runs_needed, first_look=10))
+    return module.runs_needed
+
+
 @pytest.mark.slow
-def test_a_precision_takes_as_many_runs_as_the_stopping_rule_requires():
-    target = ("active_time", 0.03)
-    found = sweep(BASE, {"capture.radius": [0.05, 0.2]}, 100, until=target)
+def test_a_precision_takes_as_many_runs_as_the_stopping_rule_requires(looks):
+    target = ("active_time", 0.035)
+    found = sweep(BASE, {"capture.radius": [0.05, 0.2]}, 30, until=target)
     for group in found.groups:
         values = group.values("active_time")
-        assert len(values) == runs_needed(values, 0.03, at_most=100)
+        assert len(values) == looks(values, 0.035, at_most=30)
         assert [row.replication for row in group.rows] == list(range(len(values)))
     counts = [len(group.rows) for group in found.groups]
-    assert 30 < max(counts) <= 100
-    assert all(estimate(g.values("active_time")).half_width <= 0.03 for g in found.groups if len(g.rows) < 100)
+    assert 10 < max(counts) <= 30
+    assert all(estimate(g.values("active_time")).half_width <= 0.035 for g in found.groups if len(g.rows) < 30)
 
 
 @pytest.mark.slow
-def test_truths_are_as_precise_as_wilsons_interval():
-    (group,) = sweep(BASE, {"capture.radius": [0.2]}, until=("captured", 0.12)).groups
+def test_truths_are_as_precise_as_wilsons_interval(looks):
+    (group,) = sweep(BASE, {"capture.radius": [0.2]}, until=("captured", 0.2)).groups
     values = group.values("captured")
     assert {type(each) for each in values} == {bool}
-    assert len(values) == runs_needed(values, 0.12, at_most=MAX_RUNS) < MAX_RUNS
+    assert len(values) == looks(values, 0.2, at_most=MAX_RUNS) < MAX_RUNS
 
 
 @pytest.mark.slow
@@ -194,17 +208,18 @@ def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("looks")
 def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interruption(tmp_path, monkeypatch):
-    grid, target = {"capture.radius": [0.05, 0.2]}, {"reps": 150, "until": ("active_time", 0.0194)}
+    grid, target = {"team.count": [2, 4]}, {"reps": 30, "until": ("active_time", 0.07)}
     whole = sweep(BASE, grid, **target)
     assert len({len(group.rows) for group in whole.groups}) > 1
     assert sweep(BASE, grid, executor=2, **target) == whole
     drive_batches = module.drive_batches
 
     def interrupted(tasks, workers, **options):
-        """Do 17 runs, the last first, and leave."""
+        """Do five runs, the last first, and leave."""
         tasks = list(tasks)
-        last = drive_batches(tasks[::-1][:17], workers, **options)
+        last = drive_batches(tasks[::-1][:5], workers, **options)
         yield from ([(len(tasks) - 1 - k, outcome) for k, outcome in batch] for batch in last)
         raise KeyboardInterrupt
 
@@ -229,14 +244,14 @@ def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
 
 
 @pytest.mark.slow
-def test_failed_runs_count_as_runs_but_not_towards_the_mean():
-    """A third of the seeds fail: to have 100 values takes more than 140 runs."""
+def test_failed_runs_count_as_runs_but_not_towards_the_mean(looks):
+    """A third of the seeds fail: to have 10 values takes more than 13 runs."""
     scenario = BASE.model_copy(update={"protocol": Moody()})
-    (group,) = sweep(scenario, {"capture.radius": [0.1]}, 300, until=("active_time", 10.0), seed=1).groups
+    (group,) = sweep(scenario, {"capture.radius": [0.1]}, 30, until=("active_time", 10.0), seed=1).groups
     values = [None if row.summary is None else row.summary.active_time for row in group.rows]
     assert [row.ok for row in group.rows] == [row.seed % 3 != 0 for row in group.rows]
-    assert len(values) == runs_needed(values, 10.0, at_most=300) > 140
-    assert len([each for each in values if each is not None]) >= 100
+    assert len(values) == looks(values, 10.0, at_most=30) > 13
+    assert len([each for each in values if each is not None]) >= 10
 
 
 @pytest.mark.parametrize(
