@@ -44,11 +44,11 @@ def commands(text):
 
 
 def small(words):
-    """Return the words of a command that simulates little: 1.5 s, or two runs of 0.5 s of each, in this process."""
+    """Return the words of a command that simulates little: 1.5 s, or two runs of 0.2 s of each, in this process."""
     several = words[0] in {"sweep", "explain"} or "-n" in words
     size = ["-n", "2"] if several else []
     if words[0] != "check" and any(word.endswith(".toml") for word in words):
-        size += ["--set", f"horizon={0.5 if several else 1.5}"]
+        size += ["--set", f"horizon={0.2 if several else 1.5}"]
     return [*words, *size, *(["-j", "1"] if "-j" in words else [])]
 
 
@@ -85,7 +85,7 @@ def test_the_python_and_the_commands_of_a_page_run(page, folder, monkeypatch):
         exec("\n".join(blocks(TEXTS[page], "python")), vars(program))
     for words in commands(TEXTS[page]):
         with monkeypatch.context() as patch:
-            if words[0] in {"run", "sweep", "explain"}:
+            if words[0] in {"run", "sweep", "explain", "report"}:
                 undraw(patch)
             accepted(*small(words))
 

@@ -49,7 +49,7 @@ def installed(wheel, tmp_path_factory):
     made = called(sys.executable, "-m", "venv", "--without-pip", str(home), cwd=home.parent)
     assert made.code == 0, made.text
     programs = home / ("Scripts" if os.name == "nt" else "bin")
-    words = ("-m", "pip", "--python", str(programs / "python"), "install", "--no-index", "--no-deps", str(wheel))
+    words = ("-m", "pip", "--python", str(programs / "python"), "install", "--no-index", "--no-deps", "--no-compile", str(wheel))
     done = called(sys.executable, *words, cwd=home)
     assert done.code == 0, done.text
     told = called(str(programs / "python"), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home)

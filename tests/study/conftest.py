@@ -33,7 +33,7 @@ def cluster(scheduler, monkeypatch):
     return scheduler
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def scheduler(tmp_path_factory):
     """Yield the address of a Dask scheduler that replaces its workers."""
     folder = tmp_path_factory.mktemp("cluster")
@@ -42,7 +42,13 @@ def scheduler(tmp_path_factory):
     process = subprocess.Popen(
         [sys.executable, program],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"},
+        env={
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+            "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+            "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+        },
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -43,15 +43,16 @@ def wait_for(condition, within=60.0):
 
 
 @pytest.mark.slow
-def test_a_sweep_whose_driver_is_killed_twice_ends_with_the_table_of_an_unbroken_one(tmp_path, unbroken):
-    """It is killed while workers start, and when they have just ended a run, at seeded moments.
+@pytest.mark.parametrize("lives", ["1", pytest.param("01", marks=pytest.mark.whole)])
+def test_a_sweep_whose_driver_is_killed_ends_with_the_table_of_an_unbroken_one(tmp_path, unbroken, lives):
+    """In its life 0 it is killed while workers start, in life 1 when they have just ended a run, at seeded moments.
 
     50 runs that pause for 50 ms take 1.25 s with two workers; a life has 0.2 s from its first run on.
     """
     (file, whole), moments = unbroken, random.Random(1)
     out, counts = tmp_path / "out", [0]
     store = out / "sweep.sqlite"
-    for life in range(2):
+    for life in map(int, lives):
         mark = f"{tmp_path}/{life}"
         driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "-j", 2, mark=mark)
         if life == 0:
@@ -101,7 +102,7 @@ def test_an_interrupted_sweep_reports_it_in_one_line_and_keeps_its_runs(tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.0, 0.2])
+@pytest.mark.parametrize("delay", [0.2, pytest.param(0.0, marks=pytest.mark.whole)])
 def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
     """They are there as soon as there are three processes: the driver and what looks after their semaphores, too.
 
@@ -121,7 +122,9 @@ def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
     ("program", "number", "send", "told"),
     [
         ("desim", signal.SIGINT, os.killpg, "interrupted: 0 of 100 runs have ended; to keep each run and resume"),
-        ("scenarios.delay", signal.SIGTERM, os.killpg, "interrupted by SIGTERM\n"),
+        pytest.param(
+            *("scenarios.delay", signal.SIGTERM, os.killpg, "interrupted by SIGTERM\n"), marks=pytest.mark.whole
+        ),
     ],
 )
 def test_many_runs_of_one_scenario_and_studies_are_interrupted_in_the_same_way(tmp_path, program, number, send, told):
@@ -172,7 +175,7 @@ def test_ctrl_c_is_left_as_it_is():
         signal.signal(signal.SIGTERM, before[1])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_sweep_on_a_cluster_is_interrupted_in_the_same_way_and_can_be_continued(tmp_path, unbroken, cluster):
     (file, whole), out, mark = unbroken, tmp_path / "out", str(tmp_path)
     driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "--cluster", cluster, mark=mark)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 
@@ -36,7 +36,7 @@ def command(*args):
 
 def output_of_a_sweep(out, *options):
     """Return all output of a sweep: what it prints, exports and stores."""
-    file = sweeps.write(out.parent / "in", reps=6)
+    file = sweeps.write(out.parent / "in", reps=4)
     made = command("sweep", file, "--allow-import", "-o", out, *options)
     assert made.exit_code == 0, made.output
     assert command("export", out, out / "runs.csv").exit_code == 0
@@ -44,22 +44,23 @@ def output_of_a_sweep(out, *options):
 
 
 @pytest.mark.slow
-def test_a_sweep_has_the_same_output_wherever_it_is_run(tmp_path, cluster):
+@pytest.mark.parametrize("where", ["processes", pytest.param("cluster", marks=pytest.mark.whole)])
+def test_a_sweep_has_the_same_output_wherever_it_is_run(request, tmp_path, where):
     """Its rule is of a module beside the file that imports another; all that happens in it is random."""
+    options = ("-j", 2) if where == "processes" else ("--cluster", request.getfixturevalue("cluster"))
     here = output_of_a_sweep(tmp_path / "here", "-j", 1)
-    assert output_of_a_sweep(tmp_path / "processes", "-j", 2) == here
-    assert output_of_a_sweep(tmp_path / "cluster", "--cluster", cluster) == here
+    assert output_of_a_sweep(tmp_path / "there", *options) == here
     _, table, (configurations, runs) = here
     assert len(configurations) == 2
-    assert len(runs) == len(table.splitlines()) - 1 == 12
-    assert len({run[5] for run in runs}) == 12  # no two runs are the same
+    assert len(runs) == len(table.splitlines()) - 1 == 8
+    assert len({run[5] for run in runs}) == 8  # no two runs are the same
     assert (
         command("sweep", tmp_path / "in" / "coins.toml", "--allow-import", "-o", tmp_path / "other", "-s", 1).stdout
         != here[0]
     )
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_long_run_has_the_same_numbers_wherever_it_is_done(tmp_path, cluster):
     """So long that BLAS would divide its sums among threads, of which Dask allows a worker one."""
     stores = [tmp_path / f"{k}.sqlite" for k in range(3)]
@@ -72,7 +73,7 @@ def test_a_long_run_has_the_same_numbers_wherever_it_is_done(tmp_path, cluster):
 
 @pytest.mark.slow
 def test_a_sweep_has_the_same_rows_with_user_executors(tmp_path):
-    scenario = load(sweeps.write(tmp_path / "in", reps=10), allow_import=True)
+    scenario = load(sweeps.write(tmp_path / "in", reps=3), allow_import=True)
     here = desim.sweep(scenario)
     with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
         assert desim.sweep(scenario, executor=threads) == here
@@ -116,7 +117,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_script_may_define_a_rule_and_import_modules_that_lie_beside_it(tmp_path, cluster):
     sweeps.write(tmp_path)
     (tmp_path / "script.py").write_text(SCRIPT)
@@ -257,7 +258,24 @@ def scheduler_alone(tmp_path):
         process.kill()
 
 
-@pytest.mark.slow
+def test_a_cluster_whose_workers_or_scheduler_have_gone_is_reported():
+    """The first is asked whether it has workers while nothing ends; the calls of the second are cancelled."""
+
+    class Idle:
+        def wait_for_workers(self, count, timeout):
+            raise TimeoutError
+
+    cluster = object.__new__(places.Cluster)
+    cluster._client, cluster._address, cluster._patience, cluster._name = Idle(), "tcp://x", 0.05, "tcp://x"
+    with pytest.raises(ConnectionError, match=r"^tcp://x: has no workers within 0\.05 s$"):
+        cluster.done([Future()])
+    lost = Future()
+    lost.cancel()
+    with pytest.raises(ConnectionError, match=r"^tcp://x: disconnected before the runs were done$"):
+        cluster.result(lost)
+
+
+@pytest.mark.whole
 def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tmp_path, monkeypatch, scheduler_alone):
     """Never had, or left with exit code 0, so that no other is started. What was done by then is kept."""
     monkeypatch.setattr(places, "START_TIMEOUT", 2.0)
