@@ -104,16 +104,20 @@ def tree_of(path):
     return ast.parse(path.read_text())
 
 
+@cache
 def imports(path):
-    """Yield every module a file imports, at the top or inside a function."""
+    """Return every module a file imports, at the top or inside a function."""
+    modules = []
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                yield inner if (ROOT / inner.replace(".", "/")).with_suffix(".py").exists() else node.module
+                is_module = (ROOT / inner.replace(".", "/")).with_suffix(".py").exists()
+                modules.append(inner if is_module else node.module)
+    return modules
 
 
 def rule_for(name, rules):
@@ -127,6 +131,7 @@ def package_of(name):
     return ".".join(parts[:2]) if parts[0] == "desim" else parts[0]
 
 
+@cache
 def room_of(name):
     """Return the room of a module: the longest name of a room that begins its own, or its package."""
     rooms = [room for room in ROOMS if name == room or name.startswith(room + ".")]
@@ -227,20 +232,28 @@ OF_NUMPY = re.compile(
 """The same, and functions of which numpy has other loops for some processors: their last digits are not the others'."""
 
 
+def owner_of(node):
+    """Return the text before the dot of an attribute, or the module that names are imported from."""
+    return ast.unparse(node.value) if isinstance(node, ast.Attribute) else getattr(node, "module", None)
+
+
 def rounded_by_processor(source):
     """Return the line and name of all that a program uses whose last digits depend on the processor."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        owner, names = "", []
+        names = []
         if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
             names = ["matmul"]
         elif isinstance(node, ast.Attribute):
-            owner, names = ast.unparse(node.value), [node.attr]
+            names = [node.attr]
         elif isinstance(node, ast.Import | ast.ImportFrom):
             owner = getattr(node, "module", None) or ""
             names = [part for name in (owner, *(each.name for each in node.names)) for part in name.split(".")]
-        rules = [LINEAR_ALGEBRA, OF_NUMPY] if owner in {"np", "numpy"} else [LINEAR_ALGEBRA]
-        found += [(node.lineno, name) for name in names if any(rule.fullmatch(name) for rule in rules)]
+        found += [
+            (node.lineno, name)
+            for name in names
+            if LINEAR_ALGEBRA.fullmatch(name) or (OF_NUMPY.fullmatch(name) and owner_of(node) in {"np", "numpy"})
+        ]
     return found
 
 
@@ -294,13 +307,15 @@ OF_PYTHON = {"_replace", "_make", "_fields", "_asdict", "_exit"}
 def private_parts(source, ours):
     """Return the private parts of other packages that a program uses: those in `PRIVATE`, and what nobody defines."""
     listed = set().union(*PRIVATE.values())
+    ends = {name.rpartition(".")[2] for name in listed if "." in name}
     parts = set()
     for node in ast.walk(ast.parse(source)):
         names = []
         if isinstance(node, ast.Attribute):
             own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
             dunder = node.attr.startswith("__")
-            names = [ast.unparse(node), *([] if own or (dunder and node.attr not in listed) else [node.attr])]
+            names = [] if own or (dunder and node.attr not in listed) else [node.attr]
+            names += [ast.unparse(node)] if node.attr in ends else []
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
             names = [node.value] if node.value in listed else []
         elif isinstance(node, ast.ImportFrom):

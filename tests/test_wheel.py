@@ -49,7 +49,17 @@ def installed(wheel, tmp_path_factory):
     made = called(sys.executable, "-m", "venv", "--without-pip", str(home), cwd=home.parent)
     assert made.code == 0, made.text
     programs = home / ("Scripts" if os.name == "nt" else "bin")
-    words = ("-m", "pip", "--python", str(programs / "python"), "install", "--no-index", "--no-deps", "--no-compile", str(wheel))
+    words = (
+        "-m",
+        "pip",
+        "--python",
+        str(programs / "python"),
+        "install",
+        "--no-index",
+        "--no-deps",
+        "--no-compile",
+        str(wheel),
+    )
     done = called(sys.executable, *words, cwd=home)
     assert done.code == 0, done.text
     told = called(str(programs / "python"), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home)
@@ -95,11 +105,16 @@ def test_an_installed_desim_runs_a_scenario_that_came_with_it(installed, tmp_pat
     assert "20 pursuers" in done.text
 
 
-def test_the_script_of_a_user_runs_and_passes_a_strict_type_checker(installed, tmp_path):
-    """For the checker the extras `cluster` and `notebook`, most of what it would read, are as if not installed."""
+def test_the_script_of_a_user_runs(installed, tmp_path):
     shutil.copytree(USER, tmp_path, dirs_exist_ok=True)
     done = called(str(installed / "python"), "right.py", cwd=tmp_path)
     assert done.code == 0, done.text
+
+
+@pytest.mark.whole
+def test_the_script_of_a_user_passes_a_strict_type_checker(installed, tmp_path):
+    """For the checker the extras `cluster` and `notebook`, most of what it would read, are as if not installed."""
+    shutil.copytree(USER, tmp_path, dirs_exist_ok=True)
     unread = "[mypy]\n[mypy-dask.*,distributed.*,IPython.*,anywidget.*]\nfollow_imports = skip\n"
     (tmp_path / "mypy.ini").write_text(unread, encoding="utf-8")
     words = (*("-m", "mypy", "--strict", "--config-file", "mypy.ini"), "--python-executable", str(installed / "python"))
