@@ -372,6 +372,8 @@ FOUND = [
     },
     {"fault": [{"kind": "crash", "node": 0, "start": 0.1, "end": 1e308}]},
     {"announce": {"belief_timeout": 1e308}},
+    {"team": {"count": 1, "positions": {"file": "a\nb"}}},
+    {"network": {"latency": {"kind": "empirical", "file": "../a\nb"}}},
 ]
 """What was wrong once, of documents that follow the schema."""
 

@@ -8,7 +8,7 @@ KeyPath = tuple[str | int, ...]
 
 
 class Problem(NamedTuple):
-    """What is wrong with a key; as text "where: key: reason", without the parts that are empty."""
+    """What is wrong with a key; as text "where: key: reason" in one line, without the parts that are empty."""
 
     reason: str
     key: str = ""
@@ -19,7 +19,8 @@ class Problem(NamedTuple):
     """The line in the file; 0 if there is none."""
 
     def __str__(self) -> str:
-        return ": ".join(part for part in (self.where, self.key, self.reason) if part)
+        text = ": ".join(part for part in (self.where, self.key, self.reason) if part)
+        return text.replace("\n", "\\n")  # such as that of a file's name
 
     def below(self, above: str) -> "Problem":
         """Return the problem with its key relative to the table that contains the model at the key `above`."""
