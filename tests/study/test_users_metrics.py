@@ -60,6 +60,13 @@ def done(monkeypatch):
     return seeds
 
 
+@pytest.fixture
+def looks(monkeypatch):
+    """Let sweeps take their first look at 10 runs instead of 100; return that stopping rule."""
+    monkeypatch.setattr(module, "runs_needed", partial(runs_needed, first_look=10))
+    return module.runs_needed
+
+
 def half(result):
     return active_time(result) / 2.0
 
@@ -250,6 +257,7 @@ def test_a_metric_that_the_sweep_lacks_is_refused_but_not_one_that_fails_in_ever
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("looks")
 def test_a_metric_that_fails_in_a_stored_run_does_not_end_a_sweep_before_its_precision(tmp_path):
     """Run 2 is stored without the metric and fails when it is repeated: as many runs as without a store."""
 
@@ -258,22 +266,22 @@ def test_a_metric_that_fails_in_a_stored_run_does_not_end_a_sweep_before_its_pre
             raise ZeroDivisionError
         return float(result.seed % 7)
 
-    target, given = ("fragile", 0.33), {"fragile": fragile}
-    (whole,) = sweep(BASE, {"capture.radius": [0.2]}, 250, until=target, metrics=given).groups
+    target, given = ("fragile", 1.0), {"fragile": fragile}
+    (whole,) = sweep(BASE, {"capture.radius": [0.2]}, 50, until=target, metrics=given).groups
     store = tmp_path / "s.sqlite"
     sweep(BASE, {"capture.radius": [0.2]}, 4, store=store)
-    (group,) = sweep(BASE, {"capture.radius": [0.2]}, 250, store=store, until=target, metrics=given).groups
-    assert 100 < len(group.rows) == len(whole.rows) < 250
+    (group,) = sweep(BASE, {"capture.radius": [0.2]}, 50, store=store, until=target, metrics=given).groups
+    assert 10 < len(group.rows) == len(whole.rows) < 50
 
 
 @pytest.mark.slow
-def test_a_precision_of_a_metric_takes_as_many_runs_whether_or_not_there_are_runs_without_it(tmp_path):
-    grid, target = {"capture.radius": [0.2]}, ("half", 0.0065)
-    (whole,) = sweep(BASE, grid, 250, until=target, metrics={"half": half}).groups
-    assert 100 < len(whole.rows) < 250
-    assert len(whole.rows) == runs_needed(whole.values("half"), 0.0065, at_most=250)
-    sweep(BASE, grid, 120, store=tmp_path / "s.sqlite")
-    (group,) = sweep(BASE, grid, 250, store=tmp_path / "s.sqlite", until=target, metrics={"half": half}).groups
+def test_a_precision_of_a_metric_takes_as_many_runs_whether_or_not_there_are_runs_without_it(tmp_path, looks):
+    grid, target = {"capture.radius": [0.2]}, ("half", 0.0145)
+    (whole,) = sweep(BASE, grid, 60, until=target, metrics={"half": half}).groups
+    assert 10 < len(whole.rows) < 60
+    assert len(whole.rows) == looks(whole.values("half"), 0.0145, at_most=60)
+    sweep(BASE, grid, 12, store=tmp_path / "s.sqlite")
+    (group,) = sweep(BASE, grid, 60, store=tmp_path / "s.sqlite", until=target, metrics={"half": half}).groups
     assert [each for each in group.values("half") if each is not None] == whole.values("half")
 
 
@@ -460,15 +468,16 @@ def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("looks")
 def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
     accepted("sweep", file, TRUSTED, "--until", "gap:100", "-o", "out")
-    assert len(stored("out/sweep.sqlite")) == 200
+    assert len(stored("out/sweep.sqlite")) == 20
     said = refused("sweep", file, TRUSTED, "--until", "gab:100", "-o", "out")
     assert "there is no numeric metric 'gab', did you mean 'gap'?" in said
     for name in ("gap", "twice"):
         shown = accepted("sweep", file, TRUSTED, "--until", f"mine_of_commands:{name}:100", "-o", name).stdout
         assert name in shown.splitlines()[1]
-        assert len(stored(f"{name}/sweep.sqlite")) == 200
+        assert len(stored(f"{name}/sweep.sqlite")) == 20
     said = refused("sweep", file, TRUSTED, "--until", "mine_of_commands:none:100")
     assert said.startswith("--metric mine_of_commands:none: record.metrics.1: ")
 
@@ -510,7 +519,7 @@ for words in sys.argv[1:]:
 def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     """And a store that was made before has it as soon as it is asked for."""
     for package in ("desim", "protocols"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, tmp_path / package)  # with the bytecode
     (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
 
     def said(*commands):
