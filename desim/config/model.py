@@ -371,13 +371,14 @@ Docs = Mapping[str, str]
 """The descriptions of the fields of a class, by name; fields without a string below them are absent."""
 
 
+@cache  # an error names the fields of the models around it
 def docs_of(model: type) -> Docs:
     """Return the string below each field of a class and of its base classes, by name."""
     docs: dict[str, str] = {}
     for base in reversed(model.__mro__):
         own_docs = _docs(base.__module__).get(base.__qualname__, {})
         docs = {**{name: text for name, text in docs.items() if name not in annotated(base)}, **own_docs}
-    return docs
+    return MappingProxyType(docs)
 
 
 def annotated(model: type) -> list[str]:
