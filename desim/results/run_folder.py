@@ -115,7 +115,12 @@ def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
 
 @writing()
 def write(
-    result: Result, folder: Path, made: provenance.Document | None = None, *, simulated_there: bool = False
+    result: Result,
+    folder: Path,
+    made: provenance.Document | None = None,
+    *,
+    simulated_there: bool = False,
+    drawn: bool = True,
 ) -> Summary:
     """Write a run to a folder and return its summary; `read` reads it back.
 
@@ -129,6 +134,7 @@ def write(
         made: the provenance of the run, or of several runs that include it; if None, it is made from the scenario and
             the running program.
         simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
+        drawn: whether pictures are added, which takes a second.
 
     Raises:
         WriteError: if a file cannot be written.
@@ -146,7 +152,7 @@ def write(
     (folder / "scenario.toml").write_text(dump(resolved), encoding="utf-8")
     if made is None:
         made = provenance.document(provenance.RUN, resolved, seed=result.seed)
-    if can_plot() and result.trace.of(Sampled):
+    if drawn and can_plot() and result.trace.of(Sampled):
         from desim.analysis.drawing.plots import save, trajectory
 
         save(trajectory(result), folder / "trajectory")

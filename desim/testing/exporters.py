@@ -45,7 +45,7 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
     files = [folder / f"{name}{ExporterTraits.of(tested.model).suffix or '.file'}" for name in "ab"]
     results: list[Any] = [result, result]
     if ExporterTraits.of(tested.model).streams:
-        write(result, folder / "run")
+        write(result, folder / "run", drawn=False)
         results[1] = streamed(folder / "run", allow_import=True)
     call = f"exporter(result, file) of {where}"
     for given, file in zip(results, files, strict=True):
