@@ -146,9 +146,10 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0, style: Style = No
     """
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
     with mpl.rc_context(STYLE | small | {"font.size": font}), in_style(style):
-        figure = _StyledFigure(figsize=figsize, layout=_SettledLayout())
+        figure = _StyledFigure(figsize=figsize, layout=(layout := _SettledLayout()))
         yield figure
-        for _ in range(2):  # the first layout may change the ticks of the axes
+        figure.draw_without_rendering()
+        if not layout.is_settled(figure):  # the first layout has changed the ticks of the axes
             figure.draw_without_rendering()
 
 
@@ -177,10 +178,38 @@ class _SettledLayout(ConstrainedLayoutEngine):
 
     _known: object = None
 
+    def is_settled(self, figure: Figure) -> bool:
+        """Return whether size and texts of a figure are those of its last layout."""
+        return _extent(figure) == self._known
+
     def execute(self, figure: Figure) -> None:
-        if _extent(figure) != self._known:
+        if not self.is_settled(figure):
             super().execute(figure)
             self._known = _extent(figure)
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Draw a figure if it has changed, and let its files be written without layouts of their own.
+
+    To lay out a figure, `savefig` draws it once more for each file, though its layout is settled: half of the time.
+    """
+    layout = figure.get_layout_engine()
+
+    def is_settled() -> bool:
+        return isinstance(layout, _SettledLayout) and layout.is_settled(figure)
+
+    if figure.stale or not is_settled():
+        figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
+    if not is_settled():
+        yield
+        return
+    with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(layout)
 
 
 def _extent(figure: Figure) -> object:
@@ -234,8 +263,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
         OSError: if a file cannot be written.
     """
     paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
-    with mpl.rc_context(STYLE):
-        figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
+    with mpl.rc_context(STYLE), _laid_out(figure):
         for target in paths:
             kind = target.suffix.lower()
             stream = BytesIO()  # on a full disk, the writer of PDF would raise an AttributeError
