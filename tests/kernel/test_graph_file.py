@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from desim.kernel.graph_files.edge_lists import ENDS
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -430,3 +431,42 @@ def test_a_link_between_names_is_refused_with_their_numbers():
     graph = {"kind": "edges", "edges": [{"src": 0, "dst": 1}], "names": ["boat", "uav"]}
     with pytest.raises(ValueError, match=r"dst of link 0 should be a number; the number of uav is 1"):
         Links(graph=graph, link=[{"src": 0, "dst": "uav", "latency": 0.1}])
+
+
+@pytest.mark.parametrize("ends", ENDS, ids="-".join)
+@pytest.mark.parametrize("mark", [" ", ",", "\t"])
+def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
+    """The first line is an edge if a node below has one of its names, or if it has a number."""
+    file = tmp_path / "g.txt"
+    a, b = ends
+    file.write_text(f"{a}{mark}{b}\n{b}{mark}c\n")
+    assert Edges(file=str(file)).names == (a, b, "c")
+    file.write_text(f"{a}{mark}{b}{mark}1.5\nd{mark}e{mark}2\n")
+    assert Edges(file=str(file)).names == (a, b, "d", "e")
+    file.write_text(f"{a}{mark}{b}\nboat{mark}uav\n")
+    assert Edges(file=str(file)).names == ("boat", "uav")
+    file.write_text(f"{a}{mark}{b}\n1{mark}0\n")
+    assert Edges(file=str(file)).names == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("g.txt", "a b\nc d\n", "line 1: a b may be an edge or the names of the columns"),
+        ("g.txt", "0 1\n1 {}\n", r"line 2: 1 \{\} is no edge"),
+        ("g.txt", "0 1 {'latency': 0.1, 'latency': 0.2}\n", "line 1: has 'latency' twice"),
+        ("g.json", '{"nodes": [{"id": 0}, {"id": 1, "id": 2}], "links": []}', "an object has 'id' twice"),
+        ("g.net", '*Vertices\n1 "a"\n', "line 1: .Vertices should be followed by their number"),
+    ],
+)
+def test_what_is_read_in_two_ways_or_twice_is_refused(tmp_path, name, text, why):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=why):
+        Edges(file=str(tmp_path / name))
+
+
+def test_whole_floats_are_numbers_of_nodes(tmp_path):
+    file = tmp_path / "g.txt"
+    file.write_text("1.0 0.0\n")
+    for graph in (Edges(file=str(file)), Edges.of(nx.DiGraph([(1.0, 0.0)]))):
+        assert [(edge.src, edge.dst) for edge in graph.edges] == [(1, 0)]

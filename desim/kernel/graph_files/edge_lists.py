@@ -51,7 +51,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         ValueError: if a line is no edge; the message names the file and the line.
     """
     delimiter = _delimiter(text)
-    header, rows = _header_of(_rows(file, text, delimiter))
+    header, rows = _header_of(file, _rows(file, text, delimiter))
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
@@ -67,6 +67,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
     kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
+        if any(cell.startswith("{") for cell in cells[:2]):
+            raise ValueError(f"{file}, line {line}: {' '.join(cells)[:40]} is no edge; multiline lists are not read")
         if len(cells) == 1:
             nodes.append(cells[0])
             continue
@@ -114,6 +116,8 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
             if part not in {"*network", "*vertices", "*edges", "*arcs"}:
                 raise ValueError(f"{place}: {cells[0]} is not read; allowed: *Network, *Vertices, *Edges, *Arcs")
             if part == "*vertices":
+                if len(cells) < 2 or not cells[1].isdecimal():
+                    raise ValueError(f"{place}: *Vertices should be followed by their number")
                 labels = {str(k): str(k) for k in range(1, int(cells[1]) + 1)}
         elif part == "*vertices":
             if cells[0] not in labels:
@@ -175,6 +179,8 @@ def _dict(text: str, place: str) -> dict[str, Any]:
     if None in pairs or (inside and not pairs):
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
+    if twice := next((name for k, (name, *_) in enumerate(entries) if name in [entry[0] for entry in entries[:k]]), ""):
+        raise ValueError(f"{place}: has {twice!r} twice")
     return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
@@ -183,14 +189,28 @@ def _names_ends(cells: Sequence[str]) -> bool:
     return any(a in lower and b in lower for a, b in ENDS)
 
 
-def _header_of(rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
-    """Return the names of the columns, empty if they are not named, and the other rows."""
+def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
+    """Return the names of the columns, empty if they are not named, and the other rows.
+
+    Nodes may be called a and b, too: a first line whose names occur below, or that has a number, is an edge.
+
+    Raises:
+        ValueError: if the first line may be both.
+    """
     if not rows or len(rows[0].cells) < 2:
         return [], rows
     first, below = rows[0].cells, rows[1:]
-    has_numbers = bool(below) and all(cell.isdecimal() for row in below for cell in row.cells[:2])
+    nodes = {cell for row in below for cell in row.cells[:2]}
+    has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
-    return (first, below) if is_header or _names_ends(first) else ([], rows)
+    if not _names_ends(first):
+        return (first, below) if is_header else ([], rows)
+    if any(map(_is_number, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
+        return [], rows
+    if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
+        why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
+        raise ValueError(f"{file}, line {rows[0].line}: {why}")
+    return first, below
 
 
 def _is_number(cell: str) -> bool:

@@ -96,7 +96,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     """Return the graph in JSON in a form that networkx writes."""
     import networkx as nx
 
-    data = json.loads(text)
+    data = json.loads(text, object_pairs_hook=_object)
     if not isinstance(data, dict):
         raise ValueError("it should be an object with nodes and edges")
     if "elements" in data:
@@ -117,6 +117,15 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
     graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
     return graph
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON; raise ValueError if it has a key twice."""
+    unique = dict(pairs)
+    if len(unique) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"an object has {next(name for name in names if names.count(name) > 1)!r} twice")
+    return unique
 
 
 def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":

@@ -5,7 +5,9 @@
 3. Otherwise the nodes are numbered in the order of the graph: in a file, that in which it names them.
 """
 
+import re
 from collections.abc import Sequence
+from numbers import Real
 from operator import index
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -82,9 +84,13 @@ def _integers(names: Sequence[Any]) -> list[int] | None:
 
 
 def _integer(name: Any) -> int | None:
+    """Return a name as an integer if it is one, also a whole float such as 1.0; None for any other."""
     if isinstance(name, str):
+        name = re.sub(r"(?<=\d)\.0+$", "", name)  # as tables write integers of columns with missing values
         is_digits = name.isascii() and name.removeprefix("-").isdecimal()
         return int(name) if is_digits and str(int(name)) == name else None
+    if isinstance(name, Real) and not isinstance(name, bool) and float(name).is_integer():
+        name = int(name)
     try:
         return None if isinstance(name, bool) else index(name)  # also of numpy
     except TypeError:
