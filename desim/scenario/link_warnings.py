@@ -98,7 +98,7 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about traces of links that may end before the run, and how named nodes were numbered."""
+    """Yield the warnings about traces of links that end before the run, how named nodes are numbered, and doubts."""
     owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
     numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
@@ -111,6 +111,9 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             if (named := model.named_nodes) is not None:
                 place = key if key == "network.graph" else f"{key}.{name}.nodes"
                 numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
+            if model.is_replayed and model.doubt is not None:
+                field, why = model.doubt
+                numbers[key if key == "network.graph" else f"{key}.{name}.{field}", why] = None
             if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
 from desim.kernel.core.clock import Clock
 from desim.kernel.measured.csv_tables import _csv_of
-from desim.kernel.measured.measurements import LAST_CLOCK, start_of, time_of
+from desim.kernel.measured.measurements import LAST_CLOCK, PER_SECOND, start_of, time_of
 from desim.kernel.measured.playback import Playback
 from desim.kernel.models.links import Links
 from desim.kernel.network import Network
@@ -402,3 +402,46 @@ def test_a_link_that_does_not_exist_or_has_a_model_of_its_own_needs_no_row(netwo
 def test_a_network_refuses_a_link_without_a_row():
     with pytest.raises(ValueError, match="latency: the table has no row for the link from 0 to 2"):
         Network(Clock(), nx.complete_graph(3), Links(latency=LatencyTrace(table=PER_LINK)))
+
+
+@pytest.mark.parametrize("named", [*PER_SECOND, "min", "%"])
+@pytest.mark.parametrize("form", ["x_{}", "x ({})", "X [{}]"])
+@pytest.mark.parametrize(
+    ("model", "key", "column"),
+    [(model, "time_unit", "time") for model in (LatencyTrace, LossTrace, SignalTrace)]
+    + [(LatencyTrace, "unit", "value"), (LossTrace, None, "value")],
+)
+def test_a_column_named_after_another_unit_is_refused(named, form, model, key, column):
+    name = form.format(named)
+    columns = {"time": "t", "value": "v", column: name}
+    table = f"{columns['time']},{columns['value']}\n0,0\n1,0\n"
+    for unit in PER_SECOND if key else ["s"]:
+        keys = columns | ({key: unit} if key else {})
+        if key and named == unit:
+            model(table=table, **keys)
+        else:
+            with pytest.raises(ValueError, match=f"column {re.escape(repr(name))} is in {named}, and should be in"):
+                model(table=table, **keys)
+
+
+@pytest.mark.parametrize(
+    ("model", "column", "keys", "key"),
+    [
+        (LatencyTrace, "rtt", {}, "latency.rtt"),
+        (LatencyTrace, "rtt", {"rtt": True}, None),
+        (LossTrace, "prr", {}, "loss.received"),
+        (LossTrace, "Delivery ratio", {}, "loss.received"),
+        (LossTrace, "prr", {"received": True}, None),
+        (LossTrace, "packet_loss", {"received": True}, "loss.received"),
+        (LossTrace, "packet_loss", {}, None),
+    ],
+)
+def test_a_column_named_after_its_opposite_gives_a_warning(model, column, keys, key):
+    trace = model(table=f"t,{column}\n0,0\n1,0.5\n", value=column, **keys)
+    scenario = Scenario(network=Links(**{"latency" if model is LatencyTrace else "loss": trace}))
+    assert [k for k, text in warnings(scenario) if "seems to have" in text] == ([f"network.{key}"] if key else [])
+
+
+def test_dates_with_and_without_a_time_zone_are_refused_with_the_reason():
+    with pytest.raises(ValueError, match="dates should all have a time zone, or none"):
+        LatencyTrace(table="t,value\n2024-05-17T12:30:00Z,0.1\n2024-05-17T12:30:01,0.2\n")

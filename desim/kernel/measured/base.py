@@ -4,6 +4,7 @@ A message that is sent at time t has the value of the measurement at time t + `s
 `desim.kernel.measured.playback`.
 """
 
+import re
 from collections.abc import Collection, Iterable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -18,11 +19,19 @@ from desim.kernel.core.units import SECOND
 from desim.kernel.measured.csv_tables import csv_header, csv_text, row_place, select
 from desim.kernel.measured.measurements import Columns, Meaning, Measurements, Unit, measurements_of
 
+UNIT_AT_END = re.compile(r".*[_\s\[(](ms|us|ns|s|sec|min|h|%|pct|percent)[\])]?", re.IGNORECASE)
+"""Matches the unit at the end of the name of a column, such as rtt_ms or time [s]."""
 Name = Annotated[str, Field(min_length=1)]
 SHOWN = 20
 """Number of names in a warning."""
 TABLE = "the table"
 """The name of a table that was not read from a file, in error messages."""
+
+
+def unit_in(column: str) -> str:
+    """Return the unit that the name of a column ends in, "" if it has none."""
+    match = UNIT_AT_END.fullmatch(column.strip())
+    return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower()) if match else ""
 
 
 def _form_of_start(value: Any) -> str:
@@ -97,12 +106,24 @@ class LinkTrace(Value):
             raise ValueError("nodes should have each name once")
         if self.nodes is not None and self.src is None:
             raise ValueError("nodes are the names in the columns src and dst, which the table does not have")
+        for key, column, unit in self._units():
+            if (named := unit_in(column)) and named != unit:
+                raise ValueError(f"{key}: column {column!r} is in {named}, and should be in {unit}")
         end = self.measurements.end / SECOND
         if self.start == "random" and self.after != "repeat":
             raise ValueError(f'start = "random" requires after = "repeat" (got {self.after!r})')
         if self.after == "error" and self.start != "random" and self.start >= end:
             raise ValueError(f"start should be before the end of the trace at {end:g} s (got {self.start:g})")
         return self
+
+    def _units(self) -> list[tuple[str, str, str]]:
+        """Return key, name and unit of the columns; a name that ends in another unit contradicts the key."""
+        return [("time_unit", self.time, self.time_unit)]
+
+    @property
+    def doubt(self) -> tuple[str, str] | None:
+        """The key that the name of the column of values contradicts, and why; None if it contradicts none."""
+        return None
 
     def given(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, see `Value.given`; only the length of the table."""

@@ -230,7 +230,12 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
     times = cells.numbers(column, partial(time_of, unit=unit))
     start = min(times)
     if (most := max(times)) - start > MAX_TIME:
-        raise cells.error(times.index(most), f"{column} should be at most {MAX_TIME:g} s after the earliest time")
+        hint = (
+            "; dates should all have a time zone, or none"
+            if any(map(DATE.fullmatch, map(str.strip, cells.columns[column])))
+            else ""
+        )
+        raise cells.error(times.index(most), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}")
     return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
 
 

@@ -4,6 +4,7 @@ A signal strength, such as RSSI, is a model of loss, and not of reception. A rec
 and range, which the network also uses to find neighbours; a measured signal depends on neither.
 """
 
+import re
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -19,6 +20,10 @@ from desim.kernel.measured.playback import Playback
 
 MAX_SIGNAL = 1000.0
 """Largest absolute value of a signal strength, dB; in some logs, a greater one stands for no signal."""
+RECEIVED = frozenset({"prr", "pdr", "received", "reception", "delivered", "delivery", "success"})
+"""Words in the name of a column of probabilities of reception."""
+LOST = frozenset({"loss", "lost", "plr", "per", "drop", "dropped"})
+"""Words in the name of a column of losses."""
 MAX_EXPONENT = 700.0
 """Limit of exponents: exp(710) is infinite."""
 
@@ -33,6 +38,19 @@ class LatencyTrace(LinkTrace):
     """Unit of the values: s, ms, us or ns."""
     rtt: Flag = False
     """Whether the values are round-trip times, which are divided by 2."""
+
+    def _units(self) -> list[tuple[str, str, str]]:
+        return [*super()._units(), ("unit", self.value, self.unit)]
+
+    @property
+    def doubt(self) -> tuple[str, str] | None:
+        """Whether round-trip times are taken for one-way latencies; see `LinkTrace.doubt`."""
+        is_twice = "rtt" in self.value.lower() and not self.rtt
+        return (
+            ("rtt", f"column {self.value!r} seems to have round-trip times: rtt = true halves them")
+            if is_twice
+            else None
+        )
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -104,6 +122,19 @@ class LossTrace(_LossTrace):
     kind: Literal["trace"] = "trace"
     received: Flag = False
     """Whether the values are probabilities of reception, such as a packet reception ratio, instead of loss."""
+
+    def _units(self) -> list[tuple[str, str, str]]:
+        return [*super()._units(), ("value", self.value, "numbers from 0 to 1")]
+
+    @property
+    def doubt(self) -> tuple[str, str] | None:
+        """Whether probabilities of reception and of loss are confused; see `LinkTrace.doubt`."""
+        words = set(re.findall("[a-z]+", self.value.lower()))
+        if not self.received and words & RECEIVED:
+            return "received", f"column {self.value!r} seems to have probabilities of reception: set received = true"
+        if self.received and words & LOST:
+            return "received", f"column {self.value!r} seems to have losses: leave out received"
+        return None
 
     @property
     def limits(self) -> tuple[float, float]:
