@@ -20,11 +20,12 @@ from desim.config.errors import WORDINGS, Problem
 from desim.config.exports import homes_of_exports
 from desim.config.extras import naming_extras
 from desim.config.html import PICTURES
-from desim.config.packages import ENVIRONMENTS, KINDS_OF, check_visible, explain_hidden_packages
+from desim.config.packages import ENVIRONMENTS, KINDS_OF, MARGINS, check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
     from desim.adapters.wrap import wrap as wrap
     from desim.analysis.metrics import summary as summary
+    from desim.analysis.properties import judge as judge
     from desim.config.data_files import open_data as open_data
     from desim.kernel.clock_sync import TwoWay as TwoWay
     from desim.kernel.core.trace_file import TraceFile as TraceFile
@@ -182,7 +183,15 @@ def _parallel_environment(scenario: Any, seed: int | None, **options: Any) -> An
     return parallel_env(scenario, seed, **options)
 
 
+def _margin(result: Any, name: str) -> float:
+    """Return the margin of a property of a run; see `desim.analysis.properties.margin`."""
+    from desim.analysis.properties import margin
+
+    return margin(result, name)
+
+
 ENVIRONMENTS |= {"env": _environment, "parallel_env": _parallel_environment}
+MARGINS["margin"] = _margin
 PICTURES["run"] = _picture_of_run
 WORDINGS["call"] = _problems_of_call
 KINDS_OF["protocols"] = _kinds_of_protocols

@@ -16,6 +16,7 @@ RECORDED = "a trace records a crash or a partition as such, also one that is a p
 ALLOWED = {
     RECORDED: {
         "desim.analysis.knowledge": "Crash",
+        "desim.analysis.quantities": "Crash",
         "desim.analysis.timeline": "Crash",
         "desim.testing.messages": "Crash Partition",
     },

@@ -16,6 +16,10 @@ ENVIRONMENTS: dict[str, Callable[..., Any]] = {}
 """By name, the functions that make environments for learners.
 
 `desim` hands them in, because environments are in a package above the one of scenarios."""
+MARGINS: dict[str, Callable[[Any, str], float]] = {}
+"""By name, the function that returns the margin of a property of a run, given the name of the property.
+
+`desim` hands it in, because runs are judged in a package above the one of scenarios."""
 KINDS_OF: dict[str, Callable[[], Mapping[str, Mapping[str, str]]]] = {}
 """By package, the function that returns its kinds, "module:name" by group and kind.
 

@@ -19,6 +19,7 @@ from desim.scenario.latency_warnings import latency_warnings
 from desim.scenario.liar_warnings import lie_warnings, trust_warnings
 from desim.scenario.link_warnings import ROUNDS_TO_0, network_warnings
 from desim.scenario.motion_warnings import motion_warnings
+from desim.scenario.properties import CANNOT_FAIL
 from desim.scenario.scenario import Scenario
 from desim.scenario.simultaneous import simultaneous_warnings
 from desim.scenario.telling import has_heartbeats, tells_nothing
@@ -43,6 +44,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
     yield from _time_warnings(scenario)
     yield from _unused_warnings(scenario)
+    unbreakable = (k for k, prop in enumerate(scenario.properties) if not prop.can_fail(scenario))
+    yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
 
 
 def _memory_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

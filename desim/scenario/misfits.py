@@ -6,7 +6,6 @@ fit together. What the models of links say of the links that use them (`check_li
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 from desim.config.errors import KeyedError
 from desim.kernel.clock_sync import TwoWay
@@ -19,9 +18,8 @@ from desim.kernel.models.medium import Radio, airtime_of
 from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
+from desim.scenario.properties import AnyScenario, property_misfits
 
-AnyScenario = Any
-"""A `desim.scenario.scenario.Scenario`, whose module imports this one."""
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
 
@@ -45,6 +43,7 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         )
     yield from _protocol_misfits(scenario, no_pursuer)
     yield from _fault_misfits(scenario, no_pursuer)
+    yield from property_misfits(scenario)
 
 
 def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:

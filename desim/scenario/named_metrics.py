@@ -1,6 +1,7 @@
-"""Metrics that a scenario names: a user's functions, which the summary of a run adds to the built-in metrics."""
+"""Metrics that a scenario names, beside the built-in ones: a user's functions, and the margins of its properties."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from types import FunctionType
@@ -9,11 +10,27 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.choice import import_name, is_unlisted_import, load_named, refusal
+from desim.config.packages import MARGINS
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import is_trusted
 
 GROUP = "desim.metrics"
 """The entry point group of installed metrics."""
+
+
+MARGIN = "margin:"
+"""What the name of the margin of a property begins with."""
+
+
+@dataclass(frozen=True)
+class PropertyMargin:
+    """The margin of a property of the scenario of a run, by the name of the property."""
+
+    name: str
+
+    def __call__(self, result: Any) -> float:
+        """Return the margin; see `desim.analysis.properties.margin`."""
+        return MARGINS["margin"](result, self.name)
 
 
 class NamedMetric(BaseModel):
@@ -24,7 +41,7 @@ class NamedMetric(BaseModel):
     name: str
     """The name of the metric in tables."""
     given: str
-    """The name in scenario files: "module:name", or the name of an installed metric."""
+    """The name in scenario files: "module:name", the name of an installed metric, or "margin:NAME"."""
     of: Callable[[Any], Any]
 
 
@@ -52,6 +69,9 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         raise ValueError(
             f'should be a function, "module:name" or the name of an installed metric{also} (got {value!r})'
         )
+    if value.startswith(MARGIN):
+        name = value.removeprefix(MARGIN)
+        return NamedMetric(name=name, given=value, of=PropertyMargin(name))
     if ":" in value:
         if is_unlisted_import(value) and not is_trusted(info):
             raise ValueError(refusal(value))
@@ -59,7 +79,10 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     elif value in (installed := installed_metrics()):
         name, of = value, load_named(f"{installed[value].module}:{installed[value].attr}", None)
     else:
-        hint, names = did_you_mean(value, installed), ", ".join(['"module:name"', *installed])
+        hint, names = (
+            did_you_mean(value, installed),
+            ", ".join(['"module:name"', '"margin:NAME" of a property', *installed]),
+        )
         raise ValueError(
             f"there is no installed metric {value!r}{hint}; allowed: {names}; the built-in metrics are in every summary"
         )

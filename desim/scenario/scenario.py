@@ -42,6 +42,7 @@ from desim.scenario.misfits import misfits
 from desim.scenario.named_metrics import MetricName
 from desim.scenario.overrides import Source
 from desim.scenario.players import Evader, Team
+from desim.scenario.properties import PropertyField
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml_errors import validated
 
@@ -132,7 +133,8 @@ class Recording(Value):
     """Whether the estimates of the evaders by all pursuers, with their covariances, are recorded at each sample, too;
     only `sensing.estimator` kalman has covariances."""
     metrics: tuple[MetricName, ...] = ()
-    """Metrics beside the built-in ones (`desim metrics`): functions of a result as "module:name", or installed ones."""
+    """Metrics beside the built-in ones (`desim metrics`): functions of a result as "module:name", installed ones, and
+    "margin:NAME", the margin of a property of the scenario."""
 
 
 def _default_protocol() -> Any:
@@ -179,6 +181,9 @@ class Scenario(Value):
     fault: tuple[Annotated[Any, PURSUER_FAULTS], ...] = ()
     """Faults of pursuers, of their messages, of clocks and of the network."""
     record: Recording = Recording()
+    properties: tuple[PropertyField, ...] = ()
+    """What a run should keep: tables, or texts such as "idle never longer than 2 against centralised". The margin of a
+    property is the metric "margin:NAME"; nothing in a run depends on it."""
     sweep: Sweep = Sweep()
 
     def with_(self, changes: Mapping[str, Any]) -> "Scenario":

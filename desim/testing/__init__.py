@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from desim.testing.links import check_latency as check_latency
     from desim.testing.links import check_loss as check_loss
     from desim.testing.metrics import check_metric as check_metric
+    from desim.testing.properties import assert_holds as assert_holds
     from desim.testing.pursuits import watched as watched
     from desim.testing.trust import check_trust as check_trust
 
@@ -32,6 +33,7 @@ _NAMES = {
     "judging": ("ContractError",),
     "links": ("check_latency", "check_loss"),
     "metrics": ("check_metric",),
+    "properties": ("assert_holds",),
     "pursuits": ("watched",),
     "trust": ("check_trust",),
 }

@@ -74,7 +74,10 @@ def test_an_installed_metric_needs_no_trust_and_one_that_is_not_there_suggests_i
     monkeypatch.setattr(module, "entry_points", lambda group: [point] if group == "desim.metrics" else [])
     (metric,) = load(file("gap")).record.metrics
     assert (metric.name, metric.given, metric.of) == ("gap", "gap", of_users.half)
-    with pytest.raises(ScenarioError, match=r"'gab', did you mean 'gap'\?; allowed: \"module:name\", gap"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"'gab', did you mean 'gap'\?; allowed: \"module:name\", \"margin:NAME\" of a property, gap",
+    ):
         load(file("gab"))
 
 

@@ -1,0 +1,279 @@
+"""The quantities of properties (`desim.scenario.properties.QUANTITIES`), as step functions of a trace.
+
+A step function is given by its changes: (time in ns, new value), in order of time, the first at time 0. Of several
+changes at one instant the last counts. The values of `waiting` and `age` rise by 1 s per second between their changes.
+"""
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from itertools import islice, pairwise, starmap
+from operator import itemgetter
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from desim.analysis.activity import action, changes
+from desim.analysis.hindsight import hindsight
+from desim.analysis.knowledge import knowledge
+from desim.analysis.trace_index import ended, started
+from desim.config.answers import wrong_answer
+from desim.config.python_numbers import real
+from desim.kernel.core.events import Event
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
+from desim.scenario.properties import JUST_BELOW_0, Condition, PropertyPiece, QuantityComparison
+from desim.simulation.run import Result
+
+StepChanges = Iterator[tuple[int, float]]
+"""The changes of a step function: (time in ns, new value)."""
+RISING = frozenset({"waiting", "age"})
+"""The quantities that rise by 1 s per second between their changes."""
+QuantityKey = tuple[str, int | None]
+"""The name of a quantity, and the evader that it is of; None: all."""
+
+
+class Level(NamedTuple):
+    """The value of a quantity since its last change."""
+
+    since: int
+    """ns"""
+    value: float
+
+
+class Tally:
+    """The quantities that follow from the actions alone, kept up to date event by event.
+
+    Attributes:
+        has_begun: whether the run has begun.
+    """
+
+    def __init__(self) -> None:
+        self.has_begun = False
+        self._profile: list[int] = []
+        self._at_large: set[int] = set()
+        self._evaders = 0
+        self._down: Counter[int] = Counter()
+        self._decided = 0
+
+    def __call__(self, event: Event) -> bool:
+        """Process an event; return whether a quantity may have changed."""
+        if isinstance(event, Decided):
+            self._profile[event.pursuer] = event.active
+            self._decided = event.t
+        elif isinstance(event, BrokeDown):
+            self._profile[event.pursuer] = 0
+        elif isinstance(event, Captured):
+            self._at_large.discard(event.evader)
+            self._profile = [0 if chased == event.evader else chased for chased in self._profile]
+        elif isinstance(event, Started):
+            self._profile, self._evaders = list(event.active), len(event.evaders)
+            self._at_large, self.has_begun = set(range(1, self._evaders + 1)), True
+        elif isinstance(event, FaultStarted | FaultEnded) and isinstance(event.fault, Crash):
+            if event.fault.scope == "robot":
+                self._down[event.fault.node] += 1 if isinstance(event, FaultStarted) else -1
+        else:
+            return False
+        return True
+
+    def value(self, name: str, evader: int | None, now: int) -> float:
+        """Return the value of one of `WATCHED` now, a time in ns."""
+        return float(_WATCHED[name](self, evader, now))
+
+    def active(self, evader: int | None, _: int) -> int:
+        """Return the number of pursuers that chase an evader, or any (None)."""
+        return self._profile.count(evader) if evader else len(self._profile) - self._profile.count(0)
+
+    def idle(self, evader: int | None, _: int) -> int:
+        """Return the number of evaders at large without a pursuer."""
+        return sum(not self._profile.count(j) for j in self._of(evader))
+
+    def crowded(self, evader: int | None, _: int) -> int:
+        """Return the number of evaders at large with several pursuers."""
+        return sum(self._profile.count(j) > 1 for j in self._of(evader))
+
+    def captured(self, evader: int | None, _: int) -> int:
+        """Return the number of captured evaders."""
+        return self._evaders - len(self._at_large) if evader is None else int(evader not in self._at_large)
+
+    def down(self, _: int | None, __: int) -> int:
+        """Return the number of robots that are down."""
+        return sum(crashes > 0 for crashes in self._down.values())
+
+    def waiting(self, _: int | None, now: int) -> float:
+        """Return the time since the last decision, s."""
+        return seconds(now - self._decided)
+
+    def _of(self, evader: int | None) -> set[int]:
+        return self._at_large if evader is None else self._at_large & {evader}
+
+
+_WATCHED: Mapping[str, Callable[[Tally, int | None, int], float]] = MappingProxyType(
+    {
+        "active": Tally.active,
+        "idle": Tally.idle,
+        "crowded": Tally.crowded,
+        "captured": Tally.captured,
+        "down": Tally.down,
+        "waiting": Tally.waiting,
+    }
+)
+WATCHED = frozenset(_WATCHED)
+"""The quantities that are known while a run lasts; the others need its whole trace."""
+
+
+def _tallied(result: Result, keys: Collection[QuantityKey]) -> Mapping[QuantityKey, list[tuple[int, float]]]:
+    """Return the changes of some quantities in `WATCHED`, from one pass over the trace."""
+    steps: dict[QuantityKey, list[tuple[int, float]]] = {key: [] for key in keys}
+    tally = Tally()
+    for event in result.trace if keys else ():
+        if tally(event):
+            for key, changed in steps.items():
+                value = tally.value(*key, event.t)
+                if not changed or changed[-1][1] != value or key[0] in RISING:
+                    changed.append((event.t, value))
+    return steps
+
+
+def _misassigned(result: Result) -> StepChanges:
+    view = hindsight(result)
+    yield from zip(view.times.tolist(), (~view.relayed).astype(float).tolist(), strict=False)
+
+
+def _records(result: Result) -> list[tuple[int, int, int, int, int]]:
+    """Return (time in ns, reader, source, announced action, time of the announcement in ns) of each newer record.
+
+    The table is in order of time.
+    """
+    columns = (knowledge(result)[name].tolist() for name in ("begin", "reader", "source", "active", "created"))
+    return sorted(zip(*columns, strict=True), key=lambda row: row[0])
+
+
+def _wrong_beliefs(result: Result) -> StepChanges:
+    actions, size = list(started(result).active), len(started(result).active)
+    believed: dict[tuple[int, int], int] = {}
+    wrong: set[tuple[int, int]] = set()
+    truths = [(change.t, None, change.pursuer, action(change), 0) for change in changes(result)]
+    for t, reader, source, announced, _ in heapq.merge(truths, _records(result), key=lambda row: row[0]):
+        if reader is None:
+            actions[source] = announced
+        else:
+            believed[reader, source] = announced
+        for pair in [(reader, source)] if reader is not None else [(i, source) for i in range(size) if i != source]:
+            (wrong.add if believed.get(pair, 0) != actions[source] else wrong.discard)(pair)
+        yield t, float(len(wrong))
+
+
+def _disagreements(result: Result) -> StepChanges:
+    size = len(started(result).active)
+    held = [Counter[int]() for _ in range(size)]
+    believed: dict[tuple[int, int], int] = {}
+    for t, reader, source, announced, _ in _records(result):
+        if (before := believed.get((reader, source))) is not None:
+            held[source][before] -= 1
+        believed[reader, source] = announced
+        held[source][announced] += 1
+        yield t, float(sum(len(+actions) > 1 for actions in held))
+
+
+def _age(result: Result) -> StepChanges:
+    created: dict[tuple[int, int], int] = {}
+    for t, reader, source, _, announced in _records(result):
+        created[reader, source] = announced
+        yield t, seconds(t - min(created.values()))
+
+
+_OF_TRACE: Mapping[str, Callable[[Result], StepChanges]] = MappingProxyType(
+    {"misassigned": _misassigned, "wrong_beliefs": _wrong_beliefs, "disagreements": _disagreements, "age": _age}
+)
+
+
+def _of_user(function: Callable[[Any], Any], result: Result) -> StepChanges:
+    """Yield the changes that a function of a user returns: (time in s, new value), in order of time."""
+    expected = "a quantity should return pairs (time in s, new value), in order of time, the first at time 0"
+    answer: Any = function(result)
+    try:
+        pairs = [(real(time, "a time"), real(value, "a value")) for time, value in answer]
+    except (TypeError, ValueError) as error:
+        raise wrong_answer(f"{expected} ({error})", answer, function) from error
+    times = [time for time, _ in pairs]
+    if not pairs or times[0] != 0.0 or any(later < earlier for earlier, later in pairwise(times)):
+        raise wrong_answer(expected, answer, function)
+    yield from ((nanoseconds(time), value) for time, value in pairs)
+
+
+class _Level(NamedTuple):
+    """The value of a quantity since its last change."""
+
+    since: int
+    value: float
+
+    def at(self, now: int, *, rises: bool) -> float:
+        return self.value + seconds(now - self.since) if rises else self.value
+
+
+def pieces_of(conditions: Sequence[Condition], result: Result) -> Iterator[PropertyPiece]:
+    """Yield the pieces of a run for some conditions; one pass over the changes of their quantities.
+
+    Values that last for no time do not count.
+
+    Raises:
+        ValueError: if the trace lacks positions or messages that a quantity needs.
+        AnswerError: if a function of a user returns no step function.
+    """
+    comparisons = [comparison for condition in conditions for comparison in condition.comparisons]
+    tallied = _tallied(result, {key_of(comparison) for comparison in comparisons if comparison.quantity in WATCHED})
+
+    def changes_in_order(k: int, comparison: QuantityComparison) -> Iterator[tuple[int, int, float]]:
+        if comparison.of is not None:
+            steps = _of_user(comparison.of, result)
+        elif comparison.quantity in WATCHED:
+            steps = iter(tallied[key_of(comparison)])
+        else:
+            steps = _OF_TRACE[comparison.quantity](result)
+        yield from ((t, k, value) for t, value in steps)
+
+    levels, end, now = [Level(0, 0.0) for _ in comparisons], ended(result).t, 0
+    for t, k, value in heapq.merge(*starmap(changes_in_order, enumerate(comparisons)), key=itemgetter(0)):
+        if t >= end:
+            break
+        if t > now:
+            yield from cut(conditions, levels, now, t)
+            now = t
+        levels[k] = Level(t, value)
+    if end > now:
+        yield from cut(conditions, levels, now, end)
+
+
+def key_of(comparison: QuantityComparison) -> QuantityKey:
+    """Return the name and the evader of the quantity of a comparison."""
+    return comparison.quantity, comparison.evader
+
+
+def cut(conditions: Sequence[Condition], levels: Sequence[Level], begin: int, end: int) -> Iterator[PropertyPiece]:
+    """Yield the pieces between two successive changes (ns) of quantities, given the level of each comparison.
+
+    There are several if a rising quantity reaches the number with which it is compared.
+    """
+    comparisons = [comparison for condition in conditions for comparison in condition.comparisons]
+    instants = {begin, end}
+    for comparison, level in zip(comparisons, levels, strict=True):
+        if comparison.quantity in RISING:
+            reached = level.since + round((comparison.number - level.value) * SECOND)
+            instants |= {reached} if begin < reached < end else set()
+    for first, last in pairwise(sorted(instants)):
+        margins = (
+            _least(comparison, level, first, last) for comparison, level in zip(comparisons, levels, strict=True)
+        )
+        yield PropertyPiece(
+            first, last, tuple(min(islice(margins, len(condition.comparisons))) for condition in conditions)
+        )
+
+
+def _least(comparison: QuantityComparison, level: Level, begin: int, end: int) -> float:
+    """Return the least margin of a comparison in a time (ns) in which it holds throughout or not at all."""
+    if comparison.quantity not in RISING:
+        return comparison.margin(level.value)
+    first, middle, last = (level.value + seconds(t - level.since) for t in (begin, (begin + end) // 2, end))
+    least, holds = min(comparison.margin(first), comparison.margin(last)), comparison.holds(middle)
+    return least if (least >= 0.0) == holds else 0.0 if holds else JUST_BELOW_0

@@ -1,0 +1,570 @@
+"""Properties of a run: what a protocol should keep, over time, as formulas on step functions.
+
+A property compares quantities of the trace (`QUANTITIES`) with numbers and says when these comparisons should hold. It
+is written as a text or as a table:
+
+    properties = ["covered: idle never longer than 2 against centralised"]
+
+    [[properties]]
+    name = "covered"
+    kind = "never_longer"
+    condition = "idle"
+    limit = 2.0
+    against = "centralised"
+
+Each property has a margin, its robustness in the sense of Fainekos & Pappas (2009, "Robustness of Temporal Logic
+Specifications for Continuous-Time Signals"): at least 0 if the run keeps the property, and the larger the further the
+run is from violating it. The margin of `always` has the unit of the quantity; those of the others are times, s (time
+robustness: Donze & Maler 2010, "Robust Satisfaction of Temporal Logic over Real-Valued Signals").
+
+Nothing here knows a trace: `desim.analysis.properties` computes the pieces of the step functions.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from math import inf, nextafter
+from operator import eq, ge, gt, le, lt, ne
+from types import FunctionType, MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
+
+from desim.config.choice import OneOf, choices_of, import_name, is_unlisted_import, load_named, refusal
+from desim.config.error_texts import text_of
+from desim.config.model import Time, Value
+from desim.config.suggestion import did_you_mean
+from desim.config.trust import is_trusted
+from desim.kernel.core.units import seconds
+from desim.scenario.named_metrics import PropertyMargin
+
+SAMPLES = 0.05
+"""Time between samples of positions, s, if a property needs them and the scenario records none."""
+
+
+AnyScenario = Any
+"""A `desim.scenario.scenario.Scenario`, whose module imports this one."""
+
+
+class Quantity(NamedTuple):
+    """A step function of time that a property may compare with a number."""
+
+    text: str
+    """What it is, as the end of a sentence that begins with its name."""
+    most: Callable[[AnyScenario], float] = lambda _: inf
+    """Returns its largest possible value in a scenario; the least is 0."""
+    by_evader: bool = False
+    """Whether `name[j]` is the same for evader j alone."""
+    needs: str = ""
+    """The key of `record` without which a trace does not have it."""
+
+
+def _pursuers(scenario: AnyScenario) -> float:
+    return float(scenario.team.count)
+
+
+def _evaders(scenario: AnyScenario) -> float:
+    return float(len(scenario.evaders))
+
+
+QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
+    {
+        "active": Quantity("the number of pursuers that chase an evader", _pursuers, by_evader=True),
+        "idle": Quantity("the number of evaders at large that no pursuer chases", _evaders, by_evader=True),
+        "crowded": Quantity(
+            "the number of evaders at large that more than one pursuer chases", _evaders, by_evader=True
+        ),
+        "captured": Quantity("the number of captured evaders", _evaders, by_evader=True),
+        "down": Quantity("the number of pursuers whose robot is down", _pursuers),
+        "waiting": Quantity("the time since the last decision of any pursuer, s"),
+        "misassigned": Quantity(
+            "1 while not the relay pursuer alone chases each evader, else 0", lambda _: 1.0, needs="trajectory"
+        ),
+        "wrong_beliefs": Quantity(
+            "the number of pairs of pursuers of which one has a wrong record of the action of the other",
+            lambda scenario: _pursuers(scenario) * (_pursuers(scenario) - 1.0),
+            needs="messages",
+        ),
+        "disagreements": Quantity(
+            "the number of pursuers of whose action two teammates have unlike records", _pursuers, needs="messages"
+        ),
+        "age": Quantity("the greatest age of the newest record that a pursuer has of another, s", needs="messages"),
+    }
+)
+"""The quantities by name; a function of a user is named "module:name"."""
+COMPARISONS: Mapping[str, Callable[[Any, Any], bool]] = MappingProxyType(
+    {"<=": le, ">=": ge, "==": eq, "!=": ne, "<": lt, ">": gt}
+)
+JUST_BELOW_0 = nextafter(0.0, -inf)
+"""The margin of a strict comparison of equal numbers, which does not hold: holding and margin >= 0 are the same."""
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_COMPARISON = re.compile(
+    rf"(?P<negation>not\s+)?(?P<quantity>[A-Za-z_][\w.]*(?::\w+)?)(?:\[(?P<evader>\d+)\])?"
+    rf"(?:\s*(?P<sign><=|>=|==|!=|<|>)\s*(?P<number>{_NUMBER}))?"
+)
+CONDITION_FORM = 'comparisons such as "idle", "not idle", "active[1] <= 1" or "idle == 0 and crowded == 0"'
+
+
+@dataclass(frozen=True)
+class QuantityComparison:
+    """A quantity compared with a number."""
+
+    quantity: str
+    """The name of the quantity, "module:name" for a function of a user."""
+    evader: int | None
+    """The evader, 1 .. M; None: all."""
+    sign: str
+    number: float
+    of: Callable[[Any], Any] | None = None
+    """The function of a user; None for one of `QUANTITIES`."""
+
+    def holds(self, value: float) -> bool:
+        """Return whether a value of the quantity satisfies it."""
+        return COMPARISONS[self.sign](value, self.number)
+
+    def margin(self, value: float) -> float:
+        """Return how far a value is from the other side: at least 0 if and only if it satisfies the comparison."""
+        signed = {
+            "<": self.number - value,
+            ">": value - self.number,
+            "=": -abs(value - self.number),
+            "!": abs(value - self.number),
+        }[self.sign[0]]
+        return signed if (signed >= 0.0) == self.holds(value) else JUST_BELOW_0
+
+    def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
+        """Return whether some value of the quantity in a scenario satisfies it or, with `hold` = False, does not."""
+        most = QUANTITIES[self.quantity].most(scenario) if self.of is None else inf
+        if self.evader is not None and self.quantity != "active":
+            most = 1.0
+        least = 0.0 if self.of is None else -inf
+        near = (value for value in (self.number - 1.0, self.number, self.number + 1.0) if least <= value <= most)
+        return any(self.holds(value) == hold for value in (least, most, *near))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Comparisons that hold together."""
+
+    text: str
+    comparisons: tuple[QuantityComparison, ...]
+
+    def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
+        """Return whether it may be satisfied or, with `hold` = False, violated in a scenario."""
+        return (all if hold else any)(comparison.can(scenario, hold=hold) for comparison in self.comparisons)
+
+
+def _condition(value: Any, info: ValidationInfo) -> Condition:
+    """Return the condition that a text states.
+
+    Raises:
+        ValueError: if it is no condition, or names a quantity that does not exist or code that is not trusted.
+    """
+    if isinstance(value, Condition):
+        return value
+    if isinstance(value, FunctionType):  # in Python, a function alone: it is positive
+        name = import_name(value)
+        return Condition(name, (QuantityComparison(name, None, ">", 0.0, value),))
+    if not isinstance(value, str):
+        raise ValueError(f"should be {CONDITION_FORM} (got {value!r})")
+    text = " ".join(value.split())
+    return Condition(text, tuple(_comparison(part, info) for part in re.split(r"\s+and\s+", text)))
+
+
+def _comparison(text: str, info: ValidationInfo) -> QuantityComparison:
+    match = _COMPARISON.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f"should be {CONDITION_FORM} (got {text!r})")
+    name, sign = match["quantity"], match["sign"] or ("==" if match["negation"] else ">")
+    if match["negation"] and match["sign"]:
+        raise ValueError(f"not belongs before a quantity alone, as in not idle (got {text!r})")
+    evader = None if match["evader"] is None else int(match["evader"])
+    of = None
+    if ":" in name:
+        if is_unlisted_import(name) and not is_trusted(info):
+            raise ValueError(refusal(name))
+        of = load_named(name, (info.context or {}).get("folder"))
+        if not callable(of):
+            raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
+    elif name not in QUANTITIES:
+        raise ValueError(
+            f"there is no quantity {name!r}{did_you_mean(name, QUANTITIES)}; there are {', '.join(QUANTITIES)},"
+            ' and functions of a result as "module:name"'
+        )
+    if evader is not None and (of is not None or not QUANTITIES[name].by_evader):
+        by_evader = ", ".join(quantity for quantity, note in QUANTITIES.items() if note.by_evader)
+        raise ValueError(f"only {by_evader} may be of one evader (got {text!r})")
+    return QuantityComparison(name, evader, sign, float(match["number"] or 0.0), of)
+
+
+ConditionText = Annotated[
+    Any,
+    PlainValidator(_condition),
+    PlainSerializer(lambda condition: condition.text, return_type=str),
+    WithJsonSchema({"type": "string"}),
+]
+"""A condition, as a text."""
+PropertyName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+
+
+class PropertyPiece(NamedTuple):
+    """A time of positive length, ns, in which no condition of a property begins or ceases to hold."""
+
+    begin: int
+    end: int
+    margins: tuple[float, ...]
+    """The least margin of each condition during the piece; it holds if the margin is at least 0."""
+
+
+class Worst(NamedTuple):
+    """The worst that a property has seen of a run."""
+
+    measure: float
+    """What the property bounds: smaller is better; see `Property.bound`."""
+    at: int
+    """When it began, ns."""
+
+
+class Property(Value):
+    """Base of the properties: what a run should keep."""
+
+    name: PropertyName | None = None
+    """The name in tables and of its metric, `margin:NAME`; if absent, it is made from the text."""
+    against: str | None = None
+    """The kind of a protocol that is run in the same scenario with the same seed, as a reference. A time then may be
+    longer than that of the reference by its limit; `always` counts only if the reference keeps it. Without a reference,
+    a search finds scenarios in which no protocol can do any better.
+
+    If in doubt, use "centralised", which knows all and decides at once.
+    """
+
+    unit: ClassVar[str] = "s"
+    """The unit of the margin."""
+
+    condition: ConditionText
+    """What the property is about, such as "idle" or "active <= 2"."""
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The conditions, in the order of `PropertyPiece.margins`."""
+        return (self.condition,)
+
+    @property
+    def bound(self) -> float:
+        """The largest measure (`Worst`) that keeps the property."""
+        raise NotImplementedError
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the worst so far after each of the successive pieces of a run, in constant time for each."""
+        raise NotImplementedError
+
+    def margin(self, measure: float, reference: float | None = None) -> float:
+        """Return the margin of a run, given its measure and, for a property against a reference, that of this."""
+        return self.bound - measure if reference is None else self.bound + reference - measure
+
+    def can_fail(self, scenario: AnyScenario) -> bool:
+        """Return whether a run of a scenario might violate it."""
+        raise NotImplementedError
+
+    @property
+    def statement(self) -> str:
+        """The property as a text, without its name and its reference."""
+        raise NotImplementedError
+
+    @property
+    def text(self) -> str:
+        """The property as a text, without its name; `Property` objects are made from such texts."""
+        return self.statement + (f" against {self.against}" if self.against else "")
+
+    @property
+    def label(self) -> str:
+        """The name, or a name made from the text."""
+        return self.name or re.sub(r"\W+", "_", re.sub(r"\[(\d+)\]", r"_\1", self.text)).strip("_").lower()
+
+
+class Always(Property):
+    """A condition holds throughout the run."""
+
+    kind: Literal["always"] = "always"
+
+    unit: ClassVar[str] = ""
+
+    @property
+    def bound(self) -> float:
+        """0: the measure is the margin of the condition, with the other sign."""
+        return 0.0
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the largest violation of the condition so far."""
+        worst = Worst(-inf, 0)
+        for begin, _, (margin,) in pieces:
+            if -margin > worst.measure:
+                worst = Worst(-margin, begin)
+            yield worst
+
+    def margin(self, measure: float, reference: float | None = None) -> float:
+        """Return the margin; if the reference violates the property, it is that by which the reference does."""
+        return -measure if reference is None else max(-measure, reference)
+
+    def can_fail(self, scenario: AnyScenario) -> bool:
+        """Return whether the condition may be violated."""
+        return bool(self.condition.can(scenario, hold=False))
+
+    @property
+    def statement(self) -> str:
+        """The property as a text."""
+        return f"always {self.condition.text}"
+
+
+class LimitedTime(Property):
+    """Base of the properties that bound a time."""
+
+    limit: Time
+    """s"""
+
+    @property
+    def bound(self) -> float:
+        """The limit, s."""
+        return self.limit
+
+    def can_fail(self, scenario: AnyScenario) -> bool:
+        """Return whether the condition may hold for longer than the limit."""
+        return bool(self.limit < scenario.horizon and self.condition.can(scenario, hold=True))
+
+
+class Eventually(LimitedTime):
+    """A condition holds for the first time within a limit; if the run ends before, its end counts."""
+
+    kind: Literal["eventually"] = "eventually"
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the time, s, for which the condition has not held."""
+        waited, is_met = 0.0, False
+        for _, end, (margin,) in pieces:
+            is_met = is_met or margin >= 0.0
+            waited = waited if is_met else seconds(end)
+            yield Worst(waited, 0)
+
+    def can_fail(self, scenario: AnyScenario) -> bool:
+        """Return whether the condition may be violated for longer than the limit."""
+        return bool(self.limit < scenario.horizon and self.condition.can(scenario, hold=False))
+
+    @property
+    def statement(self) -> str:
+        """The property as a text."""
+        return f"eventually {self.condition.text} within {self.limit:g}"
+
+
+class LeadsTo(LimitedTime):
+    """Whenever a condition holds, another one holds then or within a limit; the end of the run counts as such."""
+
+    kind: Literal["leads_to"] = "leads_to"
+    then: ConditionText
+    """The condition that should follow."""
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Both conditions."""
+        return self.condition, self.then
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the longest time, s, from an instant at which the first condition held to the second one."""
+        worst, since = Worst(0.0, 0), None
+        for begin, end, (first, then) in pieces:
+            if then >= 0.0:
+                since = None
+            elif since is not None or first >= 0.0:
+                since = begin if since is None else since
+                if seconds(end - since) > worst.measure:
+                    worst = Worst(seconds(end - since), since)
+            yield worst
+
+    def can_fail(self, scenario: AnyScenario) -> bool:
+        """Return whether the second condition may be violated for longer than the limit after the first."""
+        may = self.condition.can(scenario, hold=True) and self.then.can(scenario, hold=False)
+        return bool(self.limit < scenario.horizon and may)
+
+    @property
+    def statement(self) -> str:
+        """The property as a text."""
+        return f"{self.condition.text} leads to {self.then.text} within {self.limit:g}"
+
+
+class NeverLonger(LimitedTime):
+    """A condition never holds for longer than a limit at a stretch."""
+
+    kind: Literal["never_longer"] = "never_longer"
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the longest time, s, for which the condition has held at a stretch."""
+        worst, since = Worst(0.0, 0), None
+        for begin, end, (margin,) in pieces:
+            if margin < 0.0:
+                since = None
+            else:
+                since = begin if since is None else since
+                if seconds(end - since) > worst.measure:
+                    worst = Worst(seconds(end - since), since)
+            yield worst
+
+    @property
+    def statement(self) -> str:
+        """The property as a text."""
+        return f"{self.condition.text} never longer than {self.limit:g}"
+
+
+class InTotal(LimitedTime):
+    """A condition holds for at most a limit in total."""
+
+    kind: Literal["in_total"] = "in_total"
+
+    def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
+        """Yield the time, s, for which the condition has held, and the beginning of the longest piece."""
+        total, at, longest = 0, 0, 0
+        for begin, end, (margin,) in pieces:
+            if margin >= 0.0:
+                total += end - begin
+                if end - begin > longest:
+                    at, longest = begin, end - begin
+            yield Worst(seconds(total), at)
+
+    @property
+    def statement(self) -> str:
+        """The property as a text."""
+        return f"{self.condition.text} at most {self.limit:g} in total"
+
+
+KINDS = OneOf(Always, Eventually, LeadsTo, NeverLonger, InTotal, is_closed=True)
+"""The kinds of properties."""
+_LIMIT = rf"(?P<limit>{_NUMBER})(?:\s*s)?"
+FORMS: Mapping[str, re.Pattern[str]] = MappingProxyType(
+    {
+        "always": re.compile(r"always\s+(?P<condition>.+)"),
+        "eventually": re.compile(rf"eventually\s+(?P<condition>.+?)\s+within\s+{_LIMIT}"),
+        "leads_to": re.compile(rf"(?P<condition>.+?)\s+leads\s+to\s+(?P<then>.+?)\s+within\s+{_LIMIT}"),
+        "never_longer": re.compile(rf"(?P<condition>.+?)\s+never\s+longer\s+than\s+{_LIMIT}"),
+        "in_total": re.compile(rf"(?P<condition>.+?)\s+at\s+most\s+{_LIMIT}\s+in\s+total"),
+    }
+)
+"""The text of each kind."""
+TEXTS = (
+    '"always CONDITION", "eventually CONDITION within SECONDS", "CONDITION leads to CONDITION within SECONDS",'
+    ' "CONDITION never longer than SECONDS" or "CONDITION at most SECONDS in total", after "NAME: " if it has a name,'
+    ' and before "against PROTOCOL" if it has a reference'
+)
+
+
+def as_table(text: Any) -> Any:
+    """Return the table that the text of a property stands for; return any other value unchanged.
+
+    Raises:
+        ValueError: if it is not the text of a property.
+    """
+    if not isinstance(text, str):
+        return text
+    whole = " ".join(text.split())
+    name = re.match(r"([A-Za-z_]\w*): ", whole)
+    reference = re.search(r" against (\S+)$", whole)
+    statement = whole[name.end() if name else 0 : reference.start() if reference else None].strip()
+    for kind, form in FORMS.items():
+        if match := form.fullmatch(statement):
+            parts: dict[str, Any] = {key: part for key, part in match.groupdict().items() if part is not None}
+            if "limit" in parts:
+                parts["limit"] = float(parts["limit"])
+            named = {"name": name[1]} if name else {}
+            return {"kind": kind, **named, **parts, **({"against": reference[1]} if reference else {})}
+    raise ValueError(f"should be {TEXTS} (got {text!r})")
+
+
+PropertyField = Annotated[Any, KINDS, BeforeValidator(as_table)]
+"""A property: its table, or its text."""
+
+
+class _One(Value):
+    """A property alone, to be validated without a scenario."""
+
+    one: PropertyField
+
+
+def property_of(value: Any, *, allow_import: bool = True, folder: Any = None) -> Property:
+    """Return the property that a text or a table states; return a property unchanged.
+
+        property_of("idle never longer than 2 against centralised")
+
+    Args:
+        value: the text, the table or the property.
+        allow_import: whether it may name a function to be imported.
+        folder: the folder in which modules are looked up.
+
+    Raises:
+        ValueError: if it is not the text or the table of a property.
+    """
+    try:
+        made: Property = _One.model_validate(
+            {"one": value}, context={"allow_import": allow_import, "folder": folder}
+        ).one
+    except ValidationError as error:
+        raise ValueError(f"property {value!r}: {'; '.join(map(text_of, error.errors()))}") from None
+    return made
+
+
+def recording(scenario: AnyScenario, properties: Iterable[Property]) -> AnyScenario:
+    """Return a scenario that records what some properties need: messages, and positions every 0.05 s or as given."""
+    named = {
+        comparison.quantity
+        for prop in properties
+        for condition in prop.conditions
+        for comparison in condition.comparisons
+    }
+    needs = {QUANTITIES[name].needs for name in named & QUANTITIES.keys()}
+    record = scenario.record
+    changes: dict[str, Any] = {"messages": True} if "messages" in needs and record.messages is not True else {}
+    if "trajectory" in needs and not record.trajectory:
+        changes["trajectory"] = SAMPLES
+    return scenario.model_copy(update={"record": record.model_copy(update=changes)}) if changes else scenario
+
+
+def property_misfits(scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield the key and the text of each error of the properties of a scenario, and of metrics that are margins."""
+    labelled: dict[str, int] = {}
+    for k, prop in enumerate(scenario.properties):
+        if (first := labelled.setdefault(prop.label, k)) != k:
+            yield ("properties", k, "name"), f"properties.{first} has the name {prop.label!r}, too"
+        yield from ((("properties", k, *place), why) for place, why in misfits_of(prop, scenario))
+    for k, metric in enumerate(scenario.record.metrics):
+        if not isinstance(metric.of, PropertyMargin):
+            continue
+        if (name := metric.of.name) not in labelled:
+            hint, names = did_you_mean(name, labelled), ", ".join(labelled) or "none"
+            yield ("record", "metrics", k), f"the scenario has no property {name!r}{hint}; it has {names}"
+        elif recording(scenario, [scenario.properties[labelled[name]]]) is not scenario:
+            yield (
+                ("record", "metrics", k),
+                "the property needs positions or messages: set record.trajectory or .messages",
+            )
+
+
+def misfits_of(prop: Property, scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield the key and the text of each error of one property in a scenario."""
+    evaders = len(scenario.evaders)
+    for key, condition in zip(("condition", "then"), prop.conditions, strict=False):
+        for comparison in condition.comparisons:
+            if comparison.evader is not None and not 1 <= comparison.evader <= evaders:
+                yield (key,), f"there is no evader {comparison.evader}: they are 1 .. {evaders}"
+    (protocols,) = choices_of(type(scenario).model_fields["protocol"])
+    if prop.against is not None and protocols.choice(prop.against) is None:
+        kinds = protocols.choices()
+        hint = did_you_mean(prop.against, kinds)
+        yield ("against",), f"there is no protocol {prop.against!r}{hint}; there are {', '.join(kinds)}"
+
+
+CANNOT_FAIL = "no run of this scenario can violate it: its condition cannot turn, or its limit is not below the horizon"
+"""Why a property says nothing."""

@@ -1,0 +1,304 @@
+"""Properties of runs: margins equal to a plain monitor's, quantities equal to metrics, wrong texts refused."""
+
+import random
+from functools import cache
+from itertools import pairwise
+
+import pytest
+
+from desim import Scenario, judge, load, run, summary
+from desim.analysis.properties import PropertyWatcher, worst_of
+from desim.analysis.quantities import pieces_of
+from desim.kernel.core.trace_file import line_of
+from desim.kernel.core.units import SECOND
+from desim.pursuit.core.events import Ended
+from desim.scenario.checks import warnings
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.properties import JUST_BELOW_0, QUANTITIES, PropertyPiece, property_of
+from desim.scenario.toml import dump
+from desim.testing import assert_holds
+
+pytestmark = pytest.mark.own_trace
+END = 30
+"""Length of a random step function, ns."""
+SMALL = Scenario(
+    **{
+        "horizon": 6.0,
+        "team": {"count": 4, "box": [0.0, 4.0], "speeds": 1.5},
+        "evader": {"box": [1.0, 3.0]},
+        "record": {"messages": True},
+    }
+)
+LOSSY = SMALL.with_({"network.latency.value": 0.3, "network.loss": 0.2, "announce.start": "silent"})
+
+
+@cache
+def lossy(seed):
+    """Return a run of `LOSSY`."""
+    return run(LOSSY, seed)
+
+
+# The margins, against monitors that look at every nanosecond.
+
+
+def stretches(margins) -> list[tuple[int, int]]:
+    """Return [begin, end) of each stretch of nanoseconds with a margin of at least 0."""
+    edges = [0, *(t for t in range(1, END) if (margins[t] >= 0) != (margins[t - 1] >= 0)), END]
+    return [(begin, end) for begin, end in pairwise(edges) if margins[begin] >= 0]
+
+
+def delay(first, then, t) -> int:
+    """Return the time from an instant to the next at which the second condition holds, or to the end."""
+    return next((later for later in range(t, END) if then[later] >= 0), END) - t if first[t] >= 0 else 0
+
+
+PLAIN = {
+    "always active <= 0": lambda first, _: -min(first),
+    "eventually idle within 0": lambda first, _: next((t for t in range(END) if first[t] >= 0), END) / SECOND,
+    "idle leads to crowded within 0": lambda first, then: max(delay(first, then, t) for t in range(END)) / SECOND,
+    "idle never longer than 0": lambda first, _: max((b - a for a, b in stretches(first)), default=0) / SECOND,
+    "idle at most 0 in total": lambda first, _: sum(b - a for a, b in stretches(first)) / SECOND,
+}
+
+
+def random_pieces(rng, conditions) -> tuple[list[PropertyPiece], list[list[float]]]:
+    """Return a random step function as pieces, and its margins at each nanosecond."""
+    edges = sorted({0, END, *(rng.randrange(1, END) for _ in range(rng.randrange(12)))})
+    pieces = [
+        PropertyPiece(
+            begin, end, tuple(rng.choice([-2.0, -0.5, JUST_BELOW_0, 0.0, 1.0, 3.0]) for _ in range(conditions))
+        )
+        for begin, end in pairwise(edges)
+    ]
+    return pieces, [
+        [piece.margins[k] for piece in pieces for _ in range(piece.begin, piece.end)] for k in range(conditions)
+    ]
+
+
+@pytest.mark.parametrize("text", PLAIN)
+def test_a_margin_is_that_of_a_monitor_that_looks_at_every_instant(text):
+    """1,000 random step functions, after each of their pieces: what a watcher sees is what a whole run gives."""
+    rng, prop = random.Random(text), property_of(text)
+    for _ in range(1000):
+        pieces, margins = random_pieces(rng, len(prop.conditions))
+        *_, last = prop.worst(pieces)
+        expected = PLAIN[text](margins[0], margins[-1])
+        assert last.measure == expected
+        assert prop.margin(last.measure) == prop.bound - expected
+    running = [worst.measure for worst in prop.worst(pieces)]
+    assert running == [list(prop.worst(pieces[: k + 1]))[-1].measure for k in range(len(pieces))]
+
+
+@pytest.mark.parametrize("sign", ["<=", ">=", "==", "!=", "<", ">"])
+def test_a_comparison_holds_if_its_margin_is_at_least_0(sign):
+    (comparison,) = property_of(f"always active {sign} 2").conditions[0].comparisons
+    for value in (0.0, 1.0, 2.0, 3.0):
+        assert (comparison.margin(value) >= 0.0) == comparison.holds(value)
+    assert comparison.margin(4.0) == {"<=": -2, ">=": 2, "==": -2, "!=": 2, "<": -2, ">": 2}[sign]
+
+
+def test_a_rising_quantity_is_cut_where_it_reaches_its_bound():
+    """The age since the last decision rises by 1 s per second, so the time above a bound is exact."""
+    result = lossy(3)
+    decided = [0, *(event.t for event in result.trace if type(event).__name__ == "Decided")]
+    gaps = [later - earlier for earlier, later in pairwise([*decided, result.trace.of(Ended)[0].t])]
+    bound = sorted(gaps)[len(gaps) // 2] / SECOND
+    above = sum(gap - round(bound * SECOND) for gap in gaps if gap > bound * SECOND) / SECOND
+    assert judge(f"waiting > {bound!r} at most 1 in total", result).measure == pytest.approx(above, abs=1e-7)
+    assert judge("always waiting <= 0.1", result).margin == pytest.approx(0.1 - max(gaps) / SECOND, abs=1e-9)
+
+
+# The quantities, against metrics that compute the same otherwise.
+
+
+@pytest.mark.parametrize(
+    ("text", "metric"),
+    [
+        ("idle at most 1 in total", "idle_time"),
+        ("crowded at most 1 in total", "crowded_time"),
+        ("misassigned at most 1 in total", "misassigned_time"),
+    ],
+)
+def test_a_time_in_total_is_that_of_the_metric(text, metric):
+    for seed in range(5):
+        result = lossy(seed)
+        assert judge(text, result).measure == pytest.approx(summary(result)[metric], abs=1e-9)
+
+
+def test_wrong_beliefs_are_those_of_the_metric_belief_error():
+    for seed in range(5):
+        result = lossy(seed)
+        pieces = pieces_of(property_of("always wrong_beliefs <= 0").conditions, result)
+        integral = sum(-margin * (end - begin) for begin, end, (margin,) in pieces)
+        share = integral / (4 * 3 * result.trace.of(Ended)[0].t)
+        assert share == pytest.approx(summary(result)["belief_error"], abs=1e-9)
+
+
+def test_teammates_agree_on_an_ideal_network_and_not_while_an_announcement_travels():
+    ideal = SMALL.with_({"network.latency.value": 0.0})
+    assert judge("disagreements at most 0.0 in total", run(ideal, 1)).measure == 0.0
+    assert judge("disagreements at most 0.0 in total", lossy(1)).measure > 0.0
+    assert judge("always age <= 0.5", run(SMALL.with_({"network.latency.value": 0.4}), 1)).measure >= -0.1
+
+
+def test_a_quantity_of_one_evader_adds_up_to_that_of_all():
+    result = run(LOSSY.with_({"evader.count": 3, "evader.box": [0.0, 8.0]}), 2)
+    for name in ("active", "idle", "crowded", "captured"):
+        texts = [f"always {quantity} <= 0" for quantity in (name, *(f"{name}[{j}]" for j in (1, 2, 3)))]
+        every, *parts = [list(pieces_of(property_of(text).conditions, result)) for text in texts]
+        integrals = [
+            sum(-piece.margins[0] * (piece.end - piece.begin) for piece in pieces) for pieces in (every, *parts)
+        ]
+        assert integrals[0] == sum(integrals[1:])
+
+
+# A reference, watchers, metrics.
+
+
+def test_a_margin_against_a_protocol_is_that_of_two_runs():
+    scenario = LOSSY.with_({"protocol": "best_response"})
+    for text in ("crowded at most 0.1 in total", "always active <= 1", "idle never longer than 0.1"):
+        verdict = judge(f"{text} against centralised", run(scenario, 1))
+        other = worst_of(property_of(text), run(scenario.with_({"protocol": "centralised"}), 1)).measure
+        own = judge(text, run(scenario, 1)).measure
+        assert (verdict.measure, verdict.reference) == (own, other)
+        expected = max(-own, other) if text.startswith("always") else property_of(text).bound + other - own
+        assert verdict.margin == expected
+
+
+def test_a_protocol_is_not_its_own_reference():
+    with pytest.raises(ValueError, match="sap is its own reference"):
+        judge("idle never longer than 1 against sap", run(SMALL, 0))
+
+
+@pytest.mark.parametrize(
+    "text", ["crowded never longer than 0.2", "always active <= 2", "crowded leads to idle within 1"]
+)
+def test_a_watcher_ends_a_run_as_soon_as_it_violates_the_property(text):
+    """Up to there the run is the same, and a run that keeps the property is not changed."""
+    whole = lossy(1)
+    watcher = PropertyWatcher(text, LOSSY)
+    stopped = run(LOSSY, 1, watcher)
+    assert not judge(text, whole).holds
+    assert watcher.violated_at is not None
+    assert stopped.trace.of(Ended)[0].reason == "stopped"
+    assert judge(text, stopped).margin == watcher.margin < 0.0
+    unbroken = PropertyWatcher("crowded never longer than 5", LOSSY)
+    assert list(map(line_of, run(LOSSY, 1, unbroken).trace)) == list(map(line_of, whole.trace))
+    assert unbroken.margin == judge("crowded never longer than 5", whole).margin
+
+
+def test_a_watcher_refuses_what_is_known_after_the_run_only():
+    for text in ("always age <= 1", "always active <= 1 against centralised"):
+        with pytest.raises(ValueError, match="is known only after a run"):
+            PropertyWatcher(text, SMALL)
+
+
+def test_a_margin_is_a_metric_of_the_scenario():
+    scenario = LOSSY.with_({"properties": ["few: always active <= 2"], "record.metrics": ["margin:few"]})
+    result = run(scenario, 1)
+    assert summary(result)["few"] == judge("always active <= 2", result).margin
+
+
+def test_assert_holds_names_the_seed_and_the_margin():
+    assert_holds(SMALL, "active never longer than 5.9", seeds=range(3))
+    with pytest.raises(AssertionError, match=r"sap in unnamed with seed 0 violates 'always active <= 1' by"):
+        assert_holds(LOSSY, "always active <= 1", seeds=range(3))
+    with pytest.raises(ValueError, match="says nothing"):
+        assert_holds(SMALL, "always active <= 4")
+
+
+# Texts, tables and what is refused.
+
+TEXTS = [
+    "always active <= 1",
+    "eventually captured within 20",
+    "crowded leads to not crowded within 2",
+    "idle never longer than 2 against centralised",
+    "idle[1] and crowded == 0 at most 1.5 in total",
+]
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_a_text_is_the_property_that_states_it_and_a_file_keeps_it(tmp_path, text):
+    prop = property_of(text)
+    assert property_of(prop.text) == prop
+    scenario = SMALL.with_({"properties": [f"mine: {text}"]})
+    (tmp_path / "kept.toml").write_text(dump(scenario))
+    assert load(tmp_path / "kept.toml").properties == scenario.properties
+    assert scenario.properties[0].label == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("idle often", "should be .*always CONDITION"),
+        ("always idel <= 1", "there is no quantity 'idel', did you mean 'idle'"),
+        ("always idle =< 1", "should be comparisons"),
+        ("always age[1] <= 1", "only active, idle, crowded, captured may be of one evader"),
+        ("always idle[2] <= 0", "there is no evader 2: they are 1 .. 1"),
+        ("always idle <= 0 against central", "there is no protocol 'central', did you mean 'centralised'"),
+        ("always not idle <= 1", "not belongs before a quantity alone"),
+    ],
+)
+def test_a_wrong_property_is_refused(text, why):
+    with pytest.raises(ScenarioError, match=why):
+        SMALL.with_({"properties": [text]})
+
+
+def test_a_file_of_a_stranger_names_no_function(tmp_path):
+    file = tmp_path / "theirs.toml"
+    file.write_text('properties = ["always os:getcwd <= 1"]')
+    with pytest.raises(ScenarioError, match="names code to be run"):
+        load(file)
+
+
+def backwards(result):
+    """Return no step function."""
+    return [(1.0, 0.0), (0.0, 2.0)]
+
+
+def gap(result):
+    """Return a step function of time: 0, then 2 from 1 s on."""
+    return [(0.0, 0.0), (1.0, 2.0)]
+
+
+def test_a_quantity_may_be_a_function_of_the_result():
+    end = run(SMALL, 1).trace.of(Ended)[0].t / SECOND
+    name = "tests.analysis.test_properties:gap"
+    assert judge(f"{name} >= 2 at most 1 in total", run(SMALL, 1)).measure == pytest.approx(end - 1.0)
+    with pytest.raises(ValueError, match="in order of time, the first at time 0"):
+        judge("tests.analysis.test_properties:backwards > 0 never longer than 1", run(SMALL, 1))
+
+
+def test_names_are_unique_and_metrics_name_properties():
+    with pytest.raises(ScenarioError, match=r"properties\.0 has the name 'a', too"):
+        SMALL.with_({"properties": ["a: always idle <= 0", "a: always active <= 1"]})
+    with pytest.raises(ScenarioError, match="the scenario has no property 'b'"):
+        SMALL.with_({"properties": ["a: always idle <= 0"], "record.metrics": ["margin:b"]})
+    changes = {"properties": ["a: always age <= 1"], "record.metrics": ["margin:a"], "record.messages": False}
+    with pytest.raises(ScenarioError, match=r"set record\.trajectory or \.messages"):
+        SMALL.with_(changes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "always active <= 4",
+        "idle > 1 never longer than 1",
+        "idle never longer than 6",
+        "always idle[1] <= 1",
+    ],
+)
+def test_a_property_that_cannot_fail_is_a_warning(text):
+    assert "says nothing" in dict(warnings(SMALL.with_({"properties": [text]})))["properties.0"]
+    assert not any("properties" in key for key, _ in warnings(SMALL.with_({"properties": ["always active <= 3"]})))
+
+
+def test_every_quantity_has_a_step_function():
+    result = lossy(1)
+    for name in QUANTITIES:
+        pieces = list(pieces_of(property_of(f"always {name} <= 1").conditions, result))
+        assert pieces[0].begin == 0
+        assert pieces[-1].end == result.trace.of(Ended)[0].t
+        assert all(first.end == second.begin for first, second in pairwise(pieces))
