@@ -59,7 +59,8 @@ def test_a_module_is_imported_only_if_it_is_trusted(file, tmp_path):
         ("desim:Scenario", r"should be a function of a result \(got <class"),
         (
             "gap",
-            'there is no installed metric \'gap\'; allowed: "module:name", "margin:NAME" of a property; the built-in metrics are in every summary',
+            'there is no installed metric \'gap\'; allowed: "module:name", "margin:NAME" of a property; the built-in'
+            " metrics are in every summary",
         ),
     ],
 )
