@@ -22,6 +22,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from desim.config.model import Probability
+from desim.config.traits import inherits
 from desim.pursuit.core.traits import UtilityTraits
 from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.beliefs import Belief
@@ -38,6 +39,8 @@ class FictitiousPlay(LearningRule):
     def _can_expect(self) -> Self:
         if UtilityTraits.of(self.utility).expected is None:
             raise ValueError(f"fictitious play needs a utility with `expected`, got {self.utility!r}")
+        if not inherits(self, LearningRule, "utilities") and inherits(self, FictitiousPlay, "actions"):
+            raise ValueError("fictitious play never calls `utilities`: override `actions`, or give another `utility`")
         return self
 
     def actions(self, me: Agent) -> Iterator[int]:

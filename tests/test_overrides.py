@@ -31,13 +31,13 @@ from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import MessageCounts
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
 from desim.kernel.models.access import Aloha
-from desim.kernel.models.faults import FAULTS, Crash
+from desim.kernel.models.faults import FAULTS, Crash, Partition
 from desim.kernel.models.graphs import GRAPHS, Edges, Link
 from desim.kernel.models.interference import INTERFERENCES
 from desim.kernel.models.latency import BASES, JITTERS, Lognormal, mean_latency
 from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix, PerPair
 from desim.kernel.models.loss import LOSSES, GilbertElliott
-from desim.kernel.models.medium import MEDIA, LoRa
+from desim.kernel.models.medium import MEDIA, Bitrate, LoRa
 from desim.kernel.models.reception import RECEPTION_MODELS
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, Liar, RandomLies
@@ -591,3 +591,36 @@ def test_a_matrix_need_not_have_the_links_of_a_latency_that_overrides_it(method)
 def test_a_loss_that_overrides_a_kind_loses_all_that_is_sent(kind):
     counts = run(linked(loss=derived(kind, __call__=lambda _, context, rng: True)), seed=1).trace.of(MessageCounts)[0]
     assert counts.sent == counts.lost > 0
+
+
+def test_an_airtime_of_a_node_is_that_of_the_run():
+    class Slow(Bitrate):
+        def airtime(self, size, node):
+            return 0.3 if node == 0 else super().airtime(size, node)
+
+    counts = [run(linked(medium=kind(bitrate=1e6)), seed=1).trace for kind in (Slow, Bitrate)]
+    slow, plain = (trace.of(MessageCounts)[0] for trace in counts)
+    assert slow.delivered < plain.delivered
+
+
+def test_an_overridden_separation_is_that_of_the_run():
+    """As a partition that only cuts node 0 off, told by `separates`."""
+
+    class OneNode(Partition):
+        def separates(self, src, dst):
+            return 0 in (src, dst)
+
+    lost = [
+        run(scenario(fault=(kind(groups=((k,),), start=0.1),)), seed=1).trace.of(MessageCounts)[0].lost
+        for kind, k in ((OneNode, 1), (Partition, 0), (Partition, 1))
+    ]
+    assert lost[0] == lost[1] > 0
+
+
+def test_utilities_that_fictitious_play_never_calls_are_refused():
+    class Theirs(protocols.FictitiousPlay):
+        def utilities(self, me):
+            return {0: 0.0}
+
+    with pytest.raises(ValueError, match="never calls `utilities`"):
+        scenario(protocol=Theirs())

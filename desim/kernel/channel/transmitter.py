@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.medium import Medium, airtime_of
+from desim.kernel.models.medium import Medium, airtimes
 
 
 class Transmittable(Protocol):
@@ -83,6 +83,7 @@ class Transmitter(Generic[Item]):
     ):
         self._env, self._medium = env, medium
         self._leave, self._wait, self._drop = leave, wait, drop
+        self._airtime_of = airtimes(medium)
         self.channels = 1 if medium.shared else size
         # A shared channel serves the transmissions of all nodes in order, and a full node drops its own oldest. As each
         # waiting transmission is in the queue of its channel and in that of its node, both take constant time.
@@ -155,7 +156,7 @@ class Transmitter(Generic[Item]):
         return 0 if self._medium.shared else node
 
     def _begin(self, channel: int, item: Item) -> None:
-        now, duration = self._env.now, nanoseconds(airtime_of(self._medium, item.size))
+        now, duration = self._env.now, nanoseconds(self._airtime_of(item.size, item.src))
         self._free_at[channel] = now + duration
         self._busy += duration
         if self._medium.half_duplex and not self._medium.shared:

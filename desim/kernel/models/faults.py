@@ -237,7 +237,9 @@ class Partition(Fault):
 
     def begin(self, site: FaultSite) -> Undo:
         """Separate the groups."""
-        return site.partition(self.groups)
+        if inherits(self, Partition, "separates"):
+            return site.partition(self.groups)
+        return site.block(self.separates)
 
     @classmethod
     def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
@@ -385,7 +387,7 @@ def traced(fault: Fault) -> TracedFault:
     recorded as the built-in fault, and any other as a `CustomFault`.
     """
     for base in BUILT_IN:
-        if inherits(fault, base, "begin"):
+        if all(inherits(fault, base, name) for name in ("begin", "separates") if hasattr(base, name)):
             fields = {name: getattr(fault, name) for name in base.model_fields if name != "kind"}
             return fault if type(fault) is base else base(**fields)  # type: ignore[return-value]
     nodes = tuple(node for named in nodes_of(fault).values() for node in named)

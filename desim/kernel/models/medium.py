@@ -12,6 +12,7 @@ from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
+from desim.config.traits import is_ours
 from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.models.traits import MediumTraits
@@ -283,7 +284,7 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
     The function raises ValueError as `airtime_of` does.
     """
     of_node = MediumTraits.of(medium).airtime
-    if of_node is None:
+    if of_node is None or (is_ours(type(medium)) and not contends(medium)):  # then nodes do not differ
         return lambda size, _: airtime_of(medium, size)
     return lambda size, node: _checked(of_node(size, node), medium)
 
