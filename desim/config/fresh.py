@@ -16,6 +16,7 @@ from types import (
     CellType,
     CodeType,
     FunctionType,
+    GeneratorType,
     MappingProxyType,
     MethodType,
     ModuleType,
@@ -190,6 +191,8 @@ def _snapshot(value: Any) -> Any:
         return [value]
     if type(value).__module__ == "itertools":  # its text has what a counter returns next
         return [repr(value)]
+    if isinstance(value, GeneratorType):
+        return [id(value), value.gi_frame and value.gi_frame.f_lasti, repr(value.gi_frame and value.gi_frame.f_locals)]
     content = BytesIO()
     copier = _Copier(content)
     try:

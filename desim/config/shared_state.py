@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dis import get_instructions
 from functools import lru_cache, partial
 from itertools import pairwise
-from types import CellType, CodeType, FunctionType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 from warnings import warn
 from weakref import WeakKeyDictionary
@@ -45,7 +45,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
-    objects = list(objects)
+    objects = _reached(objects)
     reads = list(_shared(objects))
     before = [snapshot(read()) for _, _, read in reads]
     carried = set()
@@ -129,6 +129,43 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     for name in _globals_of(code):
         if name in places and not only_adds(code, name):
             yield f"{function.__module__}.{name}", partial(places.get, name)
+
+
+def _reached(objects: Iterable[Any]) -> list[Any]:
+    """Return objects, and the functions and classes of users that their code calls or reads by name."""
+    reached, seen = list(objects), set[int]()
+    for item in reached:
+        functions = [getattr(item, "__func__", item)]
+        for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
+            functions += (
+                [] if _is_foreign(base) else [getattr(value, "__func__", value) for value in vars(base).values()]
+            )
+        for function in functions:
+            if not isinstance(function, FunctionType) or _is_foreign(function) or id(function) in seen:
+                continue
+            seen.add(id(function))
+            names = _globals_of(function.__code__)
+            values = [function.__globals__[name] for name in names if name in function.__globals__]
+            for module in [value for value in values if isinstance(value, ModuleType) and not _is_installed(value)]:
+                values += [vars(module)[name] for name in _attributes_of(function.__code__) if name in vars(module)]
+            for value in values:
+                value = getattr(value, "__wrapped__", value)
+                if isinstance(value, FunctionType | type) and not _is_foreign(value) and id(value) not in seen:
+                    seen.update([id(value)] if isinstance(value, type) else [])
+                    reached.append(value)
+    return reached
+
+
+def _is_installed(module: ModuleType) -> bool:
+    """Return whether a module is not of a user: of desim, of Python, or of an installed package."""
+    file = getattr(module, "__file__", None) or ""
+    return module.__name__.partition(".")[0] in _FOREIGN or "site-packages" in file
+
+
+@lru_cache(maxsize=256)
+def _attributes_of(code: CodeType) -> frozenset[str]:
+    """Return the names of the attributes that a function and the functions inside it use."""
+    return frozenset(code.co_names).union(*map(_attributes_of, _inner(code)))
 
 
 def defaults_of(function: FunctionType) -> list[Any]:

@@ -438,6 +438,33 @@ def counting(state, rng):
 
 
 NUMBERS = itertools.count()
+HEADINGS = (heading for heading in itertools.repeat(1j))
+
+
+class Store:
+    calls = 0
+
+
+def in_another_class(state, rng):
+    Store.calls += 1
+    return 1j
+
+
+def helped(state, rng):
+    return 1j * count_up()
+
+
+def count_up():
+    global CALLED
+    CALLED += 1
+    return 1
+
+
+CALLED = 0
+
+
+def generating(state, rng):
+    return next(HEADINGS)
 
 
 @pytest.mark.slow_but_one
@@ -457,6 +484,9 @@ NUMBERS = itertools.count()
         (drawing, f"{__name__}.DRAWS"),
         (calling, f"{__name__}.HELD"),
         (rereading, f"{__name__}.SEEN"),
+        (in_another_class, "Store.calls"),
+        (helped, f"{__name__}.CALLED"),
+        (generating, f"{__name__}.HEADINGS"),
     ],
 )
 def test_state_in_a_class_a_function_or_a_module_is_warned_of(strategy, name):
