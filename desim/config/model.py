@@ -255,6 +255,10 @@ class Value(BaseModel, metaclass=_ValueType):
             problems = WORDINGS["call"](error, type(self), values)
         raise KeyedError(*problems)
 
+    def copy(self, **options: Any) -> Self:
+        """Do what `model_copy` does: pydantic's method of this name would not validate."""
+        return self.model_copy(**options)
+
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise KeyedError, because a value is immutable; private attributes can be set."""
         try:

@@ -208,8 +208,8 @@ class Scenario(Value):
             form = "{'network.latency.value': 0.5}"
             raise TypeError(f"with_ takes values by key, {form} for instance (got {changes!r})")
         source = Source.of(self)
-        for name, value in changes.items():
-            source.replace(name, value)
+        for name, value in sorted(changes.items(), key=lambda change: str(change[0]).count(".")):
+            source.replace(name, value)  # a table before what is changed in it
         return validated(source, Scenario)
 
     def env(self, seed: int | None = None, **options: Any) -> Any:

@@ -130,3 +130,16 @@ def test_a_latency_of_a_number_can_be_varied_further():
     assert BASE.with_({"network.latency": 0.5}).with_({"network.latency.value": 0.1}).network.latency == Constant(
         value=0.1
     )
+
+
+def test_a_table_and_what_is_changed_in_it_may_come_in_any_order():
+    changes = {"network.loss": 0.2, "network": Links(latency=0.1), "team.count": 3}
+    one, other = Scenario().with_(changes), Scenario().with_(dict(reversed(changes.items())))
+    assert one == other
+    assert one.network == Links(latency=0.1, loss=0.2)
+
+
+def test_the_method_copy_validates_as_model_copy_does():
+    with pytest.raises(ValueError, match="horizon: should be greater than 0"):
+        Scenario().copy(update={"horizon": -5.0})
+    assert Scenario().copy(update={"horizon": 5.0}) == Scenario(horizon=5.0)
