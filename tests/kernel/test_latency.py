@@ -22,6 +22,7 @@ from desim.kernel.models.latency import (
     mean_latency,
 )
 from desim.kernel.models.latency_by_link import LatencyMatrix, PerPair
+from desim.kernel.models.link_draws import as_seconds
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem import Netem
 from desim.kernel.models.traits import LinkTraits
@@ -500,3 +501,25 @@ def test_a_matrix_has_a_row_per_node_and_a_latency_for_each_link():
     ):
         with pytest.raises(ValueError, match=why) if why else nullcontext():
             Scenario(team={"count": nodes}, network={"latency": matrix, "graph": graph})
+
+
+@pytest.mark.parametrize("header", ["{}0,1,2", "{}1,2,3"])
+def test_a_matrix_with_numbers_of_nodes_beside_it_is_refused(tmp_path, header):
+    first = header.format(",").split(",")
+    rows = [first, *([name, "0.1", "0.2", "0.3"] for name in first[1:])]
+    (tmp_path / "m.csv").write_text("\n".join(map(",".join, rows)))
+    with pytest.raises(ValueError, match="line 1: numbers the nodes, and so does the first column"):
+        LatencyMatrix(file=str(tmp_path / "m.csv"))
+
+
+@pytest.mark.parametrize("text", ["0,041,0,052", "0,1 0,041,0,052", "12,05,7"])
+def test_decimal_commas_between_commas_are_refused(tmp_path, text):
+    (tmp_path / "ms.txt").write_text(text)
+    with pytest.raises(ValueError, match="may be one number or several"):
+        Empirical(file=str(tmp_path / "ms.txt"))
+
+
+@pytest.mark.parametrize("answer", [True, np.True_, "0.1", b"0.1", np.array([True, False])], ids=repr)
+def test_a_boolean_or_a_text_is_no_latency(answer):
+    with pytest.raises(ValueError, match="latencies should be finite times"):
+        as_seconds(answer, test_a_boolean_or_a_text_is_no_latency)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from desim import RecordedMotion
 from desim.pursuit.mobility.mobility import Waypoint
 from desim.pursuit.mobility.mobility_file import read_mobility
 from tests.kernel.test_mobility_file import interpolated
@@ -218,3 +219,17 @@ def test_the_index_of_a_name_that_looks_like_a_number_is_refused(tmp_path):
     ):
         read_mobility(file).track(1)
     assert read_mobility(file).track("01").waypoints[0][1:3] == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("names", ["id,vehicle", "vehicle,node", "uav,name"])
+def test_two_columns_that_name_the_nodes_differently_are_refused(tmp_path, names):
+    first, second = names.split(",")
+    file = tmp_path / "walk.csv"
+    file.write_text(f"{first},t,x,y,{second}\n0,0,1,2,a\n1,1,2,3,a\n2,0,5,5,b\n3,1,6,6,b\n")
+    with pytest.raises(ValueError, match=f"the columns {first} and {second} may name the nodes, and differ"):
+        RecordedMotion(file=str(file))
+    file.write_text(f"{first},t,x,y,{second}\n0,0,1,2,a\n0,1,2,3,a\n1,0,5,5,b\n1,1,6,6,b\n")
+    assert len(RecordedMotion(file=str(file)).waypoints) == 2
+    file.write_text(f"{first},t,x,y\n0,0,1,2\n1,1,2,3\n")
+    with pytest.raises(ValueError, match="is different in each row"):
+        RecordedMotion(file=str(file))

@@ -28,7 +28,7 @@ TABLE = "the table"
 """The name of a table that was not read from a file, in error messages."""
 
 
-def unit_in(column: str) -> str:
+def unit_of_column(column: str) -> str:
     """Return the unit that the name of a column ends in, "" if it has none."""
     match = UNIT_AT_END.fullmatch(column.strip())
     return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower()) if match else ""
@@ -107,7 +107,7 @@ class LinkTrace(Value):
         if self.nodes is not None and self.src is None:
             raise ValueError("nodes are the names in the columns src and dst, which the table does not have")
         for key, column, unit in self._units():
-            if (named := unit_in(column)) and named != unit:
+            if (named := unit_of_column(column)) and named != unit:
                 raise ValueError(f"{key}: column {column!r} is in {named}, and should be in {unit}")
         end = self.measurements.end / SECOND
         if self.start == "random" and self.after != "repeat":

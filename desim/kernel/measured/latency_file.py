@@ -67,7 +67,7 @@ def _items(row: str, file: Path, line: int) -> list[str]:
             raise ValueError(f"{file}, line {line}: numbers should have either decimal points or decimal commas")
         return [word.replace(",", ".") if DECIMAL.fullmatch(word) else word for word in words]
     for word in words:
-        if AMBIGUOUS.fullmatch(word):
+        if re.search(r",0\d", word) or AMBIGUOUS.fullmatch(word):
             why = "may be one number or several: write decimal points, and white space between numbers"
             raise ValueError(f"{file}, line {line}: {word!r} {why}")
     return words_of(" ".join(words).replace(",", " "))
@@ -90,6 +90,9 @@ def matrix_of(file: Path) -> list[list[float]]:
             raise ValueError(f"{file}, line {line}: {error}{hint}") from error
     if not rows:
         raise ValueError(f"{file} contains no numbers")
+    names, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
+    if len(rows) > 2 and rows[0][1:] == names and names in (numbers[:-1], numbers[1:]):
+        raise ValueError(f"{file}, line {lines[0]}: numbers the nodes, and so does the first column: leave both out")
     for line, row in zip(lines, rows, strict=True):
         if len(row) != len(rows):
             why = f"has {len(row)} numbers, but the file has {len(rows)} lines of numbers: one per node"

@@ -64,9 +64,12 @@ def as_seconds(delays: Any, model: object) -> "NDArray[np.float64]":
         ValueError: if they are not numbers.
     """
     try:
-        return np.asarray(delays, dtype=float)
+        seconds = np.asarray(delays)
+        if seconds.dtype.kind not in "bUS":  # a loss model in the place of a latency
+            return np.asarray(seconds, dtype=float)
     except (TypeError, ValueError):
-        raise wrong_answer("latencies should be finite times >= 0 s", delays, model) from None
+        pass
+    raise wrong_answer("latencies should be finite times >= 0 s", delays, model)
 
 
 def as_nanoseconds(delays: Any, model: object) -> "NDArray[np.int64]":

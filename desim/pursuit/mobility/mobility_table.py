@@ -78,6 +78,8 @@ class MobilityTable(MobilityFile):
                 f"{file}, line {first + 1}: has no column {missing[0]}; the first line should name the columns, t, x"
                 f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
             )
+        node_columns = [k for k, name in enumerate(header.names) if name in COLUMNS["node"]]
+        groups = set[tuple[str, ...]]()
         self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
         used = [column for column in columns.values() if column is not None]
         rows = _cells(file, lines, first, delimiter)
@@ -86,12 +88,16 @@ class MobilityTable(MobilityFile):
         for line, cells in rows:
             if len(cells) != len(header.names):
                 raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {len(header.names)}")
+            groups.add(tuple(cells[k] for k in node_columns))
             node = "0" if columns["node"] is None else cells[columns["node"]].strip()
             self._rows.setdefault(node, []).append((line, cells))
+        if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
+            names = " and ".join(header.names[k] for k in node_columns)
+            raise ValueError(f"{file}: the columns {names} may name the nodes, and differ: leave out all but one")
         if not self._rows:
             raise ValueError(f"{file} has no rows below its header")
         super().__init__(file, sorted(map(int, self._rows)) if all(map(_is_number, self._rows)) else self._rows)
-        if len(self._rows) > 2 and all(len(rows) == 1 for rows in self._rows.values()):
+        if len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values()):
             times = [self._time(rows[0]) for rows in self._rows.values()]
             if all(before < after for before, after in pairwise(times)):
                 name = header.names[columns["node"] or 0]
