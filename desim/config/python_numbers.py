@@ -53,9 +53,21 @@ def as_python(value: Any) -> Any:
         return list(value) if getattr(value, "ndim", 0) else value
     if isinstance(value, Complex | Decimal):
         return _number(value)
+    if hasattr(kind, "__float__") and (hasattr(value, "units") or hasattr(value, "unit")):
+        return _Quantity(value)
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
     return _items(value) if isinstance(value, LISTS) and not isinstance(value, TEXTS) else value
+
+
+class _Quantity:
+    """A number with a unit, which is refused: a field would take its number, whatever the unit is."""
+
+    def __init__(self, value: Any):
+        self._value = value
+
+    def __repr__(self) -> str:
+        return f"{self._value!r}, with a unit: give a number in the unit of the key"
 
 
 def why_no_text(error: UnicodeEncodeError) -> str:
@@ -107,7 +119,7 @@ def _number(value: Any) -> Any:
         if isinstance(value, Integral):
             return index(value)
         if not isinstance(value, Real | Decimal):
-            return value
+            return complex(value)  # numpy's would become a real number
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         return value
@@ -119,11 +131,23 @@ def _of_array(value: Any) -> Any:
 
     A masked number, and a quantity with a unit, which cannot be converted without it, are returned unchanged.
     """
+    value = _in_order(value)
     try:
         converted = value.tolist() if hasattr(type(value), "tolist") else _asarray(value).tolist()
     except (AttributeError, TypeError, ValueError, NotImplementedError):
         return value
     return value if converted is None or type(converted) is type(value) else as_python(converted)
+
+
+def _in_order(value: Any) -> Any:
+    """Return a table with its named columns in the order t, x, y, or in that of its rows of the same names."""
+    names = getattr(getattr(value, "dtype", None), "names", None)
+    labels = list(getattr(value, "columns", ()) if names is None else names)
+    if {"x", "y"} <= set(labels) <= {"t", "x", "y"}:
+        return value[sorted(labels)]
+    rows = list(value.index) if hasattr(value, "index") and labels else []
+    is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
+    return value[rows] if is_permuted else value
 
 
 def _asarray(value: Any) -> Any:

@@ -24,6 +24,7 @@ from desim.config.python_numbers import as_python, real, whole
 from desim.kernel.models.faults import CustomFault
 from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
+from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
@@ -177,8 +178,6 @@ class Called(list[int]):
             np.timedelta64(5, "ns"),
             np.datetime64("2020-01-01"),
             pd.Timedelta(1, "s"),
-            np.complex64(1),
-            np.clongdouble(1),
         ),
         *(np.ma.masked, pd.NA, Unit(), Called([np.int64(1)]), {1, 2}, b"12", Fraction(10**400), Decimal("1e999")),
         np.longdouble("1e4000"),
@@ -317,3 +316,41 @@ def test_a_name_that_no_file_can_hold_is_refused_with_its_key(text):
         with pytest.raises(KeyedError, match=r"grid: should be a text that a file can hold"):
             Sweep(grid={"name": value})
     assert Scenario(name="caf\u00e9 \U0001f600").name == "caf\u00e9 \U0001f600"
+
+
+class Length:
+    """A number with a unit, as those of pint, astropy or unyt."""
+
+    def __init__(self, number, **names):
+        self._number = number
+        vars(self).update(names)
+
+    def __float__(self):
+        return float(self._number)
+
+
+@pytest.mark.parametrize("value", [Length(200.0, units="ms"), Length(200.0, unit="ms")], ids=["units", "unit"])
+def test_a_number_with_a_unit_is_refused(value):
+    with pytest.raises(KeyedError, match="horizon: should be a number"):
+        Scenario(horizon=value)
+    with pytest.raises(KeyedError, match="speeds"):
+        Team(count=2, speeds=[value, value])
+    assert Scenario(horizon=Length(2.0)).horizon == 2.0
+
+
+@pytest.mark.parametrize("kind", [complex, np.complex64, np.complex128])
+def test_a_complex_number_is_never_a_real_one(kind):
+    with pytest.raises(KeyedError, match="horizon: should be a number"):
+        Scenario(horizon=kind(0.5))
+
+
+def test_named_columns_are_taken_by_their_names():
+    table = pd.DataFrame({"x": [1.0, 2.0], "t": [0.0, 1.0], "y": [3.0, 4.0]})
+    rows = table.to_records(index=False)
+    for value in (table, rows):
+        assert RecordedMotion(waypoints=value).waypoints == ((0.0, 1.0, 3.0), (1.0, 2.0, 4.0))
+    assert Team(positions=table[["y", "x"]]).positions == ((1.0, 3.0), (2.0, 4.0))
+    matrix = np.arange(9.0).reshape(3, 3)
+    square = pd.DataFrame(matrix, index=list("abc"), columns=list("abc"))
+    for order in ("abc", "cab", "bac"):
+        assert LatencyMatrix(values=square[list(order)]).values == tuple(map(tuple, matrix.tolist()))

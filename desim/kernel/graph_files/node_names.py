@@ -7,7 +7,6 @@
 
 import re
 from collections.abc import Sequence
-from numbers import Real
 from operator import index
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -89,8 +88,8 @@ def _integer(name: Any) -> int | None:
         name = re.sub(r"(?<=\d)\.0+$", "", name)  # as tables write integers of columns with missing values
         is_digits = name.isascii() and name.removeprefix("-").isdecimal()
         return int(name) if is_digits and str(int(name)) == name else None
-    if isinstance(name, Real) and not isinstance(name, bool) and float(name).is_integer():
-        name = int(name)
+    if isinstance(name, float) and name.is_integer():
+        return int(name)
     try:
         return None if isinstance(name, bool) else index(name)  # also of numpy
     except TypeError:

@@ -91,7 +91,9 @@ class EvaderController:
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
         heading = self._strategy(observation, self._rng)
-        if type(heading) is not complex and not isinstance(heading, (int, float, complex, np.number)):
+        if type(heading) is not complex and (
+            isinstance(heading, bool) or not isinstance(heading, (int, float, complex, np.number))
+        ):
             raise wrong_answer("a heading should be a complex number", heading, self._strategy)
         if not abs(heading) <= 1.0 + 1e-9:
             raise wrong_answer("a heading should have length at most 1", heading, self._strategy)
