@@ -454,6 +454,7 @@ def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
     [
         ("g.txt", "a b\nc d\n", "line 1: a b may be an edge or the names of the columns"),
         ("g.txt", "0 1\n1 {}\n", r"line 2: 1 \{\} is no edge"),
+        ("g.adjlist", "0 1\n1 {}\n", r"line 2: 1 \{\} is no edge"),
         ("g.txt", "0 1 {'latency': 0.1, 'latency': 0.2}\n", "line 1: has 'latency' twice"),
         ("g.json", '{"nodes": [{"id": 0}, {"id": 1, "id": 2}], "links": []}', "an object has 'id' twice"),
         ("g.net", '*Vertices\n1 "a"\n', "line 1: .Vertices should be followed by their number"),

@@ -67,8 +67,6 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
     kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
-        if any(cell.startswith("{") for cell in cells[:2]):
-            raise ValueError(f"{file}, line {line}: {' '.join(cells)[:40]} is no edge; multiline lists are not read")
         if len(cells) == 1:
             nodes.append(cells[0])
             continue
@@ -168,7 +166,11 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
         elif match := None if delimiter else WITH_DICT.fullmatch(bare):
             rows.append(EdgeRow(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
         elif bare.strip():
-            rows.append(EdgeRow(number, split(bare), {}))
+            cells = split(bare)
+            if any(cell.startswith("{") for cell in cells[:2]):
+                why = f"{' '.join(cells)[:40]} is no edge; multiline lists are not read"
+                raise ValueError(f"{file}, line {number}: {why}")
+            rows.append(EdgeRow(number, cells, {}))
     return rows
 
 
