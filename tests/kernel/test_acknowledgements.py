@@ -60,7 +60,7 @@ def both(flows, graph, timing, *, replications=4, horizon=40_000, model=None):
     """Return the attempts and the deliveries of each flow, in desim and in the reference: means and standard errors."""
     model = access(timing) if model is None else model
     found = np.array([measured(of_desim(graph, flows, horizon, seed, model)) for seed in range(replications)])
-    count = 6 * replications
+    count = 4 * replications
     theory = np.array([reference(saturated(hears(graph), flows, horizon, seed, timing)) for seed in range(count)])
     error = np.sqrt(found.var(axis=0, ddof=1) / len(found) + theory.var(axis=0, ddof=1) / len(theory))
     return found.mean(axis=0), theory.mean(axis=0), error
@@ -85,7 +85,7 @@ def test_hidden_nodes_deliver_what_plain_loops_do(eifs):
     assert (abs(found - theory) < 4 * error).all()
     other = [
         reference(saturated(hears(path(5)), FLOWS, 40_000, seed, replace(TIMING, eifs=116 - eifs)))
-        for seed in range(36)
+        for seed in range(24)
     ]
     assert (abs(found - np.mean(other, axis=0)) > 3 * error).any()
 
@@ -151,9 +151,9 @@ def test_both_the_frame_and_its_acknowledgement_must_get_through(p):
 
     It is delivered if any of its frames arrives. The control, acknowledgements that are never lost, has q = p.
     """
-    counts = [of_desim(path(2), {0: 1}, 400_000, seed, access(TIMING), loss=p)[1] for seed in range(4)]
+    counts = [of_desim(path(2), {0: 1}, 200_000, seed, access(TIMING), loss=p)[1] for seed in range(4)]
     sure = [
-        of_desim(path(2), {0: 1}, 400_000, seed, access(TIMING, ack_timeout=None, eifs=None), loss=p)[1]
+        of_desim(path(2), {0: 1}, 200_000, seed, access(TIMING, ack_timeout=None, eifs=None), loss=p)[1]
         for seed in range(4)
     ]
 

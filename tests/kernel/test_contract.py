@@ -412,7 +412,7 @@ def observe(make, graph, links, acts, seed, faults=None, traced=True, reads_earl
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=70, deadline=None)
 @given(histories())
 def test_delivery_by_events_is_observationally_equal_to_delivery_without_events(history):
     """Conditions in which nothing is ever broken change nothing that can be read, counted or traced."""
@@ -480,7 +480,7 @@ def plans(draw, size):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=70, deadline=None)
 @given(st.data(), histories())
 def test_planned_faults_are_observationally_equal_to_decisions_on_arrival(data, history):
     faults = data.draw(plans(len(history[0])))
@@ -503,7 +503,7 @@ def with_losses_on_arrival(data, history):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=70, deadline=None)
 @given(st.data(), histories())
 def test_arrivals_decided_together_are_observationally_equal_to_one_event_each(data, history):
     history, faults = with_losses_on_arrival(data, history), data.draw(st.one_of(st.none(), plans(len(history[0]))))

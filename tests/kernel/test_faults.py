@@ -250,12 +250,12 @@ def downtimes(crashes, horizon):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_crashes_follow_the_alternating_renewal_process(seed):
     """The chance to be down at t is p(t) = q (1 - exp(-k t)), q = a m / (1 + a m), k = a + 1 / m, and crashes come at
-    the rate a (1 - p(t)); both integrated over [0, T], with a = 0.3 1/s, m = 2 s, T = 40 s and 3000 nodes.
+    the rate a (1 - p(t)); both integrated over [0, T], with a = 0.3 1/s, m = 2 s, T = 40 s and 1000 nodes.
     Within 5 standard errors; without regard to downtime (a T crashes, a m T down) it would be far off."""
-    rate, mean, horizon, nodes = 0.3, 2.0, 40.0, 3000
+    rate, mean, horizon, nodes = 0.3, 2.0, 40.0, 1000
     plan = RandomCrashes(rate=rate, mean_downtime=mean)
     number, down = downtimes(draw_faults([plan], nodes, horizon, seed), horizon)
     share, speed = rate * mean / (1 + rate * mean), rate + 1 / mean
@@ -266,17 +266,17 @@ def test_random_crashes_follow_the_alternating_renewal_process(seed):
 
     assert error(down, time_down) < 5
     assert error(number, rate * (horizon - time_down)) < 5
-    assert error(down, rate * mean * horizon) > 50
-    assert error(number, rate * horizon) > 50
+    assert error(down, rate * mean * horizon) > 25
+    assert error(number, rate * horizon) > 25
 
 
 @pytest.mark.slow
 def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_plus_it():
-    """0.5 1/s and 1 s make 1/3; 200 nodes over 1000 s, within 5 standard errors and far from 1/2."""
+    """0.5 1/s and 1 s make 1/3; 50 nodes over 1000 s, within 5 standard errors and far from 1/2."""
     horizon = 1000.0
-    _, down = downtimes(draw_faults([RandomCrashes(rate=0.5, mean_downtime=1.0)], 200, horizon, 0), horizon)
-    share, error = down.mean() / horizon, down.std(ddof=1) / horizon / np.sqrt(200)
-    assert abs(share - 1 / 3) < 5 * error < 0.02
+    _, down = downtimes(draw_faults([RandomCrashes(rate=0.5, mean_downtime=1.0)], 50, horizon, 0), horizon)
+    share, error = down.mean() / horizon, down.std(ddof=1) / horizon / np.sqrt(50)
+    assert abs(share - 1 / 3) < 5 * error < 0.03
 
 
 def test_random_crashes_of_a_node_do_not_overlap_and_begin_before_the_horizon():

@@ -99,14 +99,14 @@ def judged(model, apart, seed=0, *, times=None, signals=None):
 def test_a_frame_survives_another_from_a_random_place_with_1_over_2_k_squared(exponent, number):
     """Two senders are uniform in a disc round the receiver, c = 6 dB, k = 10^(c / (10 n)).
 
-    The standard error of 200 000 pairs is 0.0008. The control is a threshold of 7 dB, of the model or of the formula:
+    The standard error of 60 000 pairs is 0.0015. The control is a threshold of 7 dB, of the model or of the formula:
     0.1064 and 0.1707.
     """
 
     def theory(threshold):
         return 0.5 / 10 ** (2 * threshold / (10 * exponent))
 
-    apart = np.sqrt(np.random.default_rng(1).random((2, 200_000)))
+    apart = np.sqrt(np.random.default_rng(1).random((2, 60_000)))
     found = judged(CaptureEffect(exponent=exponent), apart)
     other = judged(CaptureEffect(exponent=exponent, threshold=7.0), apart)
     assert theory(6.0) == pytest.approx(number, abs=1e-5)
@@ -280,12 +280,12 @@ def test_interference_is_the_sum_of_the_frames_that_are_on_the_air_together():
     """Two interferers are each 7.06 dB weaker, and 4.05 dB together: with 5 dB the frame survives one at a time."""
     apart = [[10.0], [10.0 * 10 ** (7.06 / 30)], [10.0 * 10 ** (7.06 / 30)]]
     model = Sinr(threshold=5.0, fading="none")
-    for begin, survives in ((1600, True), (1500, True), (1400, False)):
-        times = [(1000, 2000), (500, 1500), (begin, begin + 1000)]
+    for begin, survives in ((1600, True), (700, True), (1400, False)):
+        times = [(1000, 2000), (500, 700), (begin, begin + 1000)]
         assert judged(model, apart, times=times).tolist() == [survives]
 
 
-def poisson_field(model, seed, *, count=800, radius=1000.0, density=1e-4, apart=20.0):
+def poisson_field(model, seed, *, count=800, radius=500.0, density=1e-4, apart=20.0):
     """Return the share of `count` receivers that get a frame from a distance, among Poisson interferers in a disc."""
     rng = np.random.default_rng(seed)
     numbers = rng.poisson(density * pi * radius**2, count)
@@ -299,8 +299,8 @@ def poisson_field(model, seed, *, count=800, radius=1000.0, density=1e-4, apart=
 def test_a_frame_survives_poisson_interferers_with_rayleigh_fading_as_the_formula_says(noise):
     """exp(-l pi r^2 th^(2/a) (2 pi / a) / sin(2 pi / a)) = 0.6745, times exp(-th N r^a / P), which is 0.727 with noise.
 
-    l = 1e-4, r = 20 m, th = 6 dB, a = 4. Interferers beyond 1000 m change it by 0.0002. The standard error of 5600
-    receivers is 0.0063. The controls are a model without fading, and a threshold of 7 dB.
+    l = 1e-4, r = 20 m, th = 6 dB, a = 4. Interferers beyond 500 m change it by 0.001. The standard error of 5600
+    receivers is 0.0063. The controls are a model without fading, and a threshold of 8 dB.
     """
 
     def theory(threshold, noise):
@@ -312,7 +312,7 @@ def test_a_frame_survives_poisson_interferers_with_rayleigh_fading_as_the_formul
     assert theory(6.0, 0.0) == pytest.approx(0.6745, abs=1e-4)
     assert theory(6.0, 5e-7) / theory(6.0, 0.0) == pytest.approx(0.727, abs=1e-3)
     assert abs(z_score(found, theory(6.0, noise))) < 3
-    assert z_score(found, theory(7.0, noise)) > 3
+    assert z_score(found, theory(8.0, noise)) > 3
     still = [poisson_field(model.model_copy(update={"fading": "none"}), seed, count=400) for seed in range(4)]
     assert abs(z_score(still, theory(6.0, noise))) > 3
 
@@ -321,21 +321,21 @@ def test_a_frame_survives_poisson_interferers_with_rayleigh_fading_as_the_formul
 def test_fading_is_drawn_for_each_frame_and_receiver_in_a_network():
     """One interferer twice as far: success with 1 / (1 + th 2^-a), 0.6680 with 6 dB and a = 3; the control is 9 dB.
 
-    The noise, exp(-th N r^a) = 0.9, also counts for frames that nothing overlaps. 1500 pairs of frames: the
-    standard errors are 0.013 and 0.008.
+    The noise, exp(-th N r^a) = 0.9, also counts for frames that nothing overlaps. 700 pairs of frames: the
+    standard errors are 0.019 and 0.011.
     """
     th = 10**0.6
     model = Sinr(noise=-np.log(0.9) / (th * 1000.0))
     for both, theory in ((True, 0.9 / (1 + th / 8)), (False, 0.9)):
         clock, net, trace = network(model, [10.0, -20.0, 0.0], graph=nx.DiGraph([(0, 2), (1, 2)]))
-        for k in range(1500):
+        for k in range(700):
             at(clock, 2000 * k, net.publish, 0, None, size=SIZE)
             if both:
                 at(clock, 2000 * k, net.publish, 1, None, size=SIZE)
         clock.run()
         lost = {each.transmission for each in trace.of(Lost)}
         found = [each.transmission not in lost for each in trace.of(Broadcast) if each.src == 0]
-        assert len(found) == 1500
+        assert len(found) == 700
         assert abs(z_score(found, theory)) < 3
         assert abs(z_score(found, 0.9 / (1 + 10**0.9 / 8))) > 3
 
@@ -353,7 +353,7 @@ def test_noise_alone_loses_a_weak_frame():
 # LoRa.
 
 
-def lora_survival(nodes, seed, *, frames=1100, period=1000.0, threshold=None, factors=None, frequencies=None):
+def lora_survival(nodes, seed, *, frames=450, period=1000.0, threshold=None, factors=None, frequencies=None):
     """Return the share of received messages of Poisson nodes, with 20 bytes, SF 12 and CR 4/8, at a gateway, node 0."""
     clock = Clock()
     reception = Collision() if threshold is None else LoRaInterference(threshold=threshold)
@@ -386,7 +386,7 @@ AIRTIME = LoRa(spreading_factor=12, coding_rate=4)(20)
 @pytest.mark.slow
 @pytest.mark.parametrize(("nodes", "number"), [(64, 0.806)])
 def test_lora_without_capture_is_aloha(nodes, number):
-    """e^(-2 (N-1) T / period), T = 1712.128 ms; the standard error is 0.005. The control is SF 11."""
+    """e^(-2 (N-1) T / period), T = 1712.128 ms; the standard error is 0.008. The control is SF 11."""
     found = lora_shares(nodes)
 
     def theory(airtime):
@@ -410,13 +410,13 @@ def test_lora_frames_of_other_spreading_factors_and_frequencies_do_not_interfere
     def theory(others):
         return exp(-others * (2 * AIRTIME - 3 * symbol) / 1000.0)
 
-    apart = lora_shares(64, threshold=300.0, frames=800, frequencies=(868e6, 868.0301e6) * 32)
-    near = lora_shares(64, threshold=300.0, frames=800, frequencies=(868e6, 868.0299e6) * 32)
+    apart = lora_shares(64, threshold=300.0, frames=500, frequencies=(868e6, 868.0301e6) * 32)
+    near = lora_shares(64, threshold=300.0, frames=500, frequencies=(868e6, 868.0299e6) * 32)
     assert abs(z_score(apart, theory(31))) < 3
     assert abs(z_score(near, theory(63))) < 3
     assert z_score(apart, theory(63)) > 3
     assert z_score(near, theory(31)) < -3
-    factors = lora_shares(64, threshold=300.0, frames=800, factors=(12, 11) * 32)
+    factors = lora_shares(64, threshold=300.0, frames=500, factors=(12, 11) * 32)
     assert z_score(factors, theory(31)) > 3
     assert min(factors) > np.mean(near)
 
@@ -500,7 +500,7 @@ LINE = [0.0, 20.0, 10.0]
 """The places of A, B and C, m: node 2 is in the middle."""
 
 
-def on_a_line(access, places, seed, *, load=0.1, frames=500, within=12.0):
+def on_a_line(access, places, seed, *, load=0.1, frames=200, within=12.0):
     """Return the share of messages from nodes 0 and 1, each with a Poisson load, that node 2 gets."""
     clock, net, _ = network(Collision(), places, access=access, seed=seed, range=within)
     rng = np.random.default_rng(seed)
@@ -517,7 +517,7 @@ def on_a_line(access, places, seed, *, load=0.1, frames=500, within=12.0):
 def test_carrier_sense_does_not_help_against_a_hidden_terminal(access):
     """A - C - B: survival at C is e^(-2G) of the other node, 0.8187 with G = 0.1, as with ALOHA.
 
-    A node has a queue, so it is (1 - G) e^-G = 0.8144; the standard error is 0.007. The controls are the square of it,
+    A node has a queue, so it is (1 - G) e^-G = 0.8144; the standard error is 0.011. The controls are the square of it,
     a carrier-sense range of 20 m, and a range of 20 m: in both, each node senses all others, and nothing is lost. Only
     1-persistent nodes still collide, less than 3 %: if each has a frame at the end of a frame, both start then.
     """

@@ -267,7 +267,7 @@ PLANS = [(), (RandomFaults(rate=20.0, mean_duration=0.1),), (Crash(node=0, start
 
 
 @pytest.mark.slow
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     st.integers(0, 2**32),
     st.sampled_from(PLANS),

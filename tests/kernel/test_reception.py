@@ -165,13 +165,13 @@ def test_a_node_that_comes_nearer_does_not_lose_a_per_link_faded_link(model):
     ],
 )
 def test_the_share_of_per_link_faded_links_is_that_of_the_theory(model, off, law):
-    """Of the pairs of 300 nodes sum P(d) are linked, +- sqrt(sum P (1 - P)), given the positions; 5 seeds within 5
+    """Of the pairs of 200 nodes sum P(d) are linked, +- sqrt(sum P (1 - P)), given the positions; 5 seeds within 5
     standard errors. The control, a parameter off, is not, taken over all seeds.
     """
     wrong = []
     for seed in SEEDS:
-        at = scattered(300, seed)
-        first, second = np.triu_indices(300, 1)
+        at = scattered(200, seed)
+        first, second = np.triu_indices(200, 1)
         p = np.array([law(d) for d in np.hypot(*(at[first] - at[second]).T).tolist()])
         error = sqrt((p * (1 - p)).sum())
         assert abs(topology(at, model, seed).graph().number_of_edges() / 2 - p.sum()) < 5 * error
@@ -185,20 +185,20 @@ def test_the_share_of_per_link_faded_links_is_that_of_the_theory(model, off, law
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS[1:])
 def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
-    """20 receivers at 1 .. 20 m, 4000 messages each: binomial, within 5 standard errors, one by one and both ways in a
+    """20 receivers at 1 .. 20 m, 1500 messages each: binomial, within 5 standard errors, one by one and both ways in a
     row: a message and the next are received with probability P^2. The control is what a frozen link does.
     """
-    at, rounds = np.column_stack([np.arange(21.0), np.zeros(21)]), 4000
+    at, rounds = np.column_stack([np.arange(21.0), np.zeros(21)]), 1500
     p = model(np.arange(1.0, 21.0), 10.0)
 
-    def received(per_link):
+    def received(per_link, rounds):
         links = topology(at, model, 3, per_link=per_link)
         found = np.zeros((rounds, 20))
         for message, row in enumerate(found):
             row[np.array(links.hearers(0, message), dtype=int) - 1] = 1.0
         return found
 
-    found, fixed = received(per_link=False), received(per_link=True)
+    found, fixed = received(False, rounds), received(True, 2)
     error = np.sqrt(p * (1 - p) / rounds) + 1e-12
     assert (np.abs(found.mean(axis=0) - p) / error).max() < 5
     pairs, square = found[::2] * found[1::2], p**2
@@ -209,11 +209,11 @@ def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
 
 @pytest.mark.slow
 def test_a_single_message_is_drawn_like_a_broadcast():
-    """At the range every second of 4000 messages arrives, +- sqrt(1000) = 32; the control is 60 % of them."""
+    """At the range every second of 1600 messages arrives, +- sqrt(400) = 20; the control is 60 % of them."""
     links = topology(np.array([[0.0, 0.0], [10.0, 0.0]]), LogDistance(), 1, per_link=False)
-    count = sum(links.reaches(0, [1], message)[0] for message in range(4000))
-    assert abs(count - 2000) < 5 * 32
-    assert abs(count - 2400) > 5 * 32
+    count = sum(links.reaches(0, [1], message)[0] for message in range(1600))
+    assert abs(count - 800) < 5 * 20
+    assert abs(count - 960) > 5 * 20
 
 
 def test_the_reception_of_a_message_does_not_depend_on_when_it_is_evaluated():
@@ -252,12 +252,12 @@ def largest_share(size, degree, seed):
 def test_the_random_disk_graph_percolates_near_a_mean_degree_of_4_51():
     """Gilbert disks percolate at n pi R^2 = 4.5122 (Quintanilla, Torquato & Ziff 2000; Balister et al. 2005).
 
-    2000 nodes, 5 seeds: the largest component is small at 3, nearly all at 6, grows fastest next to 4.5, has half of
+    1200 nodes, 4 seeds: the largest component is small at 3, nearly all at 6, grows fastest next to 4.5, has half of
     the nodes at 4.5 +- 0.1 (standard error over seeds; finite size may shift it by as much). The control is a range
     10 % off, which would put that at 5.5 or 3.7.
     """
     degrees = [3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0]
-    shares = np.array([[largest_share(2000, degree, seed) for degree in degrees] for seed in SEEDS])
+    shares = np.array([[largest_share(1200, degree, seed) for degree in degrees] for seed in range(4)])
     assert shares[:, 0].max() < 0.2
     assert shares[:, -1].min() > 0.8
     mean = shares.mean(axis=0)

@@ -135,7 +135,7 @@ def crowds(draw, size, radius):
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.data(), st.integers(1, 6), RADII, st.booleans())
 def test_all_near_nodes_are_found_with_arbitrary_jumps(data, size, radius, in_place):
     at = data.draw(crowds(size, radius))
@@ -155,7 +155,7 @@ def test_all_near_nodes_are_found_with_arbitrary_jumps(data, size, radius, in_pl
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.data(), st.integers(2, 6), st.sampled_from([1e-3, 1.0, 7.3, 1e6]), st.sampled_from([0.0, 1e-3, 1.0, 30.0]))
 def test_all_near_nodes_are_found_with_bounded_speeds(data, size, radius, fastest):
     speed = st.sampled_from([-1.0, 0.0, 1.0, 0.6])

@@ -161,7 +161,7 @@ def refusal_of_tc(line, folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(TC is None, reason="tc is not installed")
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(links=networks())
 def test_the_commands_are_accepted_by_tc(tmp_path_factory, links):
     """The control is a word that tc does not know, and a table that is not there."""
