@@ -43,11 +43,11 @@ def checked(test, *arguments, **options):
 @pytest.mark.parametrize("name", ["classic/rps_v2", "classic/tictactoe_v3", "classic/connect_four_v3", *PARALLEL])
 def test_an_environment_of_pettingzoo_passes_its_tests(name):
     """They need pygame only; three of them have masks of actions in their observations."""
-    checked(api_test, desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=20)
-    checked(seed_test, lambda: desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=10)
+    checked(api_test, desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=10)
+    checked(seed_test, lambda: desim.wrap(pettingzoo.make("aec", name), LINKS), num_cycles=5)
     if name in PARALLEL:
-        checked(parallel_api_test, desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=20)
-        checked(parallel_seed_test, lambda: desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=10)
+        checked(parallel_api_test, desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=10)
+        checked(parallel_seed_test, lambda: desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=5)
 
 
 def test_small_environments_pass_the_tests_of_pettingzoo():

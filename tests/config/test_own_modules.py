@@ -135,10 +135,10 @@ def test_workers_and_other_processes_run_the_code_of_the_folder(folders):
         for executor in (1, 2):
             swept = sweep(scenario, {"team.count": [3]}, reps=2, executor=executor)
             assert [[cell.mean for cell in swept.estimates(name)] for name in ("code", "lazy_code")] == [[number]] * 2
-        with get_context("spawn").Pool(1) as pool:
-            (result,) = pool.starmap(run, [(scenario, 1)])
-        assert lines(result) == lines(run(scenario, 1))
-        assert lines(pickle.loads(pickle.dumps(run))(scenario, 1)) == lines(result)
+        assert lines(pickle.loads(pickle.dumps(run))(scenario, 1)) == lines(run(scenario, 1))
+    with get_context("spawn").Pool(1) as pool:
+        results = pool.starmap(run, [(loaded(folder), 1) for folder in folders])
+    assert [lines(result) for result in results] == [lines(run(loaded(folder), 1)) for folder in folders]
 
 
 @pytest.mark.slow

@@ -61,7 +61,7 @@ def tables(draw) -> dict[str, Any]:
         )
     )
     chosen: dict[str, Any] = {
-        "horizon": 1.0,
+        "horizon": 0.7,
         "team": {"count": 4, "speeds": [1.2, 1.3, 1.4, 1.5]},
         "evader": {"count": draw(st.integers(1, 2))},
         "protocol": {"kind": kind, **({} if schedule is None else {"schedule": {"kind": schedule}})},
@@ -123,7 +123,7 @@ def check(tables) -> set[str]:
 
 
 @pytest.mark.slow
-@settings(max_examples=24)
+@settings(max_examples=12)
 @given(tables())
 def test_a_key_that_is_said_to_have_no_effect_has_none(drawn):
     try:

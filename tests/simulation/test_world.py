@@ -161,7 +161,7 @@ def test_a_slow_pursuer_is_not_active_at_the_start():
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     st.integers(0, 10**6),
     st.sampled_from([0.1, 0.03, 0.007]),
@@ -341,7 +341,7 @@ LOST_ON_ARRIVAL = {
 @pytest.mark.parametrize("name", LOST_ON_ARRIVAL)
 def test_recording_the_messages_changes_no_decision(name, monkeypatch):
     """With messages recorded, each arrival is decided by an event; without, arrivals are decided together."""
-    links = ["network.range = 6.0", "network.latency = { kind = 'lognormal', mean = 0.1, cv = 0.8 }", "horizon = 4.0"]
+    links = ["network.range = 6.0", "network.latency = { kind = 'lognormal', mean = 0.1, cv = 0.8 }", "horizon = 2.0"]
     scenario = load(SCENARIOS / f"{name}.toml", [each.replace(" = ", "=", 1) for each in links + LOST_ON_ARRIVAL[name]])
     together = []
     receive = Records.receive

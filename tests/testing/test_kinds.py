@@ -66,6 +66,7 @@ CASES = [
 ]
 TRIED = {"check_protocol": decisions, "check_schedule": decisions, "check_trust": trust}
 """By check, the module of its situations."""
+DRAWS = {"check_latency": {"draws": 100}, "check_loss": {"draws": 400}}
 
 
 @pytest.mark.slow
@@ -78,7 +79,7 @@ def test_a_built_in_kind_passes_the_check_of_its_family(check, kind, model, monk
         module, turn = TRIED[check.__name__], CASES.index((check, kind, model))
         situations = dict(list(module.SITUATIONS.items())[turn % 3 :: 3])
         monkeypatch.setattr(module, "SITUATIONS", situations)
-    check(model(**(NEEDED | PARAMETERS).get(model.__name__, {})))
+    check(model(**(NEEDED | PARAMETERS).get(model.__name__, {})), **DRAWS.get(check.__name__, {}))
 
 
 @pytest.mark.parametrize("kind", ["constant", "uniform", "matrix"])

@@ -357,8 +357,8 @@ def test_a_latency_in_milliseconds_gives_a_warning():
 def test_the_checks_accept_the_right_models_from_which_the_wrong_ones_differ():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_latency(Uniform(low=0.1, high=0.15))
-        check_latency(lambda context, rng: 0.1)
-        check_latency(lambda context, rng: rng.random())
+        check_latency(Uniform(low=0.1, high=0.15), draws=100)
+        check_latency(lambda context, rng: 0.1, draws=100)
+        check_latency(lambda context, rng: rng.random(), draws=100)
         check_loss(Lossy(), share=0.5)
-        check_loss(lambda context, rng: context.dst == 2, share=1 / 5)
+        check_loss(lambda context, rng: context.dst == 2, share=1 / 5, draws=400)
