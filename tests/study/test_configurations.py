@@ -308,6 +308,7 @@ OTHERS = {
     "network": {"network": Links(range=3.0)},
     "fault": {"fault": ({"kind": "crash", "node": 0, "start": 1.0},)},
     "record": {"record": {"messages": True}},
+    "properties": {"properties": ("idle never longer than 2",)},
 }
 
 
