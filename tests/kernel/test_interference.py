@@ -280,8 +280,8 @@ def test_interference_is_the_sum_of_the_frames_that_are_on_the_air_together():
     """Two interferers are each 7.06 dB weaker, and 4.05 dB together: with 5 dB the frame survives one at a time."""
     apart = [[10.0], [10.0 * 10 ** (7.06 / 30)], [10.0 * 10 ** (7.06 / 30)]]
     model = Sinr(threshold=5.0, fading="none")
-    for begin, survives in ((1600, True), (700, True), (1400, False)):
-        times = [(1000, 2000), (500, 700), (begin, begin + 1000)]
+    for begin, survives in ((1600, True), (1500, True), (1400, False)):
+        times = [(1000, 2000), (500, 1500), (begin, begin + 1000)]
         assert judged(model, apart, times=times).tolist() == [survives]
 
 
