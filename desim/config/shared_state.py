@@ -85,7 +85,7 @@ def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
     for item in objects:
         function = getattr(item, "__func__", item)
-        if isinstance(function, FunctionType):
+        if isinstance(function, FunctionType) and not _is_of_package(function):
             yield from ((function, *variable) for variable in _items(function.__qualname__, vars(function)))
             yield from ((function, *variable) for variable in _variables(function))
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
@@ -137,9 +137,8 @@ def _reached(objects: Iterable[Any]) -> list[Any]:
     for item in reached:
         functions = [getattr(item, "__func__", item)]
         for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
-            functions += (
-                [] if _is_foreign(base) else [getattr(value, "__func__", value) for value in vars(base).values()]
-            )
+            if not _is_foreign(base):  # pydantic may still complete the class
+                functions += [getattr(value, "__func__", value) for value in tuple(vars(base).values())]
         for function in functions:
             if not isinstance(function, FunctionType) or _is_foreign(function) or id(function) in seen:
                 continue
@@ -150,7 +149,7 @@ def _reached(objects: Iterable[Any]) -> list[Any]:
                 values += [vars(module)[name] for name in _attributes_of(function.__code__) if name in vars(module)]
             for value in values:
                 value = getattr(value, "__wrapped__", value)
-                if isinstance(value, FunctionType | type) and not _is_foreign(value) and id(value) not in seen:
+                if isinstance(value, FunctionType | type) and not _is_of_package(value) and id(value) not in seen:
                     seen.update([id(value)] if isinstance(value, type) else [])
                     reached.append(value)
     return reached
@@ -160,6 +159,12 @@ def _is_installed(module: ModuleType) -> bool:
     """Return whether a module is not of a user: of desim, of Python, or of an installed package."""
     file = getattr(module, "__file__", None) or ""
     return module.__name__.partition(".")[0] in _FOREIGN or "site-packages" in file
+
+
+def _is_of_package(definition: Any) -> bool:
+    """Return whether a function or class is defined in such a module; what it remembers is a matter of its authors."""
+    module = sys.modules.get(definition.__module__ or "")
+    return _is_foreign(definition) or (module is not None and _is_installed(module))
 
 
 @lru_cache(maxsize=256)

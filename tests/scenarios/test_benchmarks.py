@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import networkx as nx
@@ -251,14 +252,22 @@ def test_the_study_measures_other_costs(few, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch):
+@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.whole)])
+def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch, processes):
+    """In one process, which takes as much of a core as it can get; the case of two is seldom worth its time."""
+    if processes == 1:
+        swept = sweep_costs.sweep
+        monkeypatch.setattr(sweep_costs, "ProcessPoolExecutor", lambda count, **_: ThreadPoolExecutor(count))
+        monkeypatch.setattr(
+            sweep_costs, "sweep", lambda base, grid, runs, _, **more: swept(base, grid, runs, 1, **more)
+        )
     monkeypatch.setattr(sweep_costs, "SWEPT", 16)
     monkeypatch.setattr(sweep_costs, "STORED", 2_000)
     monkeypatch.setattr(sweep_costs, "GRID", {"network.latency.value": [0.0, 0.01], "team.count": [5, 6]})
     monkeypatch.setattr(sweep_costs, "apart", lambda function, *given: function(*given))
     found = few("--parts", "sweeps,large_store")["costs"]
     measured = {each["what"]: each["measured"] for part in found.values() for each in part}
-    assert 0.0 < measured["driver, share of a core"] < 1.0
+    assert 0.0 < measured["driver, share of a core"] < (1.0 if processes == 2 else 2.0)
     assert min(measured.values()) > 0.0
     assert len(measured) == 10
 
@@ -267,20 +276,20 @@ def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch):
 def test_a_process_of_its_own_has_memory_and_time_of_its_own():
     held = bytearray(200_000_000)
     assert 0.0 < measuring.apart(measuring.memory, "VmHWM") < measuring.memory("VmRSS") - 0.5 * len(held)
-    assert 0.0 < measuring.command("-c", "pass") < measuring.command("-c", "import time; time.sleep(0.5)")
+    assert 0.0 < measuring.command("-S", "-c", "pass") < measuring.command("-S", "-c", "import time; time.sleep(0.5)")
 
 
 @pytest.mark.slow
 def test_contention_has_the_same_results_in_plain_simpy(monkeypatch):
-    """The share of messages that are delivered, in 8 runs each; the control is a window of 4 slots."""
+    """The share of messages that are delivered, in 5 runs each; the control is a window of 4 slots."""
 
     def shares(deliver):
-        return np.array([delivered / sent for sent, delivered in (deliver(work, seed) for seed in range(8))])
+        return np.array([delivered / sent for sent, delivered in (deliver(work, seed) for seed in range(5))])
 
     monkeypatch.setattr(costs, "AIRTIME", 0.0009)
-    work = Workload("", nx.complete_graph(20), 600, LOGNORMAL)
+    work = Workload("", nx.complete_graph(20), 400, LOGNORMAL)
     ours, plain = shares(costs.contended), shares(costs.contended_in_simpy)
-    error = np.hypot(ours.std(ddof=1), plain.std(ddof=1)) / 8**0.5
+    error = np.hypot(ours.std(ddof=1), plain.std(ddof=1)) / 5**0.5
     assert abs(ours.mean() - plain.mean()) < 3 * error
     monkeypatch.setattr(costs, "CsmaCa", lambda: CsmaCa(window=4))
     assert shares(costs.contended).mean() < plain.mean() - 3 * error

@@ -175,7 +175,7 @@ def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_sa
     monkeypatch.setattr(figures, "PRINT", 50)
     document, text, _ = study(figures.main)
     assert [cell["panel"] for cell in document["cells"]] == ["centralised", *(f"delta = {each:g} s" for each in DELTAS)]
-    for cell, scenario in [*zip(document["cells"], figures.panels(20).values(), strict=True)][::3]:
+    for cell, scenario in [*zip(document["cells"], figures.panels(20).values(), strict=True)][1:2]:
         result = run(scenario, 0)
         numbers = summary(result)
         chain = relays(result)

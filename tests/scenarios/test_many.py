@@ -21,7 +21,7 @@ def few(monkeypatch):
     patch_study(monkeypatch, (many, many_runs), "BUDGETS", (10, 20))
     patch_study(monkeypatch, (many, many_runs), "BUDGET", 20)
     patch_study(monkeypatch, (many, many_runs), "TEMPERATURES", (0.1, 1.0))
-    patch_study(monkeypatch, (many, many_runs), "HORIZON", 4.0)
+    patch_study(monkeypatch, (many, many_runs), "HORIZON", 3.0)
     patch_study(monkeypatch, (many, many_runs), "SLOT", 0.05)
     patch_study(monkeypatch, (many, many_runs), "BOX", (0.0, 5.0))
     patch_study(monkeypatch, (many, many_runs), "CONTENDERS", {name: many_runs.CONTENDERS[name] for name in FEW})
