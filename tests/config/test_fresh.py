@@ -552,15 +552,3 @@ def test_watchers_belong_to_the_caller_and_are_not_copied():
     watcher = Count()
     result = run(Scenario(team=Team(count=3), horizon=0.1), 1, watcher)
     assert watcher.events >= len(result.trace) > 0
-
-
-@pytest.mark.filterwarnings("error::desim.config.shared_state.StateWarning")
-def test_what_functions_of_packages_remember_is_not_warned_of():
-    """`networkx.cycle_graph` is compiled at its first call, and remembers the result."""
-    scenario = Scenario(horizon=0.2, team=Team(count=4), network=Links(graph=networkx.cycle_graph))
-    first = run(scenario, 1)
-    vars(networkx.cycle_graph)["_code"] = object()
-    try:
-        assert list(run(scenario, 1).trace) == list(first.trace)
-    finally:
-        del networkx.cycle_graph._code
