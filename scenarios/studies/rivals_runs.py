@@ -95,9 +95,7 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
 
     `SILENT` stands for Spatial Adaptive Play without announcements, in which the initial actions are unknown, too.
     """
-    sending = (
-        {"trigger": "never", "start": "silent"} if protocol == SILENT else {"trigger": "heartbeat", "start": "known"}
-    )
+    sending = {"trigger": "never", "start": "silent"} if protocol == SILENT else {"trigger": "heartbeat"}
     announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | sending)
     return WORLDS[world].model_copy(
         update={
