@@ -157,6 +157,9 @@ class Condition:
     text: str
     comparisons: tuple[QuantityComparison, ...]
 
+    def __str__(self) -> str:
+        return self.text
+
     def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
         """Return whether it may be satisfied or, with `hold` = False, violated in a scenario."""
         return (all if hold else any)(comparison.can(scenario, hold=hold) for comparison in self.comparisons)
