@@ -389,12 +389,6 @@ CLAIMS = (
         ),
     ),
     Claim(
-        "evaders",
-        FINDINGS,
-        "If first actions are announced, it is {1.1 +- 0.5} s with 0.1 s of latency, too",
-        [survives("sap", "announced")],
-    ),
-    Claim(
         "inference",
         FINDINGS,
         "by {1.07 +- 0.21} s if it knows, by {0.92 +- 0.21}, {0.68 +- 0.23} and {0.70 +- 0.21} s with exact looks"

@@ -253,12 +253,12 @@ def per_handover(motion: str, latency: float) -> Number:
     return number
 
 
-def survives(protocol: str, start: Start = "known") -> Number:
+def survives(protocol: str) -> Number:
     """Return what measures how much longer an evader survives that flees the active pursuers only."""
     some, reference = (
         evaders_runs.chase(strategy, protocol) for strategy in (evaders_runs.CLAIMED, evaders_runs.REFERENCE)
     )
-    return difference(end_time, started(some, start), started(reference, start))
+    return difference(end_time, some, reference)
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:

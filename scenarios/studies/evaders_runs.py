@@ -71,8 +71,8 @@ HELD = "hold"
 ESTIMATES: Mapping[str, str] = MappingProxyType(
     {HELD: "hold", "constant_velocity": "constant velocity", "worst_case": "worst case"}
 )
-SPOKEN = Announcements(start="known", heartbeat=0.5)
-"""Actions are announced on change and twice a second; all know the initial actions."""
+SPOKEN = Announcements(heartbeat=0.5)
+"""Actions are announced at the start, on change, and twice a second."""
 WATCHERS, CHASERS = 10, 2
 WATCHED = Scenario(
     name="limited sight",
