@@ -195,7 +195,7 @@ CLAIMS = (
     Claim(
         "start",
         FINDINGS,
-        "half a second of latency then costs `local_min` {7.5 +- 0.7} s of active time, and SAP {7.2 +- 1.2} s",
+        "half a second of latency costs `local_min` {7.5 +- 0.7} s of active time, and SAP {7.2 +- 1.2} s",
         (cost("all in time", "local_min", 0.5), cost("all in time", "sap", 0.5)),
     ),
     Claim(
