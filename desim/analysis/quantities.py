@@ -202,16 +202,6 @@ def _of_user(function: Callable[[Any], Any], result: Result) -> StepChanges:
     yield from ((nanoseconds(time), value) for time, value in pairs)
 
 
-class _Level(NamedTuple):
-    """The value of a quantity since its last change."""
-
-    since: int
-    value: float
-
-    def at(self, now: int, *, rises: bool) -> float:
-        return self.value + seconds(now - self.since) if rises else self.value
-
-
 def pieces_of(conditions: Sequence[Condition], result: Result) -> Iterator[PropertyPiece]:
     """Yield the pieces of a run for some conditions; one pass over the changes of their quantities.
 
