@@ -17,6 +17,8 @@ NEEDED: dict[str, dict[str, Any]] = {
     "Always": {"condition": "idle"},
     "Bitrate": {"bitrate": 9600.0},
     "ByzantineFault": {"start": 1.0, "node": 0},
+    "ChaserCrash": {"start": 1.0},
+    "ChaserCut": {"start": 1.0},
     "ConstantPosition": {"value": [1.0, 2.0]},
     "Crash": {"start": 1.0, "node": 1},
     "CustomFault": {"start": 1.0, "model": "faults:Mine", "drawn": {}},
@@ -55,6 +57,7 @@ NEEDED: dict[str, dict[str, Any]] = {
     "SlottedAloha": {"slot": 1.0},
     "Spoof": {"start": 1.0, "node": 0},
     "SteadyFlow": {"velocity": [0.5, 0.0]},
+    "TargetedFault": {"start": 1.0},
     "VoronoiVertex": {"arena": [0.0, 5.0]},
     "Window": {"start": 1.0},
 }

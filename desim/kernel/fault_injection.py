@@ -1,6 +1,6 @@
 """Fault injection: apply faults to a network at their start and end times."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -28,6 +28,8 @@ from desim.kernel.models.faults import (
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
+Targets = Callable[[], Sequence[int]]
+"""Returns the nodes that matter most now; see `FaultSite.targets`."""
 
 
 def inject(
@@ -38,6 +40,7 @@ def inject(
     *,
     crashed: Hook = lambda _: None,
     recovered: Hook = lambda _: None,
+    targets: Targets = tuple,
 ) -> None:
     """Schedule faults for a network that was created with a `FaultState`.
 
@@ -48,6 +51,7 @@ def inject(
         trace: receives the events `FaultStarted` and `FaultEnded`.
         crashed: called with each crash when it starts.
         recovered: called with each crash when it ends.
+        targets: returns the nodes that matter most now, for faults that look at the run (`FaultSite.targets`).
 
     Raises:
         ValueError: if a fault names a node that does not exist, or starts before the current time, or if faults were
@@ -56,7 +60,7 @@ def inject(
     faults, size = list(faults), network.topology.size
     if faults and network.fault_state.is_planned and network.message_counts().sent:
         raise ValueError("faults should be injected before the first message is sent")
-    sites = [_Site(env, network, trace, fault, crashed, recovered) for fault in faults]
+    sites = [_Site(env, network, trace, fault, crashed, recovered, targets) for fault in faults]
     for fault in faults:
         for key, nodes in nodes_of(fault).items():
             _require_nodes(nodes, size, f"{kind_of(fault)}.{key}: ")
@@ -89,8 +93,17 @@ class _Site:
         fault: the fault.
     """
 
-    def __init__(self, env: Clock, network: Network, trace: Trace | None, fault: Fault, crashed: Hook, recovered: Hook):
-        self.fault = fault
+    def __init__(
+        self,
+        env: Clock,
+        network: Network,
+        trace: Trace | None,
+        fault: Fault,
+        crashed: Hook,
+        recovered: Hook,
+        targets: Targets,
+    ):
+        self.fault, self.targets = fault, targets
         self._env, self._network, self._trace = env, network, trace
         self._crashed, self._recovered = crashed, recovered
         self._record, self._cause = traced(fault), cause_of(fault)
@@ -115,7 +128,7 @@ class _Site:
         return end
 
     def begin(self, fault: Fault) -> Undo:
-        part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered)
+        part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered, self.targets)
         part.record(FaultStarted)
         undo = part.apply()
 

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from desim.config.arguments import scenario_argument
@@ -196,7 +197,8 @@ def _simulate(
         for agent, clock in zip(agents, clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     team = _Team(env, scenario, world, agents, judges, sensor, liars)
-    inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
+    chasers = partial(_chasers, View(state, scenario.prune))
+    inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)
 
     def counts() -> "list[Event]":
         transported = network.transport_counts()
@@ -221,6 +223,20 @@ def _simulate(
         trace.append(event)
     assert end.event is not None
     trace.append(end.event)
+
+
+def _chasers(truth: View) -> list[int]:
+    """Return the pursuers that chase, those that would capture first first."""
+    chasing: defaultdict[int, list[int]] = defaultdict(list)
+    for pursuer, evader in enumerate(truth.state.profile):
+        if evader:
+            chasing[evader].append(pursuer)
+    times = [
+        (time, pursuer)
+        for evader, pursuers in chasing.items()
+        for time, pursuer in zip(truth.capture_times_of(pursuers, evader), pursuers, strict=True)
+    ]
+    return [pursuer for _, pursuer in sorted(times)]
 
 
 class _PursuerPositions(PositionSource):

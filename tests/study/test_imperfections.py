@@ -280,7 +280,7 @@ THERE = {
     "named": "latency, loss, serial decisions",
     "netem": "latency, loss, duplicates",
     "noisy": "latency, noise",
-    "properties": "latency, loss",
+    "properties": "latency, loss, faults",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",

@@ -70,6 +70,13 @@ class FaultSite(Protocol):
         """The number of nodes."""
         ...
 
+    def targets(self) -> Sequence[int]:
+        """Return the nodes that matter most now, the first one most; a network alone has none.
+
+        In a pursuit they are the pursuers that chase, those that would capture first first.
+        """
+        ...
+
     def begin(self, fault: "Fault") -> Undo:
         """Begin another fault as a part of this one; the trace records both."""
         ...

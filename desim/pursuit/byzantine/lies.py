@@ -30,6 +30,7 @@ from desim.pursuit.core.traits import AssumptionName
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
+from desim.pursuit.team.targeted_faults import TARGETED
 from desim.pursuit.team.trust import Accusation
 
 Said = Literal["truth", "chase", "stay", "opposite"]
@@ -353,8 +354,8 @@ class PursuerFaultTraits(FaultTraits):
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
 """The Byzantine faults."""
-PURSUER_FAULTS = OneOf(*FAULTS.models, *LIES, RandomLies, takes=PLANNED_WITH, traits=PursuerFaultTraits)
-"""The kinds of `[[fault]]` in a scenario: those of the network, and the Byzantine faults."""
+PURSUER_FAULTS = OneOf(*FAULTS.models, *TARGETED, *LIES, RandomLies, takes=PLANNED_WITH, traits=PursuerFaultTraits)
+"""The kinds of `[[fault]]` in a scenario: those of the network, of those that chase, and the Byzantine faults."""
 
 
 def is_lie(fault: object) -> TypeGuard[ByzantineFault | RandomLies]:

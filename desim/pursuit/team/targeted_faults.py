@@ -1,0 +1,74 @@
+"""Faults that look at the run: they concern whoever chases when they begin.
+
+A fault of a fixed pursuer seldom meets the one that matters. These find it, as the targeted faults of fault-injection
+tests of distributed systems do.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from desim.config.model import Flag
+from desim.kernel.models.faults import Crash, Fault, FaultSite, Partition, Undo
+
+
+class TargetedFault(Fault):
+    """Base of the faults of those that chase; without any at its start, a fault of this kind has no effect.
+
+    The trace has the fault, and what it does as a fault of its own.
+    """
+
+    chasers: Annotated[int, Field(ge=1, strict=True)] = 1
+    """The greatest number of pursuers that it concerns: those that would capture first.
+
+    If in doubt, 1: the relay pursuer.
+    """
+
+    def begin(self, site: FaultSite) -> Undo:
+        """Begin what the fault does to those that chase now."""
+        nodes = tuple(site.targets())[: self.chasers]
+        ends = [site.begin(fault) for fault in self.faults_of(nodes)] if nodes else []
+
+        def end() -> None:
+            for part_ends in ends:
+                part_ends()
+
+        return end
+
+    def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
+        """Return what the fault does to some pursuers, at least one."""
+        raise NotImplementedError
+
+
+class ChaserCrash(TargetedFault):
+    """Whoever chases crashes, and recovers if the crash ends."""
+
+    kind: Literal["chaser_crash"] = "chaser_crash"
+    scope: Literal["radio", "robot"] = "robot"
+    """radio: the pursuer neither sends nor receives; robot: it does not move or decide either."""
+    memory: Flag = True
+    """Whether it keeps its beliefs; see `Crash.memory`."""
+
+    breaks: ClassVar[frozenset[str]] = Crash.breaks
+
+    def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
+        """Return a crash of each."""
+        return [
+            Crash(start=self.start, end=self.end, node=node, scope=self.scope, memory=self.memory) for node in nodes
+        ]
+
+
+class ChaserCut(TargetedFault):
+    """Whoever chases is cut off: it goes on, but no message passes between it and the others."""
+
+    kind: Literal["chaser_cut"] = "chaser_cut"
+
+    breaks: ClassVar[frozenset[str]] = Partition.breaks
+
+    def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
+        """Return a partition that separates each from all others."""
+        return [Partition(start=self.start, end=self.end, groups=tuple((node,) for node in nodes))]
+
+
+TARGETED: tuple[type[TargetedFault], ...] = (ChaserCrash, ChaserCut)
+"""The faults of those that chase."""
