@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import simpy
 
@@ -15,6 +15,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import (
     Crash,
+    Delays,
     Fault,
     FaultEnded,
     FaultStarted,
@@ -159,6 +160,14 @@ class _Site:
             raise ValueError(f"block(is_blocked) should be given a function of two nodes (got {is_blocked!r})")
         check_call(is_blocked, ("src", "dst"), is_blocked)
         return partial(state.rejoin, state.block(is_blocked, self._cause))
+
+    def intercept(self, delays: Delays) -> Undo:
+        state, given = self._network.fault_state, cast("Any", delays)
+        if not callable(given):
+            expected = "a function of sender, receivers and body"
+            raise ValueError(f"intercept(delays) should be given {expected} (got {given!r})")
+        check_call(given, ("src", "receivers", "body"), given)
+        return partial(state.release, state.intercept(delays, self._cause))
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
         state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)

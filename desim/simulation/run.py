@@ -179,10 +179,11 @@ def _simulate(
     world = World(env, scenario, state, views, trace, end, sensor)
     if world.eavesdropper is not None:
         network.overhear(world.eavesdropper)
+    chasers = partial(_chasers, View(state, scenario.prune))
     lies = draw_lies(scenario.fault, state.size, scenario.horizon, seed)
     liars = None
     if lies:
-        liars = LyingTeam(env, network, views, seed, world.set_action, lies, trace)
+        liars = LyingTeam(env, network, views, seed, world.set_action, lies, chasers, trace)
     global_state = GlobalState(state, scenario.prune, world.set_action if liars is None else liars.set_action)
     step, voice = nanoseconds(scenario.motion.step), liars or network
     if scenario.protocol_traits.embodied:
@@ -197,7 +198,6 @@ def _simulate(
         for agent, clock in zip(agents, clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     team = _Team(env, scenario, world, agents, judges, sensor, liars)
-    chasers = partial(_chasers, View(state, scenario.prune))
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)
 
     def counts() -> "list[Event]":

@@ -418,12 +418,12 @@ def test_a_spoofed_report_to_a_server_is_a_report():
 
 def test_a_greater_share_contains_a_smaller_one():
     drawn = {
-        share: {one.node for one, _ in draw_lies([Silent(share=share, start=0.0)], 20, 5.0, 7)}
+        share: {lie.pursuer for lie in draw_lies([Silent(share=share, start=0.0)], 20, 5.0, 7)}
         for share in (0.0, 0.1, 0.25, 1.0)
     }
     assert [len(each) for each in drawn.values()] == [0, 2, 5, 20]
     assert drawn[0.1] < drawn[0.25] < drawn[1.0]
-    assert drawn[0.25] != {one.node for one, _ in draw_lies([Silent(share=0.25, start=0.0)], 20, 5.0, 8)}
+    assert drawn[0.25] != {lie.pursuer for lie in draw_lies([Silent(share=0.25, start=0.0)], 20, 5.0, 8)}
 
 
 def test_the_window_of_a_lie_is_in_the_trace():

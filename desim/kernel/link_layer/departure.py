@@ -76,4 +76,6 @@ class Departure:
         faults = self._fault_state
         if faults is not None and (apart := faults.separated(src, receivers)) is not None:
             causes |= {node: cause for node, cause in zip(receivers, apart, strict=True) if cause is not None}
+        if faults is not None:
+            causes |= faults.intercepted(transmission.number)
         return causes

@@ -165,6 +165,8 @@ class LinkLayer:
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )
         self._log.sent += len(receivers)
+        if self._fault_state is not None:
+            self._fault_state.note_sent(number, src, receivers, content.body)
         self._enqueue(transmission)
         if self._duplicates:
             self._enqueue_copy(transmission)
@@ -175,7 +177,10 @@ class LinkLayer:
         twice = self._sampler.duplicates(src, receivers, now, size)
         if twice:
             self._log.sent += len(twice)
-            self._enqueue(transmission._replace(number=next(self._numbers), receivers=twice))
+            number = next(self._numbers)
+            if self._fault_state is not None:
+                self._fault_state.note_sent(number, src, twice, transmission.content.body)
+            self._enqueue(transmission._replace(number=number, receivers=twice))
 
     def _process(self, transmission: Transmission) -> None:
         """Let the host of a sender process a transmission, which waits from now on."""
@@ -198,6 +203,8 @@ class LinkLayer:
         if not self._contends:
             self._log.start(transmission)
         arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
+        if self._fault_state is not None:
+            arrival = self._fault_state.delayed(transmission.number, receivers, arrival)
         causes = (
             self._departure.losses(transmission) if draws and (self._may_lose or not transmission.reachable) else {}
         )

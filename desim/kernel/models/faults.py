@@ -56,6 +56,8 @@ Undo = Callable[[], object]
 """A function that ends what a fault has begun."""
 Sketch = dict[str, Any]
 """JSON values from which a page draws a fault; see `Window.sketch`."""
+Delays = Callable[[int, Sequence[int], Any], Mapping[int, float]]
+"""A function of sender, receivers and body of a message; see `FaultSite.intercept`."""
 NO_NODES: NamedNodes = MappingProxyType({})
 
 
@@ -98,6 +100,14 @@ class FaultSite(Protocol):
 
         The answer must depend on the two nodes only, not on the time: while no fault begins or ends, the network
         decides arrivals in advance.
+        """
+        ...
+
+    def intercept(self, delays: "Delays") -> Undo:
+        """Lose or delay messages that are sent from now on, as `delays(src, receivers, body)` says.
+
+        It is called once for each broadcast or message, and returns the extra delay, s, at each receiver that is
+        concerned; inf: the message is lost there.
         """
         ...
 
@@ -295,6 +305,46 @@ class Jamming(Fault):
     def sketch(self) -> Sketch:
         """Return the disc."""
         return {"centre": list(self.centre), "radius": self.radius}
+
+
+class MessageFault(Fault):
+    """Some messages are lost, or arrive late: those with given numbers.
+
+    A message to one receiver has one number; a broadcast has as many as receivers, in the order of these. The first
+    message that is sent while the fault lasts has the number 1. In a run without chance, a number names one message.
+    """
+
+    kind: Literal["message_fault"] = "message_fault"
+    start: Time = 0.0
+    """Start time, s."""
+    messages: Annotated[tuple[Annotated[int, Field(ge=1, strict=True)], ...], FirstError(), NotEmpty()]
+    """The numbers of the messages, from 1 on."""
+    delay: Extent = inf
+    """The time by which they arrive late, s; inf = never.
+
+    If in doubt, inf. A time that is longer than a time-out of the protocol shows whether it takes old news for new.
+    """
+
+    def begin(self, site: FaultSite) -> Undo:
+        """Count the messages from now on, and intercept those that are meant."""
+        first = 1
+
+        def delays(_src: int, receivers: Sequence[int], _body: Any) -> Mapping[int, float]:
+            nonlocal first
+            numbers, first = range(first, first + len(receivers)), first + len(receivers)
+            meant = {number for number in self.messages if number in numbers}
+            return {node: self.delay for node, number in zip(receivers, numbers, strict=True) if number in meant}
+
+        return site.intercept(delays)
+
+    def sketch(self) -> Sketch:
+        """Return the numbers of the messages."""
+        return {"messages": list(self.messages)}
+
+    @property
+    def label(self) -> str:
+        """What becomes of the messages, and their numbers."""
+        return f"{'lost' if self.delay == inf else 'late'}: message {', '.join(map(str, sorted(self.messages)))}"
 
 
 class Misbehaviour(Window):
@@ -552,7 +602,7 @@ PLANNED_WITH = ("size", "horizon", "rng")
 """The arguments of a plan of faults."""
 MIN_FAULT_DURATION = 1e-6
 """Minimum duration of a drawn fault, s."""
-FAULTS = OneOf(*BUILT_IN, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
+FAULTS = OneOf(*BUILT_IN, MessageFault, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
 
 
 def is_skewed(faults: Iterable[object]) -> bool:

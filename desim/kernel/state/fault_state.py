@@ -6,14 +6,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import compress
 from math import inf
+from operator import index
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers
+from desim.config.python_numbers import real
 from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionFunction, as_position_source
+from desim.kernel.core.records import Arrival, per_receiver
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.faults import Delays
 
 
 class Cut(NamedTuple):
@@ -23,6 +28,14 @@ class Cut(NamedTuple):
     """Returns, for (k,) senders and (k,) receivers, whether messages between them are lost."""
     cause: Cause = "partition"
     """The cause of its losses."""
+
+
+class Interception(NamedTuple):
+    """A rule by which messages are lost or delayed."""
+
+    delays: Delays
+    """Returns, for a sender, receivers and a body, the extra delay, s, at each receiver concerned; inf: lost."""
+    cause: Cause
 
 
 Disc = tuple[tuple[float, float], float]
@@ -50,6 +63,9 @@ class FaultState:
         self._is_changing = False
         self._cuts: list[Cut] = []
         self._jams: list[tuple[Disc, Cause]] = []
+        self._interceptions: list[Interception] = []
+        self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
+        """By number of a transmission: the extra delay, s, and the cause at each receiver that is concerned."""
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -229,7 +245,59 @@ class FaultState:
         self._require_change()
         self._jams.remove((disc, cause))
 
+    def intercept(self, delays: Delays, cause: Cause) -> Interception:
+        """Lose or delay messages as a function says; return the interception, which `release` ends."""
+        self._require_change()
+        interception = Interception(delays, cause)
+        self._interceptions.append(interception)
+        return interception
+
+    def release(self, interception: Interception) -> None:
+        """End an interception, given what `intercept` returned; messages that it has delayed stay so."""
+        self._require_change()
+        self._interceptions = [active for active in self._interceptions if active is not interception]
+
+    def note_sent(self, number: int, src: int, receivers: list[int], body: Any) -> None:
+        """Let the interceptions decide about a transmission that was given to its sender's host.
+
+        Raises:
+            ValueError: if the function of an interception returns anything else than delays by receiver.
+        """
+        for delays, cause in self._interceptions:
+            answer: Any = delays(src, tuple(receivers), body)
+            for node, delay in _checked_delays(answer, receivers, delays).items():
+                before, _ = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
+                self._intercepted[number][node] = before + delay, cause
+
+    def intercepted(self, number: int) -> dict[int, Cause]:
+        """Return the receivers at which a transmission is lost by an interception, each with the cause."""
+        return {node: cause for node, (delay, cause) in self._intercepted.get(number, {}).items() if delay == inf}
+
+    def delayed(self, number: int, receivers: list[int], arrival: Arrival) -> Arrival:
+        """Return the arrival times of a transmission, ns, with the extra delays of interceptions."""
+        if number not in self._intercepted:
+            return arrival
+        late = self._intercepted[number]
+        return [
+            when + (nanoseconds(late[node][0]) if node in late and late[node][0] < inf else 0)
+            for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True)
+        ]
+
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""
         if self.is_planned and not self._is_changing:
             raise ValueError("faults were injected, so the faults cannot be changed otherwise")
+
+
+def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> Mapping[int, float]:
+    """Return what a function of an interception has answered; see `FaultState.intercept`."""
+    try:
+        checked = {index(node): real(delay, "an extra delay, in s,") for node, delay in answer.items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        expected = "the extra delay, s, by receiver, such as {3: 0.5}; inf: the message is lost there"
+        raise wrong_answer(f"delays(src, receivers, body) should return {expected}", answer, delays) from error
+    if wrong := [delay for delay in checked.values() if not delay >= 0.0]:
+        raise wrong_answer("an extra delay, in s, should be at least 0", wrong[0], delays)
+    if strange := [node for node in checked if node not in receivers]:
+        raise wrong_answer("delays(src, receivers, body) should name receivers of the message", strange[0], delays)
+    return checked

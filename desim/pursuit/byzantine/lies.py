@@ -10,14 +10,14 @@ from cmath import isfinite
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isnan
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeGuard, runtime_checkable
 
 import numpy as np
 from pydantic import model_validator
 
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
-from desim.config.model import Duration, Extent, FirstError, NotEmpty, Probability, Rate, Value
+from desim.config.model import Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
 from desim.config.python_numbers import real
 from desim.config.traits import kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
@@ -120,7 +120,10 @@ class ByzantineFault(Window):
     """Whether it needs the `history` of a speaker."""
 
     node: Node | None = None
-    """The number of the pursuer; give this or `share`."""
+    """The number of the pursuer; give this, `chaser` or `share`."""
+    chaser: Flag = False
+    """Whether it is the pursuer that chases when the fault begins: of several, the one that would capture first. It
+    gains most by a lie, as the others rely on it. Without any, the fault has no effect."""
     share: Probability | None = None
     """The share of the team, drawn at random per seed, in [0, 1]; a larger share contains the smaller ones."""
     acts: Literal["protocol", "stay"] = "protocol"
@@ -128,18 +131,17 @@ class ByzantineFault(Window):
 
     @model_validator(mode="after")
     def _names_pursuers(self) -> Self:
-        if (self.node is None) == (self.share is None):
-            raise ValueError("should have a node or a share of the team, and not both")
+        if (self.node is not None) + (self.share is not None) + self.chaser != 1:
+            raise ValueError("should have one of these: a node, chaser = true, or a share of the team")
         return self
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator["ByzantineFault"]:
         """Yield the fault itself."""
         yield self
 
-    def liars(self, size: int, rng: np.random.Generator) -> list[int]:
-        """Return the pursuers concerned, in a team of `size` pursuers."""
+    def liars(self, size: int, rng: np.random.Generator) -> Sequence[int | None]:
+        """Return the pursuers concerned, in a team of some size; None: one that is known when the fault begins."""
         if self.share is None:
-            assert self.node is not None
             return [self.node]
         drawn: list[int] = rng.permutation(size)[: round(self.share * size)].tolist()
         return sorted(drawn)
@@ -363,24 +365,33 @@ def is_lie(fault: object) -> TypeGuard[ByzantineFault | RandomLies]:
     return isinstance(fault, ByzantineFault | RandomLies)
 
 
-def draw_lies(
-    faults: Sequence[object], size: int, horizon: float, seed: int
-) -> list[tuple[Misbehaviour, ByzantineFault]]:
-    """Draw the Byzantine faults of a run: for each pursuer concerned, its misbehaviour and the model behind it.
+class Lie(NamedTuple):
+    """A Byzantine fault of one pursuer in a run."""
+
+    pursuer: int | None
+    """None: whoever chases when it begins."""
+    model: ByzantineFault
+    number: int
+    """Its number in the run, from 0 on."""
+
+    def misbehaviour(self, pursuer: int) -> Misbehaviour:
+        """Return the record of the fault in a trace, given the pursuer concerned."""
+        model = self.model
+        return Misbehaviour(node=pursuer, start=model.start, end=model.end, model=kind_of(model), number=self.number)
+
+
+def draw_lies(faults: Sequence[object], size: int, horizon: float, seed: int) -> list[Lie]:
+    """Draw the Byzantine faults of a run, one for each pursuer concerned.
 
     Each model has a random stream of its own; faults of the network are left out.
     """
-    drawn: list[tuple[Misbehaviour, ByzantineFault]] = []
+    drawn: list[Lie] = []
     for number, fault in enumerate(faults):
         if is_lie(fault):
             rng = stream(seed, "faults of word", number)
             for model in fault(size, horizon, rng):
                 if not isinstance(model, ByzantineFault):
                     raise wrong_answer("a plan of lies should return or yield Byzantine faults", model, fault)
-                kind = kind_of(model)
                 for pursuer in model.liars(size, rng):
-                    misbehaviour = Misbehaviour(
-                        node=pursuer, start=model.start, end=model.end, model=kind, number=len(drawn)
-                    )
-                    drawn.append((misbehaviour, model))
+                    drawn.append(Lie(pursuer, model, len(drawn)))
     return drawn

@@ -21,10 +21,11 @@ from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import FaultEnded, FaultStarted, Misbehaviour
+from desim.kernel.fault_injection import Targets
+from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import BestEffort, Transport
 from desim.kernel.network import Network
-from desim.pursuit.byzantine.lies import ByzantineFault, Speaker
+from desim.pursuit.byzantine.lies import ByzantineFault, Lie, Speaker
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
@@ -35,7 +36,6 @@ PORT = ReservedPort("forged announcements", __name__)
 """The port at which announcements arrive that are not broadcast in the name of their sender."""
 AS_PUBLISHED = BestEffort()
 """The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
-Lie = tuple[Misbehaviour, ByzantineFault]
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
 
@@ -59,6 +59,7 @@ class LyingTeam:
         seed: the seed of the run.
         set_action: sets the action of a pursuer in the world.
         lies: the Byzantine faults; see `desim.pursuit.byzantine.lies.draw_lies`.
+        targets: returns the pursuers that chase, those that would capture first first.
         trace: receives the events `FaultStarted` and `FaultEnded`.
     """
 
@@ -70,18 +71,18 @@ class LyingTeam:
         seed: int,
         set_action: SetAction,
         lies: Sequence[Lie],
+        targets: Targets,
         trace: Trace,
     ):
         self._env, self._network, self._views, self._trace = env, network, views, trace
         self._seed, self._set_action = seed, set_action
-        self._active: defaultdict[int, list[Lie]] = defaultdict(list)
-        self._rng = {fault.node: stream(seed, "words", fault.node) for fault, _ in lies}
-        replaying = {fault.node for fault, model in lies if model.reads_history}
+        self._targets = targets
+        self._active: defaultdict[int, list[ByzantineFault]] = defaultdict(list)
+        self._rng = {pursuer: stream(seed, "words", pursuer) for lie in lies for pursuer in self._possible(lie)}
+        replaying = {pursuer for lie in lies if lie.model.reads_history for pursuer in self._possible(lie)}
         self._history: dict[int, list[tuple[int, Any]]] = {pursuer: [] for pursuer in replaying}
         for lie in lies:
-            self._at(lie[0].start, partial(self._begin, lie))
-            if lie[0].end <= MAX_TIME:
-                self._at(lie[0].end, partial(self._end, lie))
+            self._at(lie.model.start, partial(self._begin, lie))
 
     # What the pursuers do.
 
@@ -134,7 +135,7 @@ class LyingTeam:
         """Return a function that sends the false accusations of a pursuer or, without any, calls `report`."""
 
         def act() -> None:
-            accusations = [model.accuses() for _, model in self._active[pursuer]]
+            accusations = [model.accuses() for model in self._active[pursuer]]
             accused = {
                 suspect for accusation in accusations if accusation is not None for suspect in accusation.accused
             }
@@ -157,14 +158,14 @@ class LyingTeam:
     def _says(self, src: int, body: Any) -> tuple[int, Any]:
         """Return what a pursuer announces in place of a body: in whose name, and the body."""
         name = src
-        for _, model in self._active[src]:
+        for model in self._active[src]:
             name, body = model.says(self._speaker(src), body)
         return name, body
 
     def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
         """Return each body that a pursuer announces, with the nodes that it tells so; None if all get the same."""
         linked = self._network.topology.linked(src)
-        told = (model.says_to(self._speaker(src), body, linked) for _, model in self._active[src])
+        told = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
         return next((versions for versions in told if versions is not None), None)
 
     def _messages(self, src: int, dst: int | None, body: Any) -> Iterator[_Version]:
@@ -213,25 +214,36 @@ class LyingTeam:
             self._history[src].append((self._env.now, as_sent(body)))
 
     def _is_silent(self, pursuer: int) -> bool:
-        return any(model.is_silent for _, model in self._active[pursuer])
+        return any(model.is_silent for model in self._active[pursuer])
 
     def _stays(self, pursuer: int) -> bool:
-        return any(model.acts == "stay" for _, model in self._active[pursuer])
+        return any(model.acts == "stay" for model in self._active[pursuer])
 
     def _drops(self, pursuer: int) -> bool:
-        return any(model.drops(self._speaker(pursuer)) for _, model in self._active[pursuer])
+        return any(model.drops(self._speaker(pursuer)) for model in self._active[pursuer])
 
     # When the faults begin and end.
 
     def _at(self, time: float, change: Callable[[simpy.Event], None]) -> None:
         Instant(self._env, nanoseconds(time), Phase.FAULT).callbacks.append(change)
 
-    def _begin(self, lie: Lie, _: simpy.Event) -> None:
-        self._trace.append(FaultStarted(self._env.now, lie[0]))
-        self._active[lie[0].node].append(lie)
-        if self._stays(lie[0].node) and self._views[lie[0].node].state.profile[lie[0].node]:
-            self._set_action(lie[0].node, 0)
+    def _possible(self, lie: Lie) -> Collection[int]:
+        """Return the pursuers that a fault may concern."""
+        return range(len(self._views)) if lie.pursuer is None else (lie.pursuer,)
 
-    def _end(self, lie: Lie, _: simpy.Event) -> None:
-        self._trace.append(FaultEnded(self._env.now, lie[0]))
-        self._active[lie[0].node].remove(lie)
+    def _begin(self, lie: Lie, _: simpy.Event) -> None:
+        pursuer = next(iter(self._targets()), None) if lie.pursuer is None else lie.pursuer
+        if pursuer is None:
+            return
+        misbehaviour = lie.misbehaviour(pursuer)
+        self._trace.append(FaultStarted(self._env.now, misbehaviour))
+        self._active[pursuer].append(lie.model)
+        if self._stays(pursuer) and self._views[pursuer].state.profile[pursuer]:
+            self._set_action(pursuer, 0)
+
+        def end(_: simpy.Event) -> None:
+            self._trace.append(FaultEnded(self._env.now, misbehaviour))
+            self._active[pursuer].remove(lie.model)
+
+        if misbehaviour.end <= MAX_TIME:
+            self._at(misbehaviour.end, end)

@@ -1,15 +1,18 @@
-"""Faults that look at the run: they concern whoever chases when they begin.
+"""Faults that look at the run: they concern whoever chases when they begin, or what is news.
 
 A fault of a fixed pursuer seldom meets the one that matters. These find it, as the targeted faults of fault-injection
 tests of distributed systems do.
 """
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from math import inf
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from desim.config.model import Flag
+from desim.config.model import Extent, Flag, Time
 from desim.kernel.models.faults import Crash, Fault, FaultSite, Partition, Undo
+from desim.pursuit.team.announcements import announced_action
 
 
 class TargetedFault(Fault):
@@ -70,5 +73,40 @@ class ChaserCut(TargetedFault):
         return [Partition(start=self.start, end=self.end, groups=tuple((node,) for node in nodes))]
 
 
-TARGETED: tuple[type[TargetedFault], ...] = (ChaserCrash, ChaserCut)
-"""The faults of those that chase."""
+class NewsFault(Fault):
+    """The first message after each change of its sender's action is lost, or arrives late; later ones are not."""
+
+    kind: Literal["news_fault"] = "news_fault"
+    start: Time = 0.0
+    """Start time, s."""
+    delay: Extent = inf
+    """The time by which it arrives late, s; inf = never.
+
+    If in doubt, inf; or some more than the time-out of beliefs (`announce.belief_timeout`).
+    """
+    changes: Annotated[int, Field(ge=1, strict=True)] | None = None
+    """The greatest number of changes that it concerns, of all pursuers together; None = all."""
+
+    def begin(self, site: FaultSite) -> Undo:
+        """Intercept the messages that are news."""
+        announced: dict[int, int] = {}
+        left = inf if self.changes is None else self.changes
+
+        def delays(src: int, receivers: Sequence[int], body: Any) -> Mapping[int, float]:
+            nonlocal left
+            action = announced_action(body)
+            if action is None or announced.get(src) == action:
+                return {}
+            announced[src], left = action, left - 1
+            return dict.fromkeys(receivers, self.delay) if left >= 0 else {}
+
+        return site.intercept(delays)
+
+    @property
+    def label(self) -> str:
+        """What becomes of the messages."""
+        return f"news {'lost' if self.delay == inf else 'late'}"
+
+
+TARGETED: tuple[type[Fault], ...] = (ChaserCrash, ChaserCut, NewsFault)
+"""The faults that look at the run."""

@@ -1,0 +1,90 @@
+"""The imperfections that a search adds to a scenario, each with values within bounds of its own."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from desim.scenario.scenario import Scenario
+
+Changes = dict[str, Any]
+"""New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
+Draw = Callable[[np.random.Generator, Scenario], Changes]
+SIZES = (3, 4, 5, 6, 8, 10, 12)
+"""The numbers of pursuers that a search tries."""
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a number, uniform on a logarithmic scale, with two digits."""
+    return float(f"{low * (high / low) ** rng.random():.2g}")
+
+
+def _window(rng: np.random.Generator, scenario: Scenario) -> Changes:
+    """Return the start and the end of a fault; half of them never end."""
+    start = _between(rng, 0.02, 0.5) * scenario.horizon
+    end = {"end": start + _between(rng, 0.02, 0.5) * scenario.horizon} if rng.random() < 0.5 else {}
+    return {"start": start} | end
+
+
+def _fault(kind: str, **more: Any) -> Draw:
+    return lambda rng, scenario: {"fault": {"kind": kind, **_window(rng, scenario), **more}}
+
+
+def _crash(rng: np.random.Generator, scenario: Scenario) -> Changes:
+    node = int(rng.integers(scenario.team.count))
+    return {"fault": {"kind": "crash", "node": node, "memory": bool(rng.integers(2)), **_window(rng, scenario)}}
+
+
+def _partition(rng: np.random.Generator, scenario: Scenario) -> Changes:
+    size = scenario.team.count
+    cut = sorted(rng.permutation(size)[: rng.integers(1, max(size, 2))].tolist())
+    return {"fault": {"kind": "partition", "groups": [cut], **_window(rng, scenario)}}
+
+
+FEATURES: Mapping[str, Draw] = MappingProxyType(
+    {
+        "team": lambda rng, _: {"team.count": int(rng.choice(SIZES))},
+        "latency": lambda rng, _: {"network.latency": _between(rng, 0.01, 1.0)},
+        "loss": lambda rng, _: {"network.loss": _between(rng, 0.01, 0.6)},
+        "duplicates": lambda rng, _: {"network.duplicate": _between(rng, 0.01, 0.5)},
+        "range": lambda rng, _: {"network.range": _between(rng, 3.0, 30.0)},
+        "silent start": lambda *_: {"announce.start": "silent"},
+        "heartbeat": lambda rng, _: {"announce.heartbeat": _between(rng, 0.05, 2.0)},
+        "changes only": lambda *_: {"announce.trigger": "change"},
+        "crash": _crash,
+        "partition": _partition,
+        "chaser crash": _fault("chaser_crash"),
+        "chaser cut": _fault("chaser_cut"),
+    }
+)
+"""The imperfections by name; each draws new values of keys."""
+
+
+def of_grid(grid: Mapping[str, Sequence[Any]]) -> Mapping[str, Draw]:
+    """Return features of a user: each key takes one of its values."""
+
+    def draw_of(key: str, values: Sequence[Any]) -> Draw:
+        return lambda rng, _: {key: values[int(rng.integers(len(values)))]}
+
+    return {key: draw_of(key, values) for key, values in grid.items()}
+
+
+def drawn(features: Mapping[str, Draw], rng: np.random.Generator, scenario: Scenario) -> dict[str, Changes]:
+    """Return a random case: the changes of each feature in it, by name.
+
+    Each feature is in it with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures need that another
+    feature is absent.
+    """
+    return {name: draw(rng, scenario) for name, draw in features.items() if rng.random() < 0.5}
+
+
+def applied(scenario: Scenario, case: Mapping[str, Changes]) -> Scenario:
+    """Return a scenario with the changes of a case; its own faults stay.
+
+    Raises:
+        ScenarioError: if the result would not be valid.
+    """
+    faults = [changes["fault"] for changes in case.values() if "fault" in changes]
+    others = {key: value for changes in case.values() for key, value in changes.items() if key != "fault"}
+    return scenario.with_(others | ({"fault": [*scenario.fault, *faults]} if faults else {}))
