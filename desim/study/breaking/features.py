@@ -10,6 +10,8 @@ from desim.scenario.scenario import Scenario
 
 Changes = dict[str, Any]
 """New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
+Case = dict[str, Changes]
+"""The changes of each feature of a case, by name."""
 Draw = Callable[[np.random.Generator, Scenario], Changes]
 SIZES = (3, 4, 5, 6, 8, 10, 12)
 """The numbers of pursuers that a search tries."""
@@ -24,7 +26,7 @@ def _window(rng: np.random.Generator, scenario: Scenario) -> Changes:
     """Return the start and the end of a fault; half of them never end."""
     start = _between(rng, 0.02, 0.5) * scenario.horizon
     end = {"end": start + _between(rng, 0.02, 0.5) * scenario.horizon} if rng.random() < 0.5 else {}
-    return {"start": start} | end
+    return {key: float(f"{time:.3g}") for key, time in ({"start": start} | end).items()}
 
 
 def _fault(kind: str, **more: Any) -> Draw:
@@ -42,6 +44,11 @@ def _partition(rng: np.random.Generator, scenario: Scenario) -> Changes:
     return {"fault": {"kind": "partition", "groups": [cut], **_window(rng, scenario)}}
 
 
+def _news(rng: np.random.Generator, scenario: Scenario) -> Changes:
+    delay = {"delay": _between(rng, 0.1, 5.0)} if rng.random() < 0.5 else {}
+    return {"fault": {"kind": "news_fault", **_window(rng, scenario), **delay}}
+
+
 FEATURES: Mapping[str, Draw] = MappingProxyType(
     {
         "team": lambda rng, _: {"team.count": int(rng.choice(SIZES))},
@@ -56,27 +63,59 @@ FEATURES: Mapping[str, Draw] = MappingProxyType(
         "partition": _partition,
         "chaser crash": _fault("chaser_crash"),
         "chaser cut": _fault("chaser_cut"),
+        "news fault": _news,
+        "chaser lies": _fault("liar", chaser=True, action="stay"),
     }
 )
-"""The imperfections by name; each draws new values of keys."""
+"""The imperfections by name; each draws new values of keys. "team" comes first: others name pursuers."""
 
 
-def of_grid(grid: Mapping[str, Sequence[Any]]) -> Mapping[str, Draw]:
-    """Return features of a user: each key takes one of its values."""
+def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[str, Draw]:
+    """Return features of a user: each key takes one of its values.
+
+    Raises:
+        ScenarioError: if the scenario takes none of the values of a key.
+    """
 
     def draw_of(key: str, values: Sequence[Any]) -> Draw:
         return lambda rng, _: {key: values[int(rng.integers(len(values)))]}
 
-    return {key: draw_of(key, values) for key, values in grid.items()}
+    for key, values in grid.items():
+        for value in values:
+            scenario.with_({key: value})
+    return {key: draw_of(key, [*values]) for key, values in grid.items()}
 
 
-def drawn(features: Mapping[str, Draw], rng: np.random.Generator, scenario: Scenario) -> dict[str, Changes]:
-    """Return a random case: the changes of each feature in it, by name.
+def drawn(
+    features: Mapping[str, Draw], rng: np.random.Generator, scenario: Scenario, parent: Case | None = None
+) -> Case:
+    """Return a random case.
 
     Each feature is in it with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures need that another
-    feature is absent.
+    feature is absent. A case with a parent differs from it in a third of the features.
     """
-    return {name: draw(rng, scenario) for name, draw in features.items() if rng.random() < 0.5}
+    case: Case = {}
+    for name, draw in features.items():
+        if parent is not None and rng.random() >= CHANGED:
+            if name in parent:
+                case[name] = parent[name]
+        elif rng.random() < 0.5:
+            case[name] = draw(rng, scenario)
+        if name == "team" and name in case:
+            scenario = scenario.with_(case[name]) if _takes(scenario, case[name]) else scenario
+    return case
+
+
+CHANGED = 1 / 3
+"""The share of the features in which a case differs from its parent."""
+
+
+def _takes(scenario: Scenario, changes: Changes) -> bool:
+    try:
+        scenario.with_(changes)
+    except ValueError:
+        return False
+    return True
 
 
 def applied(scenario: Scenario, case: Mapping[str, Changes]) -> Scenario:
@@ -88,3 +127,11 @@ def applied(scenario: Scenario, case: Mapping[str, Changes]) -> Scenario:
     faults = [changes["fault"] for changes in case.values() if "fault" in changes]
     others = {key: value for changes in case.values() for key, value in changes.items() if key != "fault"}
     return scenario.with_(others | ({"fault": [*scenario.fault, *faults]} if faults else {}))
+
+
+def changed_or_none(scenario: Scenario, case: Case) -> Scenario | None:
+    """Return a scenario with the changes of a case; None if the result would not be valid."""
+    try:
+        return applied(scenario, case)
+    except ValueError:
+        return None

@@ -1,45 +1,34 @@
-"""The search for a scenario in which a protocol violates a property, and for the smallest one of its kind.
+"""The search for a scenario in which a protocol violates a property."""
 
-As hypothesis does, it makes what it has found smaller as long as the *same* property stays violated, so that it does
-not slip to another failure.
-"""
-
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
 from math import inf
 from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge, stated, under_protocol
 from desim.config.arguments import scenario_argument
 from desim.kernel.core.seeds import run_seed, stream
-from desim.scenario.overrides import ScenarioError
 from desim.scenario.properties import CANNOT_FAIL, Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result, run
-from desim.study.breaking.features import FEATURES, SIZES, Changes, applied, drawn, of_grid
+from desim.study.breaking.case_log import CaseLog
+from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed_or_none, drawn, of_grid
+from desim.study.breaking.shrinking import SHRINKING, Tried, shrunk
+from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from desim.study.workers.dispatch import drive
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import workers_for
+from desim.study.workers.workers import Workers, workers_for
 
 GENERATION = 16
 """The number of cases that are run together, whatever the number of workers; of several violations the first counts."""
-SHRINKING = 60
-"""The greatest number of cases that are tried to make a found one smaller."""
+PARENTS = 4
+"""The number of cases with the least margins from which a guided search makes half of the next generation."""
 WITHOUT_WEIGHTS = "policy"
 """The protocol that is not compared: it is what its weights make of it."""
-Case = dict[str, Changes]
-"""The changes of each feature of a case, by name."""
-
-
-class Tried(NamedTuple):
-    """A case that was run."""
-
-    case: Case
-    seed: int
-    verdict: Judgement
 
 
 @dataclass(frozen=True)
@@ -60,11 +49,6 @@ class Violation:
     shrunk: int
     """The number of cases that were run to make it smaller."""
 
-    @property
-    def faults(self) -> int:
-        """The number of faults that were added."""
-        return sum("fault" in changes for changes in self.case.values())
-
     def protocols(self) -> dict[str, Judgement | str]:
         """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run."""
         verdicts: dict[str, Judgement | str] = {}
@@ -72,7 +56,7 @@ class Violation:
             if kind in (self.prop.against, WITHOUT_WEIGHTS):
                 continue
             try:
-                verdicts[kind] = judged(under_protocol(self.scenario, kind), self.seed, self.prop)
+                verdicts[kind] = judged(self.prop, under_protocol(self.scenario, kind), self.seed)
             except ValueError as error:
                 verdicts[kind] = str(error).splitlines()[0]
         return verdicts
@@ -87,28 +71,68 @@ class Search:
         runs: the number of cases that were run to find it.
         refused: the number of cases that make no valid scenario, and so were not run.
         margins: the margin of each case that was run, in order.
-        seen: how many of these cases had each feature.
+        featured: how many of these cases had each feature.
+        seen: in how many of these cases each of `SIGHTINGS` was seen.
+        stopped: whether the time was up before all cases were run.
     """
 
     violation: Violation | None = None
     runs: int = 0
     refused: int = 0
     margins: list[float] = field(default_factory=list)
-    seen: dict[str, int] = field(default_factory=dict)
+    featured: Counter[str] = field(default_factory=Counter)
+    seen: Counter[str] = field(default_factory=Counter)
+    stopped: bool = False
 
     @property
     def closest(self) -> float:
         """The least margin of all cases; inf without any."""
         return min(self.margins, default=inf)
 
+    def warnings(self, prop: Property) -> list[str]:
+        """Return what makes the result of the search say little."""
+        texts = [f"never seen: {sentence}" for sentence in SIGHTINGS if self.runs and not self.seen[sentence]]
+        if self.runs and self.violation is None and self.closest >= prop.bound > 0.0:
+            texts.append(f"no case came near the bound: the least margin is {self.closest:g} s, all of the limit")
+        return texts
 
-def judged(scenario: Scenario, seed: int, prop: Property) -> Judgement:
+
+class Planned(NamedTuple):
+    """A case that is to be run."""
+
+    case: Case
+    seed: int
+    scenario: Scenario
+
+
+class Sighted(NamedTuple):
+    """What a run of a case tells."""
+
+    verdict: Judgement
+    seen: list[str]
+
+
+def judged(prop: Property, scenario: Scenario, seed: int) -> Judgement:
     """Return the judgement of a run."""
     return judge(prop, run(recording(scenario, [prop]), seed))
 
 
-def _verdict(prop: Property, result: Result) -> Judgement:
-    return judge(prop, result)
+def _sighted(prop: Property, result: Result) -> Sighted:
+    return Sighted(judge(prop, result), seen_in(result))
+
+
+def checked_property(prop: Stated, scenario: Scenario) -> Property:
+    """Return the property that a text states, if a search for its violation makes sense.
+
+    Raises:
+        ValueError: if it does not fit the scenario or cannot fail, or the protocol is its own reference.
+    """
+    made = stated(prop, scenario)
+    if not made.can_fail(scenario):
+        raise ValueError(f"property {made.text!r} says nothing: {CANNOT_FAIL}")
+    if made.against == scenario.protocol_name:
+        raise ValueError(f"{made.against} is its own reference: a run never differs from itself")
+    return made
 
 
 def find_violation(
@@ -119,8 +143,11 @@ def find_violation(
     seed: int | None = None,
     vary: Mapping[str, Sequence[Any]] | None = None,
     features: Sequence[str] | None = None,
+    guided: bool = False,
     jobs: int = 0,
+    budget: float = inf,
     shrinking: int = SHRINKING,
+    log: CaseLog | None = None,
     on_case: Callable[[Tried], object] = lambda _: None,
 ) -> Search:
     """Search for a scenario in which the protocol of a scenario violates a property, and make it small.
@@ -137,9 +164,14 @@ def find_violation(
         seed: the root seed; None: that of the scenario.
         vary: further features: values by dotted key, of which a case takes one.
         features: the names of the built-in features that cases may have; None: all of `FEATURES`.
+        guided: whether half of the cases are made from those with the least margins up to now. If in doubt, False:
+            a margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
+        budget: the time, s of wall time, after which no further cases begin; with it, the result depends on the speed
+            of the machine.
         shrinking: the greatest number of cases to make a found one smaller.
-        on_case: called with each case that was run, in order.
+        log: what was run before, which is not run again; it receives what is run.
+        on_case: called with each case, in order.
 
     Raises:
         TypeError: if it is not a scenario.
@@ -147,117 +179,82 @@ def find_violation(
             or the protocol is its own reference.
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
-    prop = stated(prop, scenario)
-    if not prop.can_fail(scenario):
-        raise ValueError(f"property {prop.text!r} says nothing: {CANNOT_FAIL}")
-    if prop.against == scenario.protocol_name:
-        raise ValueError(f"{prop.against} is its own reference: a run never differs from itself")
+    prop = checked_property(prop, scenario)
     names = [*FEATURES] if features is None else [*features]
     if unknown := [name for name in names if name not in FEATURES]:
         raise ValueError(f"there is no feature {unknown[0]!r}; there are {', '.join(FEATURES)}")
-    kinds = {name: FEATURES[name] for name in names} | dict(of_grid(vary or {}))
+    kinds = {name: draw for name, draw in FEATURES.items() if name in names} | dict(of_grid(vary or {}, scenario))
     if not kinds:
         raise ValueError("a search needs a feature: give names of `features`, or values by key in `vary`")
-    root, search = scenario.seed if seed is None else seed, Search()
-    cases = islice(_cases(scenario, kinds, root, search), runs)
+    root, search, until = scenario.seed if seed is None else seed, Search(), time.monotonic() + budget
+    tried: list[Tried] = []
     with progress(runs, "search", "case") as bar, workers_for(jobs, min(runs, GENERATION)) as workers:
-        while search.violation is None and (generation := [*islice(cases, GENERATION)]):
-            tasks = [(recording(changed, [prop]), case_seed) for _, changed, case_seed in generation]
-            verdicts: list[Any] = [None] * len(tasks)
-            with closing(drive(tasks, workers, partial(_verdict, prop))) as outcomes:
-                for k, outcome in outcomes:
-                    if outcome.status != "ok":
-                        raise outcome.error or RuntimeError(outcome.traceback)
-                    verdicts[k] = outcome.value
-            for (case, _, case_seed), verdict in zip(generation, verdicts, strict=True):
+        while search.violation is None and search.runs < runs:
+            if time.monotonic() > until:
+                search.stopped = True
+                break
+            number = len(tried) + search.refused
+            parents = sorted(tried, key=lambda one: one.verdict.margin)[:PARENTS] if guided else []
+            drawn_cases = [
+                _planned(scenario, kinds, root, number + k, parents if k % 2 else [])
+                for k in range(min(GENERATION, runs - search.runs))
+            ]
+            generation = [planned for planned in drawn_cases if planned is not None]
+            search.refused += len(drawn_cases) - len(generation)
+            if search.refused > GENERATION * runs:
+                raise ValueError(f"{search.refused} cases made no valid scenario, and {search.runs} did")
+            for planned, (verdict, seen) in zip(generation, _run_all(prop, generation, workers, log), strict=True):
                 search.runs += 1
                 search.margins.append(verdict.margin)
-                for name in case:
-                    search.seen[name] = search.seen.get(name, 0) + 1
-                tried = Tried(case, case_seed, verdict)
-                on_case(tried)
+                search.featured.update(planned.case)
+                search.seen.update(seen)
+                tried.append(Tried(planned.case, planned.seed, verdict))
+                on_case(tried[-1])
                 advance(bar, 1)
                 if not verdict.holds:
-                    search.violation = _shrunk(scenario, prop, tried, search.runs, shrinking)
+                    search.violation = _smallest(scenario, prop, tried[-1], search.runs, shrinking)
                     break
     return search
 
 
-def _cases(
-    scenario: Scenario, features: Mapping[str, Any], root: int, search: Search
-) -> Iterator[tuple[Case, Scenario, int]]:
-    """Yield random cases, each with its scenario and its seed; count those that make no valid scenario."""
-    for k in range(run_seed(root, 0), run_seed(root + 1, 0)):
-        rng = stream(k, "break")
-        sized = scenario
-        case: Case = {}
-        if "team" in features and rng.random() < 0.5:  # before all features that name pursuers
-            case["team"] = features["team"](rng, scenario)
-            sized = _valid(scenario, case) or scenario
-        case |= drawn({name: draw for name, draw in features.items() if name != "team"}, rng, sized)
-        changed = _valid(scenario, case)
-        if changed is None:
-            search.refused += 1
-        else:
-            yield case, changed, k
+def _planned(
+    scenario: Scenario, features: Mapping[str, Draw], root: int, number: int, parents: Sequence[Tried]
+) -> Planned | None:
+    """Return the case with a number; None if it makes no valid scenario."""
+    seed = run_seed(root, number)
+    rng = stream(seed, "break")
+    parent = parents[int(rng.integers(len(parents)))] if parents else None
+    case = drawn(features, rng, scenario, None if parent is None else parent.case)
+    changed = changed_or_none(scenario, case)
+    return None if changed is None else Planned(case, seed if parent is None else parent.seed, changed)
 
 
-def _valid(scenario: Scenario, case: Case) -> Scenario | None:
-    """Return a scenario with the changes of a case; None if it would not be valid."""
-    try:
-        return applied(scenario, case)
-    except ScenarioError:
-        return None
+def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: CaseLog | None) -> list[Sighted]:
+    """Return what the run of each case tells, in order; those in the log are not run again.
 
-
-def _shrunk(scenario: Scenario, prop: Property, found: Tried, searched: int, budget: int) -> Violation:
-    """Return the smallest case that still violates the property, after a number of runs at most.
-
-    Each pass tries to leave out a feature, then fewer pursuers, a shorter horizon, and numbers with fewer digits;
-    another pass begins as long as one of them worked.
+    Raises:
+        BaseException: what a run raised.
     """
-    best, runs = found, 0
-    worked = True
-    while worked and runs < budget:
-        worked = False
-        for smaller in _smaller(scenario, best):
-            if runs == budget:
-                break
-            changed = _valid(scenario, smaller)
-            if changed is None:
-                continue
-            runs += 1
-            verdict = judged(changed, best.seed, prop)
-            if not verdict.holds:
-                best, worked = Tried(smaller, best.seed, verdict), True
-                break
-    return Violation(applied(scenario, best.case), best.seed, prop, best.verdict, best.case, found.case, searched, runs)
+    told: dict[int, Sighted] = {}
+    if log is not None:
+        for k, planned in enumerate(cases):
+            if (entry := log.find(planned.case, planned.seed)) is not None:
+                told[k] = Sighted(*entry)
+    missing = [k for k in range(len(cases)) if k not in told]
+    tasks = [(recording(cases[k].scenario, [prop]).with_({"record.messages": True}), cases[k].seed) for k in missing]
+    with closing(drive(tasks, workers, partial(_sighted, prop))) as outcomes:
+        for place, outcome in outcomes:
+            if outcome.status != "ok":
+                raise outcome.error or RuntimeError(outcome.traceback)
+            told[missing[place]] = outcome.value
+    if log is not None:
+        for k in missing:
+            log.add(cases[k].case, cases[k].seed, *told[k])
+    return [told[k] for k in range(len(cases))]
 
 
-def _smaller(scenario: Scenario, tried: Tried) -> Iterator[Case]:
-    """Yield cases that are simpler than one, the simplest first."""
-    case = tried.case
-    if len(case) > 1:
-        for name in case:
-            yield {other: changes for other, changes in case.items() if other != name}
-    changed = applied(scenario, case)
-    for size in SIZES:
-        if size < changed.team.count:
-            yield case | {"team": {"team.count": size}}
-    for share in (0.25, 0.5, 0.75):
-        horizon = float(f"{share * changed.horizon:.2g}")
-        if horizon > tried.verdict.at:
-            yield case | {"horizon": {"horizon": horizon}}
-    for name, changes in case.items():
-        for digits in (1, 2):
-            if (rounded := _rounded(changes, digits)) != changes:
-                yield case | {name: rounded}
-        if "end" in changes.get("fault", {}):
-            yield case | {name: {"fault": {key: value for key, value in changes["fault"].items() if key != "end"}}}
-
-
-def _rounded(value: Any, digits: int) -> Any:
-    """Return a value whose numbers have at most some digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(entry, digits) for key, entry in value.items()}
-    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+def _smallest(scenario: Scenario, prop: Property, found: Tried, searched: int, budget: int) -> Violation:
+    """Return the smallest violation of the kind of one."""
+    best, runs = shrunk(scenario, found, partial(judged, prop), budget)
+    changed = applied(scenario, best.case)
+    return Violation(changed, best.seed, prop, best.verdict, best.case, found.case, searched, runs)

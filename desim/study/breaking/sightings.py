@@ -1,0 +1,67 @@
+"""What the runs of a search have seen: a search that never met a handover or a lost message has tried nothing.
+
+The idea is that of "sometimes" assertions, which tell whether a test has reached the states that matter.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from desim.analysis.activity import handovers, idle_time, relays
+from desim.analysis.trace_index import captures, messages, trace_index
+from desim.kernel.core.events import LOST
+from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.pursuit.core.events import Decided, Started
+from desim.simulation.run import Result
+from desim.study.breaking.copies import copies, looks, read_in_time
+
+
+def _faults(result: Result) -> list[tuple[int, float, object]]:
+    """Return the begin and the end of each fault, ns, and the fault."""
+    ends = [(event.t, event.fault) for event in result.trace.of(FaultEnded)]
+    return [
+        (event.t, next((t for t, fault in ends if fault == event.fault and t >= event.t), float("inf")), event.fault)
+        for event in result.trace.of(FaultStarted)
+    ]
+
+
+def _handed_over_during_a_fault(result: Result) -> bool:
+    windows = [(begin, end) for begin, end, _ in _faults(result)]
+    evaders = range(1, len(result.scenario.evaders) + 1)
+    times = [start for evader in evaders for start, _ in relays(result, evader)[1:]]
+    return any(begin <= t <= end for t in times for begin, end in windows)
+
+
+def _chaser_down(result: Result) -> bool:
+    (start,) = result.trace.of(Started)
+    actions = [*start.active]
+    for event in result.trace:
+        if isinstance(event, Decided):
+            actions[event.pursuer] = event.active
+        elif isinstance(event, FaultStarted) and isinstance(event.fault, Crash) and actions[event.fault.node]:
+            return True
+    return False
+
+
+def _lost_at_a_look(result: Result) -> bool:
+    return any(is_read and copy.arrival == LOST for copy, is_read in read_in_time(copies(result), looks(result)))
+
+
+SIGHTINGS: Mapping[str, Callable[[Result], bool]] = MappingProxyType(
+    {
+        "an evader was captured": lambda result: bool(captures(result)),
+        "a chase was handed over": lambda result: handovers(result) > 0,
+        "an evader was not chased": lambda result: idle_time(result) > 0.0,
+        "a message was lost": lambda result: messages(result).lost > 0,
+        "a message was lost that its receiver would have read": _lost_at_a_look,
+        "a fault began": lambda result: bool(result.trace.of(FaultStarted)),
+        "a pursuer that chased crashed": _chaser_down,
+        "a chase was handed over during a fault": _handed_over_during_a_fault,
+    }
+)
+"""What is looked for in each run, by a sentence."""
+
+
+def seen_in(result: Result) -> list[str]:
+    """Return what was seen in a run; its messages must be in its trace."""
+    result = trace_index(result)
+    return [sentence for sentence, holds in SIGHTINGS.items() if holds(result)]
