@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from desim.kernel.models.faults import Crash as Crash
     from desim.kernel.models.faults import Fault as Fault
     from desim.kernel.models.faults import Jamming as Jamming
+    from desim.kernel.models.faults import MessageFault as MessageFault
     from desim.kernel.models.faults import Partition as Partition
     from desim.kernel.models.faults import RandomCrashes as RandomCrashes
     from desim.kernel.models.faults import RandomFaults as RandomFaults
@@ -137,6 +138,8 @@ if TYPE_CHECKING:
     from desim.simulation.run import Result as Result
     from desim.simulation.run import run as run
     from desim.study.ablation.explain import explain as explain
+    from desim.study.breaking.losses import fatal_losses as fatal_losses
+    from desim.study.breaking.search import find_violation as find_violation
     from desim.study.sweeps.folder import compare as compare
     from desim.study.sweeps.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweeps.listing import ls as ls

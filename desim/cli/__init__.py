@@ -9,6 +9,7 @@ import sys
 import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
+from desim.cli.breaking import break_
 from desim.cli.compare import compare, crossover, ls
 from desim.cli.explain import explain
 from desim.cli.export import export
@@ -36,6 +37,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         sweep: "Run each configuration of a grid with many seeds; resumes.",
         fates: "Send the messages of a log over the network of a scenario.",
         explain: "Measure what each imperfection of the network costs.",
+        break_: "Search for the smallest scenario that breaks a protocol.",
         merge: "Merge the runs of several stores of one sweep.",
     },
     "Look": {

@@ -14,6 +14,7 @@ import tomli_w
 from desim.config.arguments import Argument
 from desim.config.errors import KeyPath, Problem
 from desim.config.own_modules import CodeName
+from desim.config.traits import kind_of
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.examples import examples
 from desim.scenario.overrides import ScenarioError, Source
@@ -190,6 +191,35 @@ def dump(scenario: Scenario) -> str:
     text = tomli_w.dumps(tables)
     # A reader of TOML changes the line ends \r\n of a text that is written in several lines.
     return text if "\\r" in text else tomli_w.dumps(tables, multiline_strings=True)
+
+
+def brief(scenario: Scenario, **texts: Any) -> str:
+    """Return a scenario as TOML without the keys that have their defaults; `texts` replace the values of keys."""
+    tables = _differing(scenario.model_dump(exclude_none=True), Scenario().model_dump(exclude_none=True))
+    if scenario.fault:
+        tables["fault"] = [
+            {"kind": kind_of(fault)} | fault.model_dump(exclude_defaults=True, exclude_none=True)
+            for fault in scenario.fault
+        ]
+    tables |= texts
+    try:
+        same = validate(Source("", tables, Scenario)) == scenario
+    except ScenarioError:  # files of the scenario are looked up elsewhere, or it names code
+        same = False
+    return tomli_w.dumps(tables) if same else dump(scenario)
+
+
+def _differing(tables: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys whose values differ from the defaults; a table of another kind is kept whole."""
+    differing: dict[str, Any] = {}
+    for key, value in tables.items():
+        default = defaults.get(key)
+        if key in defaults and value == default:
+            continue
+        is_alike = isinstance(value, dict) and isinstance(default, dict) and value.get("kind") == default.get("kind")
+        kind = {"kind": value["kind"]} if is_alike and "kind" in value else {}
+        differing[key] = kind | _differing(value, default) if is_alike else value  # type: ignore[arg-type]
+    return differing
 
 
 def _read_text(file: Path) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 
 Changes = dict[str, Any]
@@ -82,7 +83,10 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
 
     for key, values in grid.items():
         for value in values:
-            scenario.with_({key: value})
+            try:
+                scenario.with_({key: value})
+            except ScenarioError as error:
+                raise ScenarioError(*(problem._replace(where="vary") for problem in problems_of(error))) from None
     return {key: draw_of(key, [*values]) for key, values in grid.items()}
 
 

@@ -206,7 +206,7 @@ def find_violation(
             for planned, (verdict, seen) in zip(generation, _run_all(prop, generation, workers, log), strict=True):
                 search.runs += 1
                 search.margins.append(verdict.margin)
-                search.featured.update(planned.case)
+                search.featured.update([*planned.case])
                 search.seen.update(seen)
                 tried.append(Tried(planned.case, planned.seed, verdict))
                 on_case(tried[-1])

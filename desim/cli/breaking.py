@@ -1,0 +1,271 @@
+"""`desim break`: the search for what breaks a protocol."""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from desim.cli.options import (
+    ALLOW_IMPORT,
+    FILE,
+    GRID,
+    JOBS,
+    JSON,
+    SEED,
+    SET,
+    echo,
+    fail,
+    folder_for,
+    limited,
+    make_folder,
+    source_of,
+    storing,
+    write,
+)
+from desim.config.trust import write_whole
+
+if TYPE_CHECKING:
+    from desim.scenario.properties import Property
+    from desim.scenario.scenario import Scenario
+    from desim.study.breaking.losses import LossTable
+    from desim.study.breaking.search import Search
+
+VIOLATED = 4
+"""Exit code if a violation was found."""
+BEFORE = 0.1
+"""Begin of the space-time diagram before the moment of the violation, s."""
+
+
+@click.command("break")
+@FILE
+@click.option(
+    "--property",
+    "text",
+    metavar="TEXT",
+    help='What should hold, such as "idle at most 2 in total against centralised", or the name of a property of the'
+    " file; default: the first one of the file.",
+)
+@click.option("--protocol", metavar="KIND", help="The protocol to break; default: that of the file.")
+@click.option("-n", "--runs", type=click.IntRange(1, 100_000), default=200, show_default=True, help="Cases to run.")
+@click.option("--feature", "features", multiple=True, metavar="NAME", help="A feature of cases; default: all.")
+@click.option("--guided", is_flag=True, help="Make half of the cases from those with the least margins up to now.")
+@click.option(
+    "--losses",
+    type=click.IntRange(1, 4),
+    metavar="K",
+    help="Instead of random cases, try all choices of at most K lost messages.",
+)
+@click.option("--delay", type=float, metavar="SECONDS", help="With --losses: the messages arrive late instead.")
+@click.option("--seeds", type=click.IntRange(1, 1000), default=1, show_default=True, help="With --losses: seeds.")
+@click.option("--budget", type=float, metavar="SECONDS", help="Begin no further cases after this wall time.")
+@click.option(
+    "--keep",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="A folder of found cases: they are run first, and what is found is added.",
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/break.")
+@GRID
+@SEED
+@JOBS
+@limited
+@JSON
+@ALLOW_IMPORT
+@SET
+def break_(
+    file: Path,
+    text: str | None,
+    protocol: str | None,
+    runs: int,
+    features: tuple[str, ...],
+    guided: bool,
+    losses: int | None,
+    delay: float | None,
+    seeds: int,
+    budget: float | None,
+    keep: Path | None,
+    out: Path | None,
+    grid: tuple[str, ...],
+    seed: int | None,
+    jobs: int,
+    as_json: bool,
+    overrides: tuple[str, ...],
+) -> None:
+    """Search for the smallest scenario in which a protocol violates a property. Resumes.
+
+    Faults and other imperfections are added to the scenario at random; -g adds further keys.
+    """
+    from math import inf
+
+    from desim.study.breaking.case_log import FILE as CASES
+    from desim.study.breaking.case_log import CaseLog
+    from desim.study.breaking.losses import fatal_losses
+    from desim.study.breaking.search import checked_property, find_violation
+    from desim.study.workers.batch import seeds_from
+
+    _, scenario = source_of(file, overrides, grid=grid)
+    folder = folder_for(scenario, None) / "break" if out is None else out
+    make_folder(folder)
+    try:
+        scenario = scenario if protocol is None else scenario.with_({"protocol": protocol})
+        prop = checked_property(_stated(text, scenario), scenario)
+        if keep is not None:
+            _run_kept(keep, scenario, prop)
+        with storing(folder):
+            if losses is not None:
+                root = scenario.seed if seed is None else seed
+                table = fatal_losses(
+                    scenario,
+                    prop,
+                    most=losses,
+                    seeds=[root] if seeds == 1 else seeds_from(root, seeds),
+                    delay=inf if delay is None else delay,
+                    jobs=jobs,
+                )
+                _end_with_losses(table, scenario, prop, folder, as_json=as_json)
+            search = find_violation(
+                scenario,
+                prop,
+                runs=runs,
+                seed=seed,
+                vary={setting.partition("=")[0]: scenario.sweep.grid[setting.partition("=")[0]] for setting in grid},
+                features=list(features) or None,
+                guided=guided,
+                jobs=jobs,
+                budget=inf if budget is None else budget,
+                log=CaseLog(folder / CASES, scenario, prop),
+            )
+            _end_with_search(search, prop, folder, keep, as_json=as_json)
+    except ValueError as error:
+        fail(str(error))
+
+
+def _stated(text: str | None, scenario: "Scenario") -> "Property | str":
+    """Return the property that is meant: one of the scenario, by its name or the first, or the text of another.
+
+    Raises:
+        ValueError: if none is given.
+    """
+    named: dict[str, Property] = {prop.label: prop for prop in scenario.properties}
+    if text is None:
+        if not named:
+            example = '--property "idle at most 2 in total against centralised"'
+            raise ValueError(f"the scenario has no properties: give one, for instance {example}")
+        return next(iter(named.values()))
+    return named.get(text, text)
+
+
+def _run_kept(keep: Path, scenario: "Scenario", prop: "Property") -> None:
+    """Run the kept cases of a protocol and a property, and end the program if one is still violated."""
+    from desim.study.breaking.found import judgement_text
+    from desim.study.breaking.search import judged
+
+    for file in sorted(keep.glob("*.toml")):
+        _, case = source_of(file, ())
+        if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
+            continue
+        verdict = judged(prop, case, case.seed)
+        echo(f"kept: {file}: {'holds' if verdict.holds else 'violates'}: {judgement_text(verdict, prop)}")
+        if not verdict.holds:
+            echo("nothing else was searched: mend it, or move the file away")
+            sys.exit(VIOLATED)
+
+
+def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Path | None, *, as_json: bool) -> NoReturn:
+    """Print and write what a search has found, and end the program."""
+    from desim.study.breaking.found import protocols_text, scenario_text, search_text
+
+    violation = search.violation
+    texts = [search_text(search, prop)]
+    found: dict[str, Any] = {"property": prop.text, "runs": search.runs, "seen": search.seen, "violation": None}
+    if violation is not None:
+        smallest = folder / "smallest.toml"
+        text = scenario_text(violation, str(smallest), shlex.join(["desim", *sys.argv[1:]]))
+        write(text.encode(), smallest)
+        if keep is not None:
+            name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
+            write(text.encode(), keep / name)
+        verdicts = violation.protocols()
+        texts += [
+            "",
+            protocols_text(verdicts, prop),
+            "",
+            _drawn(violation.scenario, violation.seed, folder, violation.verdict.at),
+        ]
+        found["violation"] = {
+            "seed": violation.seed,
+            "case": violation.case,
+            "first": violation.first,
+            "searched": violation.searched,
+            "shrunk": violation.shrunk,
+            "verdict": violation.verdict._asdict(),
+            "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
+            "file": str(smallest),
+        }
+    _finish(found, "\n".join(texts), folder, as_json=as_json)
+    sys.exit(0 if violation is None else VIOLATED)
+
+
+def _end_with_losses(
+    table: "LossTable", scenario: "Scenario", prop: "Property", folder: Path, *, as_json: bool
+) -> NoReturn:
+    """Print and write which lost messages are fatal, and end the program."""
+    from desim.study.breaking.found import judgement_text, with_comment
+
+    texts = [table.text()]
+    if table.fatal:
+        worst = min(table.fatal, key=lambda fatal: fatal.verdict.margin)
+        broken = scenario.with_({"fault": [*scenario.fault, worst.fault]})
+        lines = [
+            f'{scenario.protocol_name} violates "{prop.text}" if these are lost:',
+            *(f"  {copy}" for copy in worst.messages),
+            f"{judgement_text(worst.verdict, prop)}",
+        ]
+        write(with_comment(broken, prop, worst.seed, lines).encode(), folder / "smallest.toml")
+        texts += ["", _drawn(broken, worst.seed, folder, worst.verdict.at)]
+    found = {
+        "property": prop.text,
+        "most": table.most,
+        "seeds": table.seeds,
+        "runs": table.runs,
+        "skipped": table.skipped,
+        "messages": table.messages,
+        "violated_without_losses": table.broken,
+        "fatal": [
+            {"seed": seed, "messages": [copy._asdict() for copy in copies], "verdict": verdict._asdict()}
+            for seed, copies, verdict in table.fatal
+        ],
+    }
+    _finish(found, "\n".join(texts), folder, as_json=as_json)
+    sys.exit(VIOLATED if table.fatal or table.broken else 0)
+
+
+def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float) -> str:
+    """Write the replay and the space-time diagram of a run; return where they are, as text."""
+    from desim.results.run_folder import can_plot
+    from desim.simulation.run import run
+    from desim.view.pages.replay import replay_page
+
+    result = run(scenario.with_({"record.messages": True}), seed)
+    write(replay_page(result).encode(), folder / "smallest.html")
+    texts = [f"scenario: {folder / 'smallest.toml'}", f"replay:   {folder / 'smallest.html'}#t={at:g}"]
+    if can_plot():
+        from desim.analysis.drawing.plots import save
+        from desim.view.pictures.spacetime import spacetime
+
+        pictures = save(spacetime(result, begin=max(at - BEFORE, 0.0)), folder / "smallest")
+        texts += [f"picture:  {picture}" for picture in pictures[:1]]
+    return "\n".join(texts)
+
+
+def _finish(found: "dict[str, Any]", text: str, folder: Path, *, as_json: bool) -> None:
+    """Print what was found, and write it to the folder."""
+    from desim.config.json_numbers import to_json
+
+    document = json.dumps(to_json(found), indent=2)
+    write_whole(folder / "break.json", f"{document}\n".encode())
+    write_whole(folder / "break.txt", f"{text}\n".encode())
+    echo(document if as_json else text)

@@ -1,0 +1,105 @@
+"""What a search has found, for people: the scenario as a file with comments, and texts."""
+
+import shlex
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from desim.analysis.properties import Judgement
+from desim.scenario.properties import Property
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import brief
+from desim.study.breaking.features import Case
+from desim.study.breaking.search import Search, Violation
+from desim.study.breaking.sightings import SIGHTINGS
+
+
+def scenario_text(violation: Violation, file: str, command: str) -> str:
+    """Return the scenario of a violation as a commented file, with its seed and its property.
+
+    Args:
+        violation: the violation.
+        file: the name of the file, for the commands in its comments.
+        command: the command that found it.
+    """
+    verdict, prop = violation.verdict, violation.prop
+    lines = [
+        f'{violation.scenario.protocol_name} violates "{prop.text}" here: {judgement_text(verdict, prop)}.',
+        f"Found as case {violation.searched} of: {command}",
+        f"Made smaller in {violation.shrunk} runs. What is changed:",
+        *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
+        f"Look: desim replay {shlex.quote(file)}, then add #t={verdict.at:g} to the address",
+    ]
+    return with_comment(violation.scenario, prop, violation.seed, lines)
+
+
+def with_comment(scenario: Scenario, prop: Property, seed: int, lines: Iterable[str]) -> str:
+    """Return a scenario with a property and a seed as the text of a file that begins with a comment."""
+    margin = f"margin:{prop.label}"
+    plain = scenario.with_({"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]})
+    return "".join(f"# {line}\n" for line in lines) + "\n" + brief(plain, properties=[prop.text])
+
+
+def _flat(changes: Mapping[str, Any]) -> str:
+    def text(value: Any) -> str:
+        if isinstance(value, dict):
+            return "{ " + ", ".join(f"{key} = {text(entry)}" for key, entry in value.items()) + " }"
+        if isinstance(value, list):
+            return "[" + ", ".join(map(text, value)) + "]"
+        return tomli_w.dumps({"x": value}).removeprefix("x = ").strip()
+
+    return ", ".join(f"{key} = {text(value)}" for key, value in changes.items())
+
+
+def case_text(case: Case) -> str:
+    """Return the changes of a case on one line."""
+    return "; ".join(_flat(changes) for changes in case.values()) or "nothing changed"
+
+
+def judgement_text(verdict: Judgement, prop: Property) -> str:
+    """Return a judgement as text."""
+    unit = f" {prop.unit}" if prop.unit else ""
+    against = "" if verdict.reference is None else f", {prop.against} {_number(verdict.reference)}{unit}"
+    return f"margin {_number(verdict.margin)}{unit} (it has {_number(verdict.measure)}{unit}{against})"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def protocols_text(verdicts: Mapping[str, Judgement | str], prop: Property) -> str:
+    """Return a table of what every protocol does, the worst first."""
+    unit = f", {prop.unit}" if prop.unit else ""
+    lines = [f"{'protocol':<28}{'margin' + unit:>10}{'measure' + unit:>12}"]
+    judged = {kind: verdict for kind, verdict in verdicts.items() if isinstance(verdict, Judgement)}
+    for kind, verdict in sorted(judged.items(), key=lambda pair: (pair[1].margin, pair[0])):
+        mark = "" if verdict.holds else "  violates"
+        lines.append(f"{kind:<28}{_number(verdict.margin):>10}{_number(verdict.measure):>12}{mark}")
+    return "\n".join([*lines, *(f"{kind:<28}{why}" for kind, why in verdicts.items() if isinstance(why, str))])
+
+
+def search_text(search: Search, prop: Property) -> str:
+    """Return what a search has found and what it has seen."""
+    lines: list[str] = []
+    if (violation := search.violation) is not None:
+        lines += [
+            f"violated in case {violation.searched}: seed {violation.seed}, {judgement_text(violation.verdict, prop)}",
+            f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
+        ]
+    else:
+        lines.append(f"no violation in {search.runs:,} cases; the least margin is {_number(search.closest)}")
+    if search.stopped:
+        lines.append("the time was up before all cases were run")
+    if search.refused:
+        lines.append(f"{search.refused:,} cases made no valid scenario, and were not run")
+    lines += ["", f"of {search.runs:,} cases:"]
+    lines += [f"  {search.seen[sentence]:>5}  {sentence}" for sentence in SIGHTINGS]
+    lines += [f"  {count:>5}  with {name}" for name, count in sorted(search.featured.items())]
+    return "\n".join([*lines, *(f"warning: {text}" for text in search.warnings(prop))])
+
+
+def kept(folder: Path) -> list[Path]:
+    """Return the scenario files of a folder of found cases, sorted by name."""
+    return sorted(folder.glob("*.toml"))
