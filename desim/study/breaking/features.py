@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.errors import problems_of
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 
