@@ -39,6 +39,7 @@ NEEDED: dict[str, dict[str, Any]] = {
     "LimitedTime": {"condition": "idle", "limit": 2.0},
     "Link": {"src": 0, "dst": 1, "latency": 0.5},
     "LossTrace": {"table": TABLE},
+    "MessageFault": {"messages": [1]},
     "Misbehaviour": {"start": 1.0, "node": 0, "model": "liar", "number": 0},
     "NeverLonger": {"condition": "idle", "limit": 2.0},
     "Partition": {"start": 1.0, "groups": [[0, 1], [2]]},

@@ -1,13 +1,17 @@
 """Faults that look at the run concern whoever chases when they begin."""
 
+from math import inf, nan
+from typing import Any
+
 import pytest
 
-from desim import Announcements, Links, Scenario, Team, judge, load, run
+from desim import Announcements, Fault, Liar, Links, MessageFault, Scenario, Team, judge, load, run
 from desim.analysis.metrics import active_time
-from desim.kernel.core.events import Lost
+from desim.kernel.core.events import LOST, Broadcast, Lost
 from desim.kernel.models.faults import Crash, CustomFault, FaultEnded, FaultStarted, Partition
+from desim.pursuit.byzantine.lies import ReplayAttack
 from desim.pursuit.core.events import Decided
-from desim.pursuit.team.targeted_faults import ChaserCrash, ChaserCut
+from desim.pursuit.team.targeted_faults import ChaserCrash, ChaserCut, NewsFault
 from desim.scenario.scenario import Recording
 from scenarios.studies.study import SCENARIOS
 
@@ -78,6 +82,89 @@ def test_the_crash_of_the_chaser_leaves_teams_idle_that_believe_it_to_chase(prot
     margins = [judge(prop, run(game.model_copy(update={"fault": (fault,)}), 4)).margin for fault in (crash, other)]
     assert margins[0] < -20.0
     assert margins[1] >= 0.0
+
+
+def heard(fault, **more):
+    """Return (src, sent, action, arrivals) of each broadcast of a run with a fault."""
+    result = run(GAME.model_copy(update={"fault": fault, "horizon": 3.0, **more}), 3)
+    return [(sent.src, sent.created, sent.body.active, sent.arrival) for sent in result.trace.of(Broadcast)]
+
+
+@pytest.mark.parametrize("delay", [inf, 0.5])
+def test_the_first_message_after_each_change_of_action_is_lost_or_late(delay):
+    last, news = {}, 0
+    for src, created, action, arrival in heard((NewsFault(start=1.0, delay=delay),)):
+        if created >= 1_000_000_000:
+            is_news = last.get(src) != action
+            late = LOST if delay == inf else created + 600_000_000
+            assert {*arrival} == {late if is_news else created + 100_000_000}
+            last[src], news = action, news + is_news
+    assert news >= 5
+
+
+def test_the_number_of_changes_is_bounded():
+    lost = [src for src, _, _, arrival in heard((NewsFault(changes=2),)) if {*arrival} == {LOST}]
+    assert len(lost) == 2
+
+
+def test_a_liar_may_be_the_pursuer_that_chases():
+    """With seed 3 it is the last one, after a second."""
+    lie = {"start": 2.0, "end": 4.0, "action": "stay"}
+    chosen = run(GAME.model_copy(update={"fault": (Liar(chaser=True, **lie),)}), 3)
+    assert [*chosen.trace] == [*run(GAME.model_copy(update={"fault": (Liar(node=4, **lie),)}), 3).trace]
+    assert [*chosen.trace] != [*run(GAME.model_copy(update={"fault": (Liar(node=3, **lie),)}), 3).trace]
+    old = ReplayAttack(chaser=True, start=2.0, end=4.0, delay=1.5)
+    fixed = ReplayAttack(node=4, start=2.0, end=4.0, delay=1.5)
+    traces = [[*run(GAME.model_copy(update={"fault": (fault,)}), 3).trace] for fault in (old, fixed)]
+    assert traces[0] == traces[1]
+    idle = {"protocol": lambda me: iter(()), "team": Team(count=5, active_at_start=0.0)}
+    assert not run(GAME.model_copy(update={"fault": (Liar(chaser=True, **lie),), **idle}), 3).trace.of(FaultStarted)
+
+
+@pytest.mark.parametrize("named", [{}, {"node": 1, "chaser": True}, {"node": 1, "share": 0.5}])
+def test_a_liar_is_named_in_one_way(named):
+    with pytest.raises(ValueError, match="should have one of these: a node, chaser = true, or a share of the team"):
+        Liar(start=1.0, **named)
+
+
+class Intercepting(Fault):
+    start: float = 0.0
+    answer: Any
+
+    def begin(self, site):
+        return site.intercept(lambda src, receivers, body: self.answer)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ([1, 2], "should return the extra delay, s, by receiver"),
+        ({1: "x"}, "should return the extra delay, s, by receiver"),
+        ({77: 1.0}, "should name receivers of the message, got 77"),
+        ({1: -1.0}, "an extra delay, in s, should be at least 0, got -1"),
+        ({1: nan}, "an extra delay, in s, should be at least 0, got nan"),
+    ],
+)
+def test_a_wrong_answer_of_an_interception_is_told(answer, message):
+    with pytest.raises(ValueError, match=message):
+        run(GAME.model_copy(update={"fault": (Intercepting(answer=answer),)}), 3)
+
+
+def test_an_interception_needs_a_function_of_sender_receivers_and_body():
+    class Wrong(Intercepting):
+        def begin(self, site):
+            return site.intercept(self.answer)
+
+    for answer, message in ((3, "should be given a function of sender, receivers and body"), (lambda src: {}, "src")):
+        with pytest.raises(ValueError, match=message):
+            run(GAME.model_copy(update={"fault": (Wrong(answer=answer),)}), 3)
+
+
+def test_two_interceptions_delay_together():
+    faults = MessageFault(messages=(1,), delay=0.25), MessageFault(messages=(1, 2), delay=0.5)
+    (first, *_) = heard(faults)
+    undisturbed = heard(())[0][3][0]
+    assert [t - undisturbed for t in first[3][:3]] == [750_000_000, 500_000_000, 0]
 
 
 def test_they_are_kinds_of_a_scenario_file():

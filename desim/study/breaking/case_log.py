@@ -26,13 +26,13 @@ class CaseLog:
     """
 
     def __init__(self, file: Path, scenario: Scenario, prop: Stated):
-        text = prop if isinstance(prop, str) else prop.text
+        stated = " ".join((prop if isinstance(prop, str) else prop.text).split())
         self._file = file
-        self._search = (
-            f"{identify(scenario).key} {' '.join(text.split())} {json.dumps(computing_versions(), sort_keys=True)}"
-        )
+        self._search = f"{identify(scenario).key} {stated} {json.dumps(computing_versions(), sort_keys=True)}"
         self._entries: dict[str, tuple[Judgement, list[str]]] = {}
-        for line in file.read_text("utf-8").splitlines() if file.exists() else ():
+        text = file.read_text("utf-8") if file.exists() else ""
+        self._is_cut_off = bool(text) and not text.endswith("\n")
+        for line in text.splitlines():
             entry = _read(line)
             if entry is not None and entry["search"] == self._search:
                 verdict = Judgement(*entry["verdict"])
@@ -50,7 +50,8 @@ class CaseLog:
         self._entries[_key(case, seed)] = verdict, seen
         entry = {"search": self._search, "case": case, "seed": seed, "verdict": verdict, "seen": seen}
         with self._file.open("a", encoding="utf-8") as lines:
-            lines.write(f"{json.dumps(entry)}\n")
+            lines.write(("\n" if self._is_cut_off else "") + json.dumps(entry) + "\n")
+        self._is_cut_off = False
 
 
 def _key(case: Case, seed: int) -> str:

@@ -49,6 +49,11 @@ class Violation:
     shrunk: int
     """The number of cases that were run to make it smaller."""
 
+    @property
+    def faults(self) -> int:
+        """The number of faults that were added."""
+        return sum("fault" in changes for changes in self.case.values())
+
     def protocols(self) -> dict[str, Judgement | str]:
         """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run."""
         verdicts: dict[str, Judgement | str] = {}

@@ -37,7 +37,7 @@ def shrunk(
         judged: judges a scenario and a seed.
         budget: the greatest number of cases to run.
     """
-    best, runs, seen = found, 0, {repr(found.case)}
+    best, runs, seen = found, 0, {repr(applied(scenario, found.case))}
     worked = True
     while worked:
         worked = False
@@ -45,9 +45,9 @@ def shrunk(
             if runs == budget:
                 return best, runs
             changed = changed_or_none(scenario, smaller)
-            if changed is None or repr(smaller) in seen:
+            if changed is None or repr(changed) in seen:
                 continue
-            seen.add(repr(smaller))
+            seen.add(repr(changed))
             runs += 1
             verdict = judged(changed, best.seed)
             if not verdict.holds:
