@@ -37,7 +37,7 @@ FLOORS = [
     {"desim.study.store", "desim.study.workers"},
     {"desim.study.results", "desim.view.pictures"},
     {"desim.study.sweeps", "desim.view.pages"},
-    {"desim.study.ablation", "desim.testing"},
+    {"desim.study.ablation", "desim.study.breaking", "desim.testing"},
     {"desim.learning"},
     {"desim.cli"},
     {"scenarios.studies", "scenarios.templates"},

@@ -180,7 +180,7 @@ def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Pat
 
     violation = search.violation
     texts = [search_text(search, prop)]
-    found: dict[str, Any] = {"property": prop.text, "runs": search.runs, "seen": search.seen, "violation": None}
+    document: dict[str, Any] = {"property": prop.text, "runs": search.runs, "seen": search.seen, "violation": None}
     if violation is not None:
         smallest = folder / "smallest.toml"
         text = scenario_text(violation, str(smallest), shlex.join(["desim", *sys.argv[1:]]))
@@ -195,7 +195,7 @@ def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Pat
             "",
             _drawn(violation.scenario, violation.seed, folder, violation.verdict.at),
         ]
-        found["violation"] = {
+        document["violation"] = {
             "seed": violation.seed,
             "case": violation.case,
             "first": violation.first,
@@ -205,7 +205,7 @@ def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Pat
             "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
             "file": str(smallest),
         }
-    _finish(found, "\n".join(texts), folder, as_json=as_json)
+    _finish(document, "\n".join(texts), folder, as_json=as_json)
     sys.exit(0 if violation is None else VIOLATED)
 
 
@@ -226,7 +226,7 @@ def _end_with_losses(
         ]
         write(with_comment(broken, prop, worst.seed, lines).encode(), folder / "smallest.toml")
         texts += ["", _drawn(broken, worst.seed, folder, worst.verdict.at)]
-    found = {
+    document = {
         "property": prop.text,
         "most": table.most,
         "seeds": table.seeds,
@@ -239,7 +239,7 @@ def _end_with_losses(
             for seed, copies, verdict in table.fatal
         ],
     }
-    _finish(found, "\n".join(texts), folder, as_json=as_json)
+    _finish(document, "\n".join(texts), folder, as_json=as_json)
     sys.exit(VIOLATED if table.fatal or table.broken else 0)
 
 
@@ -261,11 +261,11 @@ def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float) -> str:
     return "\n".join(texts)
 
 
-def _finish(found: "dict[str, Any]", text: str, folder: Path, *, as_json: bool) -> None:
-    """Print what was found, and write it to the folder."""
+def _finish(document: "dict[str, Any]", text: str, folder: Path, *, as_json: bool) -> None:
+    """Print the result, and write it to the folder."""
     from desim.config.json_numbers import to_json
 
-    document = json.dumps(to_json(found), indent=2)
-    write_whole(folder / "break.json", f"{document}\n".encode())
+    as_text = json.dumps(to_json(document), indent=2)
+    write_whole(folder / "break.json", f"{as_text}\n".encode())
     write_whole(folder / "break.txt", f"{text}\n".encode())
-    echo(document if as_json else text)
+    echo(as_text if as_json else text)

@@ -280,6 +280,7 @@ THERE = {
     "named": "latency, loss, serial decisions",
     "netem": "latency, loss, duplicates",
     "noisy": "latency, noise",
+    "news": "latency, faults, lies, serial decisions, stale knowledge",
     "properties": "latency, loss, faults",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",

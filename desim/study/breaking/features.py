@@ -10,11 +10,11 @@ from desim.config.errors import problems_of
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 
-Changes = dict[str, Any]
+NewValues = dict[str, Any]
 """New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
-Case = dict[str, Changes]
+Case = dict[str, NewValues]
 """The changes of each feature of a case, by name."""
-Draw = Callable[[np.random.Generator, Scenario], Changes]
+Draw = Callable[[np.random.Generator, Scenario], NewValues]
 SIZES = (3, 4, 5, 6, 8, 10, 12)
 """The numbers of pursuers that a search tries."""
 
@@ -24,7 +24,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return float(f"{low * (high / low) ** rng.random():.2g}")
 
 
-def _window(rng: np.random.Generator, scenario: Scenario) -> Changes:
+def _window(rng: np.random.Generator, scenario: Scenario) -> NewValues:
     """Return the start and the end of a fault; half of them never end."""
     start = _between(rng, 0.02, 0.5) * scenario.horizon
     end = {"end": start + _between(rng, 0.02, 0.5) * scenario.horizon} if rng.random() < 0.5 else {}
@@ -35,18 +35,18 @@ def _fault(kind: str, **more: Any) -> Draw:
     return lambda rng, scenario: {"fault": {"kind": kind, **_window(rng, scenario), **more}}
 
 
-def _crash(rng: np.random.Generator, scenario: Scenario) -> Changes:
+def _crash(rng: np.random.Generator, scenario: Scenario) -> NewValues:
     node = int(rng.integers(scenario.team.count))
     return {"fault": {"kind": "crash", "node": node, "memory": bool(rng.integers(2)), **_window(rng, scenario)}}
 
 
-def _partition(rng: np.random.Generator, scenario: Scenario) -> Changes:
+def _partition(rng: np.random.Generator, scenario: Scenario) -> NewValues:
     size = scenario.team.count
     cut = sorted(rng.permutation(size)[: rng.integers(1, max(size, 2))].tolist())
     return {"fault": {"kind": "partition", "groups": [cut], **_window(rng, scenario)}}
 
 
-def _news(rng: np.random.Generator, scenario: Scenario) -> Changes:
+def _news(rng: np.random.Generator, scenario: Scenario) -> NewValues:
     delay = {"delay": _between(rng, 0.1, 5.0)} if rng.random() < 0.5 else {}
     return {"fault": {"kind": "news_fault", **_window(rng, scenario), **delay}}
 
@@ -115,7 +115,7 @@ CHANGED = 1 / 3
 """The share of the features in which a case differs from its parent."""
 
 
-def _takes(scenario: Scenario, changes: Changes) -> bool:
+def _takes(scenario: Scenario, changes: NewValues) -> bool:
     try:
         scenario.with_(changes)
     except ValueError:
@@ -123,7 +123,7 @@ def _takes(scenario: Scenario, changes: Changes) -> bool:
     return True
 
 
-def applied(scenario: Scenario, case: Mapping[str, Changes]) -> Scenario:
+def applied(scenario: Scenario, case: Mapping[str, NewValues]) -> Scenario:
     """Return a scenario with the changes of a case; its own faults stay.
 
     Raises:

@@ -110,7 +110,7 @@ class Planned(NamedTuple):
     scenario: Scenario
 
 
-class Sighted(NamedTuple):
+class CaseRun(NamedTuple):
     """What a run of a case tells."""
 
     verdict: Judgement
@@ -122,8 +122,8 @@ def judged(prop: Property, scenario: Scenario, seed: int) -> Judgement:
     return judge(prop, run(recording(scenario, [prop]), seed))
 
 
-def _sighted(prop: Property, result: Result) -> Sighted:
-    return Sighted(judge(prop, result), seen_in(result))
+def _sighted(prop: Property, result: Result) -> CaseRun:
+    return CaseRun(judge(prop, result), seen_in(result))
 
 
 def checked_property(prop: Stated, scenario: Scenario) -> Property:
@@ -169,8 +169,8 @@ def find_violation(
         seed: the root seed; None: that of the scenario.
         vary: further features: values by dotted key, of which a case takes one.
         features: the names of the built-in features that cases may have; None: all of `FEATURES`.
-        guided: whether half of the cases are made from those with the least margins up to now. If in doubt, False:
-            a margin that hardly varies misleads.
+        guided: whether half of the cases are made from those with the least margins up to now; if in doubt, False, as a
+            margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
         budget: the time, s of wall time, after which no further cases begin; with it, the result depends on the speed
             of the machine.
@@ -234,17 +234,17 @@ def _planned(
     return None if changed is None else Planned(case, seed if parent is None else parent.seed, changed)
 
 
-def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: CaseLog | None) -> list[Sighted]:
+def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: CaseLog | None) -> list[CaseRun]:
     """Return what the run of each case tells, in order; those in the log are not run again.
 
     Raises:
         BaseException: what a run raised.
     """
-    told: dict[int, Sighted] = {}
+    told: dict[int, CaseRun] = {}
     if log is not None:
         for k, planned in enumerate(cases):
             if (entry := log.find(planned.case, planned.seed)) is not None:
-                told[k] = Sighted(*entry)
+                told[k] = CaseRun(*entry)
     missing = [k for k in range(len(cases)) if k not in told]
     tasks = [(recording(cases[k].scenario, [prop]).with_({"record.messages": True}), cases[k].seed) for k in missing]
     with closing(drive(tasks, workers, partial(_sighted, prop))) as outcomes:
@@ -258,8 +258,8 @@ def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: Ca
     return [told[k] for k in range(len(cases))]
 
 
-def _smallest(scenario: Scenario, prop: Property, found: Tried, searched: int, budget: int) -> Violation:
+def _smallest(scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int) -> Violation:
     """Return the smallest violation of the kind of one."""
-    best, runs = shrunk(scenario, found, partial(judged, prop), budget)
+    best, runs = shrunk(scenario, violating, partial(judged, prop), budget)
     changed = applied(scenario, best.case)
-    return Violation(changed, best.seed, prop, best.verdict, best.case, found.case, searched, runs)
+    return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs)

@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 from desim.analysis.activity import handovers, idle_time, relays
 from desim.analysis.trace_index import captures, messages, trace_index
+from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
 from desim.pursuit.core.events import Decided, Started
 from desim.simulation.run import Result
 from desim.study.breaking.copies import copies, looks, read_in_time
@@ -37,9 +38,14 @@ def _chaser_down(result: Result) -> bool:
     for event in result.trace:
         if isinstance(event, Decided):
             actions[event.pursuer] = event.active
-        elif isinstance(event, FaultStarted) and isinstance(event.fault, Crash) and actions[event.fault.node]:
+        elif isinstance(event, FaultStarted) and kind_of(event.fault) == "crash" and _chases(actions, event.fault):
             return True
     return False
+
+
+def _chases(actions: list[int], fault: TracedFault) -> bool:
+    """Return whether one of the pursuers that a fault names chases."""
+    return any(actions[node] for nodes in nodes_of(fault).values() for node in nodes)
 
 
 def _lost_at_a_look(result: Result) -> bool:

@@ -1,0 +1,115 @@
+"""`desim break`: the search from the command line, and what it leaves in its folder."""
+
+import json
+
+import pytest
+
+from desim import judge, load, run
+from desim.cli.breaking import VIOLATED
+from tests.command import desim, refused, strict_json
+
+GAME = (
+    'seed = 1\nhorizon = 12.0\nprotocol = "cbaa"\n'
+    'properties = ["covered: idle at most 2 in total against centralised"]\n'
+    "[team]\ncount = 4\nspeeds = 1.5\n[network]\nlatency = 0.1\n"
+    '[announce]\ntrigger = "change"\n'
+)
+SHORT = GAME.replace("cbaa", "best_response").replace("12.0", "2.0").replace("speeds = 1.5\n", "")
+CROWDED = "crowded at most 1.2 in total"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "game.toml").write_text(GAME)
+    (tmp_path / "short.toml").write_text(SHORT.replace("[announce]", '[announce]\nstart = "known"'))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_a_violation_is_a_scenario_that_shows_it(folder):
+    command = ("break", "game.toml", "--feature", "chaser crash", "-n", 24, "--keep", "kept", "-o", "found")
+    result = desim(*command)
+    assert result.exit_code == VIOLATED
+    found = folder / "found"
+    assert {path.name for path in found.iterdir()} >= {"break.json", "break.txt", "cases.jsonl", "smallest.html"}
+    text = (found / "smallest.toml").read_text()
+    assert text.startswith('# cbaa violates "idle at most 2 in total against centralised" here: margin -')
+    smallest = load(found / "smallest.toml")
+    verdict = judge(smallest.properties[0], run(smallest))
+    document = strict_json((found / "break.json").read_text())["violation"]
+    assert verdict.margin == document["verdict"]["margin"] < 0.0
+    assert document["protocols"]["cbaa"] == document["verdict"]
+    assert f"smallest.html#t={verdict.at:g}" in result.stdout
+    assert result.stdout.strip() == (found / "break.txt").read_text().strip()
+    (kept,) = (folder / "kept").iterdir()
+    assert kept.read_text() == text
+    again = desim(*command)
+    assert again.exit_code == VIOLATED
+    assert again.stdout.startswith(f"kept: kept/{kept.name}: violates: margin -")
+    other = desim(*command, "--protocol", "local_min", "-n", 1)
+    assert "kept:" not in other.stdout
+
+
+@pytest.mark.slow
+def test_the_same_command_goes_on_where_it_stopped(folder):
+    options = (
+        "--feature",
+        "loss",
+        "--set",
+        "horizon=2.5",
+        "--set",
+        "team.count=4",
+        "-o",
+        "found",
+        "-g",
+        "team.count=3,5",
+        "--json",
+    )
+    first = desim("break", "game.toml", *options, "-n", 6)
+    lines = (folder / "found" / "cases.jsonl").read_text().splitlines()
+    (folder / "found" / "cases.jsonl").write_text("\n".join(lines[:4]))
+    again = desim("break", "game.toml", *options, "-n", 6)
+    assert (first.exit_code, first.stdout) == (0, again.stdout)
+    assert sorted((folder / "found" / "cases.jsonl").read_text().splitlines()) == sorted(lines)
+    assert json.loads(first.stdout)["runs"] == 6
+
+
+@pytest.mark.slow
+def test_losses_are_tried_one_by_one(folder):
+    result = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--set", "seed=1", "-o", "found")
+    assert "if these are lost:\n  message " in result.stdout
+    assert result.exit_code == VIOLATED
+    smallest = load(folder / "found" / "smallest.toml")
+    document = json.loads((folder / "found" / "break.json").read_text())
+    margins = [fatal["verdict"]["margin"] for fatal in document["fatal"]]
+    assert judge(smallest.properties[0], run(smallest)).margin == min(margins) < 0.0
+    late = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--delay", 0.001, "-s", 1, "-o", "late")
+    assert late.stdout.startswith("no violation with at most 1 lost message (")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--property", "always active >= 0"], "says nothing"),
+        (["--property", "coverd"], "should be"),
+        (["--protocol", "centralised"], "its own reference"),
+        (["--protocol", "centralized"], "did you mean"),
+        (["--feature", "lag"], "there is no feature 'lag'"),
+        (["-g", "network.loss=0.1,1.5"], "network.loss"),
+        (["-g", "network.los=0.1"], "network.los"),
+    ],
+)
+def test_bad_use_is_told(folder, options, why):
+    assert why.lower() in refused("break", "game.toml", *options).lower()
+
+
+def test_a_file_without_properties_needs_one(folder):
+    (folder / "bare.toml").write_text("seed = 1\n")
+    assert 'give one, for instance --property "idle' in refused("break", "bare.toml")
+
+
+def test_a_file_that_names_code_runs_none(folder):
+    (folder / "code.toml").write_text(GAME.replace('"cbaa"', '"evil:rule"'))
+    (folder / "evil.py").write_text("raise SystemExit('it ran')\n")
+    assert "--allow-import" in refused("break", "code.toml")
