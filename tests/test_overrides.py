@@ -4,8 +4,12 @@ The property is tested over all kinds of all families, so that a new kind is cov
 the same function without a base class.
 """
 
+import re
 from collections.abc import Callable
+from functools import cached_property
+from types import FunctionType
 from typing import Any, NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
 import pytest
@@ -23,14 +27,17 @@ from desim import (
     Team,
     run,
 )
+from desim.analysis.hindsight import _latency
+from desim.analysis.properties import judge
 from desim.config.choice import OneOf, choices_of
 from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.traits import is_ours, positions
+from desim.kernel.clock_sync import CLOCK_SYNCS
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import MessageCounts
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
-from desim.kernel.models.access import Aloha
+from desim.kernel.models.access import ACCESSES, Aloha
 from desim.kernel.models.faults import FAULTS, Crash, Partition
 from desim.kernel.models.graphs import GRAPHS, Edges, Link
 from desim.kernel.models.interference import INTERFERENCES
@@ -39,8 +46,9 @@ from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix, PerPai
 from desim.kernel.models.loss import LOSSES, GilbertElliott
 from desim.kernel.models.medium import MEDIA, Bitrate, LoRa
 from desim.kernel.models.reception import RECEPTION_MODELS
+from desim.kernel.models.transport import TRANSPORTS
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
-from desim.pursuit.byzantine.lies import PURSUER_FAULTS, Liar, RandomLies
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS, Liar, RandomLies, Silent
 from desim.pursuit.core.traits import ProtocolTraits
 from desim.pursuit.evaders.evasion import STRATEGIES, Listener
 from desim.pursuit.evaders.recorded import RecordedMotion, RelayNode
@@ -48,14 +56,18 @@ from desim.pursuit.game.utility import UTILITIES
 from desim.pursuit.motion.dynamics import DYNAMICS, Course, Piece
 from desim.pursuit.motion.flow import FLOWS, NoFlow, SteadyFlow
 from desim.pursuit.sensing.noise import NOISES
+from desim.pursuit.sensing.tracking import ESTIMATORS
 from desim.pursuit.team.announcements import DISSEMINATIONS
+from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.checks import warnings
+from desim.scenario.properties import KINDS as PROPERTIES
 from desim.scenario.scenario import PROTOCOLS
 from desim.view.formats.export import EXPORTERS
 from desim.view.pictures.link_traces import link_traces
 from protocols import BestResponse
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
+from tests.models import NEEDED
 
 TABLE = "t,value\n0,0\n1,0\n"
 PARAMETERS: dict[str, dict[str, Any]] = {
@@ -624,3 +636,166 @@ def test_utilities_that_fictitious_play_never_calls_are_refused():
 
     with pytest.raises(ValueError, match="never calls `utilities`"):
         scenario(protocol=Theirs())
+
+
+# Each method alone.
+
+OTHERS = {
+    "access": (ACCESSES, lambda model: linked(medium=Bitrate(bitrate=1e5, access=model))),
+    "sync": (CLOCK_SYNCS, lambda model: scenario(clocks={"sync": model})),
+    "transport": (TRANSPORTS, lambda model: linked(loss=0.3, transport=model)),
+    "estimator": (
+        ESTIMATORS,
+        lambda model: scenario(protocol="local_min", sensing=Sensing(noise="position", estimator=model)),
+    ),
+    "trust": (TRUSTS, lambda model: scenario(protocol="local_min", announce=Announcements(heartbeat=0.1, trust=model))),
+    "pursuer fault": (
+        PURSUER_FAULTS,
+        lambda model: scenario(fault=(model,), announce=Announcements(heartbeat=0.1, payload="state")),
+    ),
+    "property": (PROPERTIES, lambda model: scenario(properties=(model,), horizon=0.1)),
+}
+"""Families whose models are not called themselves."""
+IN_A_RUN = {name: (family.choice, family.with_model) for name, family in FAMILIES.items()} | OTHERS
+ELSEWHERE = {
+    "LinkTrace.span": "warns of a table that ends",
+    "Edges.notes": "warns",
+    "Radio.interval": "estimates; see below",
+    "LoRa.is_tuned": "contending nodes; see below",
+    "LoRa.hears": "contending nodes; see below",
+    "Faded.gains": "only with fading",
+    "Acceleration.capture_times": "protocols ask for capture times; the function `talk` does not",
+    "TurnRate.capture_times": "as above",
+    "RecordedMotion.places": "refusals",
+    "Policy.write": "called by users",
+    "Reliable.gives_up": "a warning about disseminations",
+    "Rounds.for_all": "explain",
+    "Synchronous.for_all": "explain",
+    **dict.fromkeys((f"{kind}.message_size" for kind in ("_WithToken", "LocalMutex")), "checks of a channel"),
+    **dict.fromkeys(
+        (f"{kind}.without_serial_decisions" for kind in ("SharedSeed", "_WithToken", "LocalMutex")), "explain"
+    ),
+    **dict.fromkeys(("Crash.sketch", "Partition.sketch", "Jamming.sketch", "Window.sketch"), "drawings"),
+    **dict.fromkeys(("Crash.label", "Window.label"), "drawings"),
+    **dict.fromkeys((f"{kind}.drops" for kind in ("ByzantineFault", "Selective")), "forwarding"),
+    **dict.fromkeys((f"{kind}.accuses" for kind in ("ByzantineFault", "Slander")), "trust of accusations"),
+}
+"""Where a method is called that is not called in the runs above, by the class that defines it."""
+
+
+def methods_of(kind):
+    """Return the class that defines each public method and property of a kind, by name."""
+    return {
+        name: base
+        for base in reversed(kind.__mro__)
+        if is_ours(base) and base is not Value
+        for name, value in vars(base).items()
+        if name[0] != "_"
+        and name not in kind.model_fields
+        and not hasattr(Value, name)
+        and isinstance(value, FunctionType | property | cached_property)
+    }
+
+
+def judgements():
+    """Yield each kind with a method, one kind for each class that defines the method, and a scenario with the kind."""
+    seen = set()
+    for choice, with_model in IN_A_RUN.values():
+        for kind in dict.fromkeys(choice.choices().values()):
+            for name, base in methods_of(kind).items():
+                if (base, name) not in seen:
+                    seen.add((base, name))
+                    yield pytest.param(kind, base, name, with_model, id=f"{kind.__name__}.{name}")
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("kind", "base", "name", "with_model"), [*judgements()])
+def test_each_method_counts_that_is_overridden_alone(kind, base, name, with_model):
+    """Or it is refused; one that counts elsewhere than in a run or in warnings is listed with the place."""
+    called = []
+
+    def theirs(self, *given, **named):
+        called.append(name)
+        return getattr(super(type(self), self), name)(*given, **named)
+
+    def attribute(self):
+        called.append(name)
+        return getattr(super(type(self), self), name)
+
+    body = theirs if isinstance(vars(base)[name], FunctionType) else property(attribute)
+    needed = NEEDED.get(kind.__name__, {}) | PARAMETERS.get(kind.__name__, {})
+    needed |= {"start": 0.05} if "start" in kind.model_fields else {}
+    needed |= {"values": [[0.1] * 4] * 4} if kind is LatencyMatrix else {}
+    try:
+        experiment = with_model(type(kind)("Theirs", (kind,), {"__module__": "theirs", name: body})(**needed))
+    except (KeyedError, ValueError) as error:
+        assert re.search(f"Theirs.*{name}", str(error))  # noqa: PT017
+        return
+    result = run(experiment.model_copy(update={"horizon": 0.2}), seed=1)
+    with catch_warnings():
+        list(warnings(experiment))
+    for prop in experiment.properties:
+        judge(prop, result)
+    assert called or f"{base.__name__}.{name}" in ELSEWHERE
+
+
+def test_a_fast_way_that_is_overridden_alone_is_refused():
+    """With the method to override; with that one, both count or neither is needed."""
+    for family, name, method in (
+        ("guidance", "one", "__call__"),
+        ("flow", "displacement", "velocity_at"),
+        ("flow", "trend", "velocity_at"),
+        ("utility", "expected", "__call__"),
+    ):
+        for kind in FAMILIES[family].choice.choices().values():
+            if name not in methods_of(kind):
+                continue
+            alone = {name: lambda self, *given: None}
+            with pytest.raises(KeyedError, match=f"Theirs has its own {name}.* it should have its own {method}, too"):
+                FAMILIES[family].with_model(derived(kind, **alone))
+            inherited = getattr(kind, method)
+            FAMILIES[family].with_model(derived(kind, **alone, **{method: lambda *given, f=inherited: f(*given)}))
+
+
+def test_a_silent_pursuer_that_says_something_is_refused():
+    for name in ("says", "says_to", "drops", "accuses"):
+        body = {name: lambda self, *given: None}
+        with pytest.raises(KeyedError, match=rf"inherits is_silent = True.* its own {name} would have no effect"):
+            scenario(fault=(type("Theirs", (Silent,), {"__module__": "theirs", **body})(node=1, start=0.0),))
+        type("Theirs", (Silent,), {"__module__": "theirs", "is_silent": False, **body})(node=1, start=0.0)
+
+
+@pytest.mark.parametrize("access", [{}, {"access": Aloha()}], ids=["ideal", "aloha"])
+def test_the_airtime_of_a_node_is_that_of_all_estimates(access):
+    """The longest one: of an announcement, of the interval between two, and of the latency in a metric."""
+
+    class Slow(Bitrate):
+        def airtime(self, size, node):
+            return 0.3 if node == 2 else super().airtime(size, node)
+
+    class Steady(Bitrate):
+        def __call__(self, size):
+            return 0.3
+
+    theirs, other = (linked(medium=kind(bitrate=1e6, **access)) for kind in (Slow, Steady))
+    assert theirs.announcement_airtime == other.announcement_airtime == 0.3
+    assert theirs.network.medium.interval(24, 4) == 0.3
+    heard = []
+
+    def asks(me):
+        heard.append((me.airtime(1), me.interval(1)))
+        yield me.sleep(1.0)
+
+    for experiment in (theirs, other):
+        run(experiment.model_copy(update={"protocol": asks}), seed=1)
+    assert set(heard) == {(0.3, 0.3)}
+    assert _latency(run(theirs, seed=1)) == _latency(run(other, seed=1))
+
+
+def test_a_radio_that_hears_nothing_receives_nothing():
+    class Deaf(LoRa):
+        def hears(self, src, nodes):
+            return np.zeros(len(nodes), dtype=bool)
+
+    counts = run(scenario(network=Links(medium=Deaf(access=Aloha())), horizon=3.0), seed=1).trace.of(MessageCounts)[0]
+    assert counts.delivered == 0 < counts.lost

@@ -36,6 +36,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.link_layer.propagation import TYPICAL_SIZE, LinkSampler
 from desim.kernel.models.links import Links
+from desim.kernel.models.medium import airtime_of
 from desim.pursuit.game.game import optimal_assignment
 from desim.simulation.run import Result, run
 
@@ -223,7 +224,7 @@ def settling_window(result: Result) -> float:
 def _latency(result: Result) -> float:
     links, places = result.scenario.network, np.array(started(result).pursuers)
     sampler = LinkSampler(links, links.make_graph(len(places)), result.seed, lambda: places)
-    return sampler.typical_latency() + links.medium(TYPICAL_SIZE)
+    return sampler.typical_latency() + airtime_of(links.medium, TYPICAL_SIZE, len(places))
 
 
 def network_regret(result: Result, metric: Callable[[Result], float] = potential_gap) -> float:

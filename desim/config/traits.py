@@ -11,15 +11,15 @@ Private attributes, and attributes set in `__init__` or on a `functools.partial`
 
 A trait may follow from other methods of a model, as a fast way to do the same does, or a bound. A class that overrides
 such a method, but not the trait, then lacks the trait, because the inherited one still follows the overridden method:
-see `Follows`.
+see `Follows`. The other way round, a class that overrides only a fast way is refused: see `Traits.twins`.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
-from types import FunctionType
-from typing import Annotated, Any, Self, TypeGuard, TypeVar
+from types import FunctionType, MappingProxyType
+from typing import Annotated, Any, ClassVar, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
@@ -74,6 +74,9 @@ class Follows:
 class Traits(Value):
     """Base of the classes of traits. Each field is a trait; its default holds for objects without this attribute."""
 
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
+    """Methods of built-in models that compute, faster, what other ones do, by name. A user's class that overrides such
+    a method should also override one of the others, which are called where there is no fast way."""
     kind: Annotated[str | None, Parameter(str)] = None
     """The name that is shown; if absent, the name of the class or function is shown."""
     depends_on: tuple[str | Path, ...] | Callable[[], Any] = ()
@@ -97,8 +100,16 @@ class Traits(Value):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if a trait has an invalid value, or an attribute is probably a misspelt trait."""
+        """Raise ValueError if a model has an invalid or probably misspelt trait, or overrides a fast way alone."""
         cls.of(value)
+        model: type = type(value)
+        for twin, methods in () if is_ours(model) else cls.twins.items():
+            places = [place[0] for name in methods if (place := positions(model, name))]
+            if places and overrides(model, twin, min(places)):
+                raise ValueError(
+                    f"{name_of(value)} has its own {twin}, which only computes faster what {methods[0]} does: it should"
+                    f" have its own {methods[0]}, too"
+                )
         names = tuple(cls.names())
         is_function = isinstance(value, FunctionType)
         for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
@@ -129,6 +140,23 @@ class Traits(Value):
         except ValidationError:
             return False
         return True
+
+
+def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:
+    """Raise ValueError if a user's class overrides methods that are not called, because it inherits a flag that is set.
+
+    Args:
+        value: the model.
+        flag: the name of the flag.
+        methods: the names of the methods.
+        effect: what the flag says, as a clause.
+    """
+    own = [name for name in methods if Follows(name).is_outdated(flag, type(value))]
+    if own and getattr(value, flag):
+        raise ValueError(
+            f"{name_of(value)} inherits {flag} = True, so that {effect}, and its own {', '.join(own)} would have no"
+            f" effect: it should have {flag}: ClassVar[bool] = False, too"
+        )
 
 
 @lru_cache(maxsize=256)

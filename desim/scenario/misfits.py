@@ -29,7 +29,7 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
     yield from _graph_misfits(scenario, no_pursuer)
     try:
-        airtime_of(scenario.network.medium, scenario.announcement_size)
+        airtime_of(scenario.network.medium, scenario.announcement_size, scenario.team.count)
     except ValueError as error:
         yield ("network", "medium"), str(error)
     else:
@@ -149,7 +149,7 @@ def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     if not sizes:
         return
     message, size = max(sizes.items(), key=lambda entry: entry[1])
-    airtime, guard = nanoseconds(airtime_of(medium, size)), nanoseconds(access.guard)
+    airtime, guard = nanoseconds(airtime_of(medium, size, count)), nanoseconds(access.guard)
     free = nanoseconds(access.slot) - guard
     if airtime > free:
         least = -(-(airtime + guard) // 1000) / 1e6

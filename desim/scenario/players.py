@@ -26,7 +26,7 @@ from desim.pursuit.evaders.evader import EvaderController
 from desim.pursuit.evaders.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.evaders.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
 from desim.pursuit.motion.dynamics import DYNAMICS, Dynamics, Simple, headings_with
-from desim.pursuit.motion.guidance import ConstantBearing, Guidance, PurePursuit
+from desim.pursuit.motion.guidance import ConstantBearing, Guidance, GuidanceTraits, PurePursuit
 
 
 class Speeds(Value):
@@ -81,7 +81,13 @@ class Team(Value):
     active_at_start: Probability = 1.0
     """Probability p0 that a pursuer is active at the start, in [0, 1]; one that may not chase (`prune`) is inactive."""
     guidance: Annotated[
-        Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
+        Guidance,
+        OneOf(
+            PurePursuit,
+            ConstantBearing,
+            takes=("gaps", "aims", "evader_velocity", "speeds"),
+            traits=GuidanceTraits,
+        ),
     ] = PurePursuit()
     """Guidance law of active pursuers."""
     dynamics: Annotated[Dynamics, DYNAMICS] = Simple()

@@ -272,7 +272,7 @@ class Scenario(Value):
     @property
     def announcement_airtime(self) -> float:
         """Longest airtime of an announcement, s."""
-        return airtime_of(self.network.medium, self.announcement_size)
+        return airtime_of(self.network.medium, self.announcement_size, self.team.count)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -41,7 +41,9 @@ class Air:
         traits = InterferenceTraits.of(medium.reception)
         self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
         self._all = np.arange(topology.size)
-        self.hears = medium.hears if isinstance(medium, LoRa) and medium.is_tuned else None
+        self.hears = None
+        if isinstance(medium, LoRa) and (medium.is_tuned or type(medium).hears is not LoRa.hears):
+            self.hears = medium.hears
         self._frames: list[Frame] = []
         self._busy = self._busy_since = 0
         medium.check(topology.size)

@@ -32,8 +32,8 @@ class Estimates:
         return self._sampler.typical_latency()
 
     def airtime(self, body: Any) -> float:
-        """Return the airtime, s, of a message with this body."""
-        return airtime_of(self._medium, size_of(body))
+        """Return the longest airtime, s, of a message with this body."""
+        return airtime_of(self._medium, size_of(body), self._topology.size)
 
     def interval(self, body: Any) -> float:
         """Return the time, s, for which a message with this body keeps its sender from sending the next one."""
@@ -41,5 +41,5 @@ class Estimates:
 
     def sending_time(self, size: int) -> float:
         """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
-        medium = self._medium
-        return medium.interval(size, self._topology.size) if isinstance(medium, Radio) else airtime_of(medium, size)
+        medium, nodes = self._medium, self._topology.size
+        return medium.interval(size, nodes) if isinstance(medium, Radio) else airtime_of(medium, size, nodes)

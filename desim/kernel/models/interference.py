@@ -149,7 +149,7 @@ class Faded(Value):
             return nakagami_quantiles(self.m, uniforms)
         return rice_quantiles(self.k, uniforms) if self.fading == "rice" else np.ones(len(uniforms))
 
-    def level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
+    def _level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
         """Return (k,) the power of a frame at the receivers, dB, relative to that at 1 m without fading."""
         level = _relative_power(overlap.distances(frame), exponent)
         return level if self.fading == "none" else level + log(self.gains(overlap.uniforms(frame))) * (10.0 / LN_10)
@@ -193,10 +193,10 @@ class CaptureEffect(Faded):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the frame is by the threshold stronger than each audible frame."""
-        power = self.level(overlap, overlap.frame, self.exponent)
+        power = self._level(overlap, overlap.frame, self.exponent)
         received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
-            weaker = self.level(overlap, other, self.exponent) + self.threshold <= power
+            weaker = self._level(overlap, other, self.exponent) + self.threshold <= power
             received &= weaker | ~overlap.audible(other)
         return received
 
@@ -273,13 +273,13 @@ class LoRaInterference(Faded):
         wanted = overlap.signal(overlap.frame)
         symbol = 2**wanted.spreading_factor / wanted.bandwidth / RESOLUTION
         critical = overlap.frame.begin + round((wanted.preamble - 5) * symbol)
-        power = self.level(overlap, overlap.frame, self.exponent)
+        power = self._level(overlap, overlap.frame, self.exponent)
         received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
             signal = overlap.signal(other)
             if abs(signal.frequency - wanted.frequency) > SEPARATION * wanted.bandwidth or other.end <= critical:
                 continue
-            advantage = power - self.level(overlap, other, self.exponent)
+            advantage = power - self._level(overlap, other, self.exponent)
             if signal.spreading_factor == wanted.spreading_factor:
                 received &= (advantage >= self.threshold) | ~overlap.audible(other)
             elif self.isolation != "orthogonal":

@@ -12,7 +12,7 @@ from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
-from desim.config.traits import is_ours
+from desim.config.traits import inherits, is_ours
 from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.models.traits import MediumTraits
@@ -116,7 +116,7 @@ class Radio(Value):
 
         It is the airtime, with the silence after it if there is a duty cycle, and with TDMA at least a round of slots.
         """
-        least = self(size) / (self.duty_cycle or 1.0)
+        least = airtime_of(self, size, nodes) / (self.duty_cycle or 1.0)
         if not isinstance(self.access, Tdma):
             return least
         period = len(self.access.owners(nodes)) * self.access.slot
@@ -269,13 +269,21 @@ class LoRa(Radio):
         return (self.preamble + 4.25 + payload) * symbol
 
 
-def airtime_of(medium: Medium, size: int) -> float:
-    """Return the airtime, s, of a message of `size` bytes, limited to `MAX_TIME`, which is longer than any run.
+def airtime_of(medium: Medium, size: int, nodes: int) -> float:
+    """Return the longest airtime, s, of a message of `size` bytes that one of `nodes` nodes transmits.
+
+    It is limited to `MAX_TIME`, which is longer than any run. A medium of a user that has an `airtime` of its own is
+    asked for each node.
 
     Raises:
-        ValueError: if the medium returns anything else than a finite time of at least 0 s.
+        ValueError: if the medium returns anything else than a finite time of at least 0 s, or is not for so many nodes.
     """
-    return _checked(medium(size), medium)
+    if is_ours(type(medium)) or MediumTraits.of(medium).airtime is None or inherits(medium, Radio, "airtime"):
+        return _checked(medium(size), medium)
+    if isinstance(medium, Radio):
+        medium.check(nodes)
+    airtime = airtimes(medium)
+    return max(airtime(size, node) for node in range(nodes))
 
 
 def airtimes(medium: Medium) -> Callable[[int, int], float]:
@@ -285,7 +293,7 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
     """
     of_node = MediumTraits.of(medium).airtime
     if of_node is None or (is_ours(type(medium)) and not contends(medium)):  # then nodes do not differ
-        return lambda size, _: airtime_of(medium, size)
+        return lambda size, _: _checked(medium(size), medium)
     return lambda size, node: _checked(of_node(size, node), medium)
 
 

@@ -19,7 +19,7 @@ from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
 from desim.config.python_numbers import real
-from desim.config.traits import kind_of
+from desim.config.traits import check_inherited_flag, kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, NamedNodes, Window
@@ -352,6 +352,12 @@ class PursuerFaultTraits(FaultTraits):
     """The optional attributes of a fault in a pursuit, in which the assumptions of protocols have names."""
 
     breaks: frozenset[AssumptionName] = frozenset()
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Raise ValueError if methods are overridden that are not called, because `is_silent` is inherited."""
+        super().check(value)
+        check_inherited_flag(value, "is_silent", ("says", "says_to", "drops", "accuses"), "a pursuer sends nothing")
 
 
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)

@@ -4,9 +4,10 @@ A protocol, schedule, ... may be a frozen model, an object of a user's class or 
 have the defaults given here.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
-from typing import Annotated, Any, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal
 
 from desim.config.model import Flag
 from desim.config.traits import Follows, Parameter, Traits
@@ -93,6 +94,7 @@ class ScheduleTraits(Assuming):
 class UtilityTraits(Assuming):
     """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"expected": ("__call__",)})
     expected: Annotated[
         Callable[[float, Sequence[float], Sequence[float], float], float] | None, Follows("__call__")
     ] = None

@@ -16,7 +16,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Value
-from desim.config.traits import Follows, Traits, is_ours, name_of
+from desim.config.traits import Follows, Traits, check_inherited_flag, is_ours
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import RadialTime, accelerated_capture_times
@@ -286,12 +286,7 @@ class DynamicsTraits(Traits):
     def check(cls, value: Any) -> None:
         """Raise ValueError if methods are overridden that are not called, because `is_simple` is inherited."""
         super().check(value)
-        if "is_simple" in cls.outdated(type(value)) and value.is_simple:
-            methods = [name for name in CALLED_WITH_INERTIA if Follows(name).is_outdated("is_simple", type(value))]
-            raise ValueError(
-                f"{name_of(value)} inherits is_simple = True, so that commanded velocities are taken at once, and its"
-                f" own {', '.join(methods)} would have no effect: it should have is_simple: ClassVar[bool] = False, too"
-            )
+        check_inherited_flag(value, "is_simple", CALLED_WITH_INERTIA, "commanded velocities are taken at once")
 
 
 def capture_times_with(

@@ -6,10 +6,12 @@ velocity and its course are relative to the flow. Points and velocities are comp
 """
 
 from bisect import bisect_right
+from collections.abc import Mapping
 from functools import cache, cached_property
 from itertools import accumulate, pairwise
 from math import inf, pi, sin
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, cast
 
 import numpy as np
@@ -36,6 +38,9 @@ CARRIED_STEP = 50_000_000
 class FlowTraits(Traits):
     """The optional attributes of a flow, in addition to `__call__`."""
 
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+        dict.fromkeys(("displacement", "trend", "top_acceleration"), ("velocity_at", "__call__"))
+    )
     top_speed: Annotated[float, Field(ge=0), Follows("__call__", "velocity_at")] = inf
     """Upper bound of its speed everywhere and at all times, m/s."""
 

@@ -5,15 +5,17 @@ several pursuers at once or for one alone, so the velocity of a pursuer must not
 and velocities are complex numbers, as in `desim.pursuit.core.state`.
 """
 
+from collections.abc import Mapping
 from math import sqrt
-from typing import Literal, Protocol
+from types import MappingProxyType
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.model import Value
-from desim.config.traits import is_ours
+from desim.config.traits import Traits, is_ours
 from desim.pursuit.core.geometry import SMALLEST, toward
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import NO_SPEED
@@ -40,6 +42,12 @@ class Guidance(Protocol):
     def __call__(  # noqa: D102
         self, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
     ) -> Points: ...
+
+
+class GuidanceTraits(Traits):
+    """The method of a guidance law that must agree with its `__call__`."""
+
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"one": ("__call__",)})
 
 
 class PurePursuit(Value):
