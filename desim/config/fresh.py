@@ -6,11 +6,15 @@ variables of enclosing functions, mutable defaults, random generators. What a mo
 """
 
 import pickle
+import queue
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from functools import _lru_cache_wrapper, lru_cache
 from hashlib import sha256
 from io import BytesIO
+from itertools import count, repeat
 from types import (
     BuiltinFunctionType,
     CellType,
@@ -28,7 +32,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import ADDING, COLLECTIONS, defaults_of, shared_changes
+from desim.config.shared_state import ADDING, COLLECTIONS, defaults_of, is_foreign, shared_changes
 from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
@@ -96,8 +100,12 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
 
 
 def _never_changes(module: str | None) -> bool:
-    """Return whether the objects of a module, given its name, are shared; a similar name is that of another module."""
-    return (module or "").partition(".")[0] in NEVER_CHANGED
+    """Return whether the objects of a module, given its name, are shared; a similar name is that of another module.
+
+    A graph of networkx is not.
+    """
+    name = module or ""
+    return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
 
 
 @lru_cache(maxsize=256)
@@ -189,12 +197,8 @@ def _snapshot(value: Any) -> Any:
         return None
     if _is_plain(value) and not isinstance(value, np.ndarray):
         return [value]
-    if type(value).__module__ == "itertools":  # its text has what a counter returns next
-        return [repr(value)]
-    if isinstance(value, GeneratorType):
-        return [id(value), value.gi_frame and value.gi_frame.f_lasti, repr(value.gi_frame and value.gi_frame.f_locals)]
     content = BytesIO()
-    copier = _Copier(content)
+    copier = _Describer(content)
     try:
         copier.dump(value)
     except Exception:  # code of an object may raise anything
@@ -272,6 +276,51 @@ class _Copier(pickle.Pickler):
     def _shared(self, held: Any) -> Any:
         """Return what stands for a default or variable of a function; it is copied unless its caller may read it."""
         return _Kept(held) if _is_collection(held) and not self._alone else held
+
+
+class _Describer(_Copier):
+    """Pickles what a value consists of, also if it cannot be copied, to tell whether it has changed.
+
+    An iterator whose state cannot be read counts as changed when it is described again: code uses it to advance it.
+    """
+
+    def persistent_id(self, value: Any) -> int | None:
+        """Return a number also for a function of Python, and None for objects that copies share but that change."""
+        if isinstance(value, SHARED):
+            return None
+        is_of_python = isinstance(value, FunctionType) and is_foreign(value)
+        return super().persistent_id(_Kept(value) if is_of_python else value)
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return what describes an object."""
+        if isinstance(value, threading.local):
+            return dict, (vars(value),)
+        if isinstance(value, ContextVar):
+            return list, ([value.name, value.get(None)],)
+        if isinstance(value, queue.Queue):
+            return list, ([*value.queue],)
+        if isinstance(value, queue.SimpleQueue):
+            return int, (value.qsize(),)
+        if isinstance(value, GeneratorType):
+            frame = value.gi_frame
+            return list, ([id(value), frame and frame.f_lasti, repr(frame and frame.f_locals)],)
+        if type(value) in {count, repeat}:  # their texts have what they return next
+            return str, (repr(value),)
+        try:
+            reduced = super().reducer_override(value)
+            if reduced is NotImplemented:
+                value.__reduce_ex__(5)
+        except Exception:  # code of an object may raise anything
+            is_again = not isinstance(value, Iterator) or id(value) in _described
+            _described.add(id(value))
+            return list, ([id(value), is_again],)
+        return reduced
+
+
+SHARED = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
+"""The types of objects that copies share, although they hold something."""
+_described: set[int] = set()
+"""The numbers of the iterators that were described."""
 
 
 class _Reader(pickle.Unpickler):

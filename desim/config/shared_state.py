@@ -3,12 +3,13 @@
 import random
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dis import get_instructions
-from functools import lru_cache, partial
+from functools import _lru_cache_wrapper, cached_property, lru_cache, partial, partialmethod, singledispatchmethod
+from gc import get_referents
 from itertools import pairwise
-from types import CellType, CodeType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 from warnings import warn
 from weakref import WeakKeyDictionary
@@ -16,10 +17,23 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 COLLECTIONS = (list, set, dict, deque, np.ndarray)
-ADDING = {"append", "extend", "add", "update"}
+ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
 """The methods that add to a collection and return nothing."""
 Read = Callable[[], Any]
 """Reads a variable; None if it has no value."""
+BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
+"""What finds a variable of a module by a text."""
+CODE = (
+    *(FunctionType, MethodType, staticmethod, classmethod, property),
+    *(cached_property, partialmethod, singledispatchmethod, _lru_cache_wrapper),
+)
+"""The objects of Python that are functions or have some inside."""
+INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", "dispatcher")
+"""The attributes in which they have functions and objects."""
+TABLE = 100
+"""Number of items up to which a table is searched for functions."""
+DEPTH = 8
+"""Number of wrappers inside each other through which functions are looked for; a table counts as half of them."""
 _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
 """The packages whose classes and functions are not looked at."""
 
@@ -60,8 +74,18 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             " may be appended to a list that it does not read"
         )
         warn(text, StateWarning, stacklevel=6)
-    generators = _global_generators()
+    caches = [item for item in objects if isinstance(item, _lru_cache_wrapper)]
+    cached = [_cached(item, snapshot) for item in caches]
+    generators, imported = _global_generators(), set(sys.modules)
     yield
+    for item, values in zip(caches, cached, strict=True):
+        now_cached = _cached(item, snapshot) if values else {}
+        if any(now_cached.get(number, state) != state for number, state in values.items()):
+            text = (
+                f"{item.__module__}.{item.__qualname__}: the run has changed what its cache has from an earlier one, so"
+                " another run starts from another state; what a model remembers should be in its instance (self)"
+            )
+            warn(text, StateWarning, stacklevel=6)
     if drawn_from := [name for name, state in _global_generators().items() if state != generators[name]]:
         text = (
             f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
@@ -70,9 +94,29 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         warn(text, StateWarning, stacklevel=6)
     for (owner, name, read), first in zip(reads, before, strict=True):
         _runs.setdefault(owner, {})[name] = first, snapshot(read())
+    new_modules = sys.modules.keys() - imported
     for owner, name, read in _shared(objects):
-        if name not in _runs.get(owner, {}):  # the run has created it
+        if name.rpartition(".")[0] not in new_modules and name not in _runs.get(owner, {}):  # the run has created it
             _runs.setdefault(owner, {})[name] = (), snapshot(read())
+
+
+def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
+    """Return what differs if a value in the cache of a function has changed, by the number of the object.
+
+    All are left out if there are many.
+    """
+    if not 0 < function.cache_info().currsize <= TABLE:
+        return {}
+    held = [item for item in get_referents(function) if item is not vars(function) and not callable(item)]
+    if function.cache_parameters()["maxsize"] is None:  # then the dict of the cache has the values
+        held = [value for item in held if type(item) is dict for value in item.values()]
+    else:  # the dict of the cache has the links of a list, whose items the function lists, too
+        held = [item for item in held if not (type(item) is dict and item and all(map(_is_link, item.values())))]
+    return {id(item): snapshot(item) for item in held}
+
+
+def _is_link(value: Any) -> bool:
+    return type(value).__name__ == "_lru_list_elem"
 
 
 def _global_generators() -> dict[str, Any]:
@@ -84,36 +128,37 @@ def _global_generators() -> dict[str, Any]:
 def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
     for item in objects:
-        function = getattr(item, "__func__", item)
-        if isinstance(function, FunctionType) and not _is_of_package(function):
-            yield from ((function, *variable) for variable in _items(function.__qualname__, vars(function)))
-            yield from ((function, *variable) for variable in _variables(function))
-        for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
-            if _is_foreign(base):
-                continue
-            for method in tuple(vars(base).values()):  # pydantic may still complete the class
-                method = getattr(method, "__func__", method)
-                if isinstance(method, FunctionType):
-                    yield from ((base, *variable) for variable in _variables(method))
-            yield from ((base, *variable) for variable in _items(base.__qualname__, vars(base)))
+        if isinstance(item, FunctionType):
+            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
+            yield from ((item, *variable) for variable in _variables(item))
+        elif isinstance(item, type):
+            for function in _functions_in(vars(item).values()):
+                yield from ((item, *variable) for variable in _variables(function))
+            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
 
 
-def _is_foreign(definition: Any) -> bool:
-    return (definition.__module__ or "").partition(".")[0] in _FOREIGN
+def is_foreign(definition: Any) -> bool:
+    """Return whether a function or class is one of desim, of Python or of a package that desim needs.
+
+    A function that `functools` makes of a user's has the module of the latter, and the variables of `functools`.
+    """
+    places = definition.__globals__ if isinstance(definition, FunctionType) else {}
+    return (places.get("__name__") or definition.__module__ or "").partition(".")[0] in _FOREIGN
 
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
-    """Yield the attributes in the namespace of a class or function, without methods and other descriptors."""
-    for name, value in tuple(place.items()):
-        if not (name.startswith("__") or name == "_abc_impl" or hasattr(type(value), "__get__")):
+    """Yield the attributes in the namespace of a class or function, without methods and descriptors of Python."""
+    for name, value in tuple(place.items()):  # pydantic may still complete the class
+        is_method = hasattr(type(value), "__get__") and is_foreign(type(value))
+        if not (name.startswith("__") or name == "_abc_impl" or is_method):
             yield f"{owner}.{name}", partial(place.get, name)
 
 
 def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     """Yield the variables outside of a function that it may change, without collections to which it only adds."""
-    if _is_foreign(function):
+    if is_foreign(function):
         return
-    code, places = function.__code__, function.__globals__
+    code = function.__code__
     arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     defaults = function.__defaults__ or ()
     held: dict[str, Read] = {}
@@ -126,33 +171,79 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     for name, read in held.items():
         if not only_adds(code, name):
             yield f"{name} of {function.__qualname__}", read
-    for name in _globals_of(code):
-        if name in places and not only_adds(code, name):
-            yield f"{function.__module__}.{name}", partial(places.get, name)
+    for module, place, names in _modules_of(function):
+        for name in names:
+            if name in place and not (name in _names_of(code) and only_adds(code, name)):
+                yield f"{module}.{name}", partial(place.get, name)
+
+
+def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
+    """Yield the name and the namespace of each module of users that a function refers to, and the names that it uses.
+
+    A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
+    """
+    code, own = function.__code__, function.__globals__
+    globals_, names, texts = _globals_of(code), _names_of(code), _texts_of(code)
+    by_text = texts | names if names & BY_TEXT else frozenset()
+    yield function.__module__, own, globals_ | (by_text & own.keys())
+    held = [own.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
+    held += [sys.modules.get(name) for name in _imports_of(code) | by_text]
+    modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
+    for module in modules.values():
+        yield module.__name__, vars(module), (names | by_text) & vars(module).keys()
 
 
 def _reached(objects: Iterable[Any]) -> list[Any]:
-    """Return objects, and the functions and classes of users that their code calls or reads by name."""
-    reached, seen = list(objects), set[int]()
-    for item in reached:
-        functions = [getattr(item, "__func__", item)]
-        for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
-            if not _is_foreign(base):  # pydantic may still complete the class
-                functions += [getattr(value, "__func__", value) for value in tuple(vars(base).values())]
-        for function in functions:
-            if not isinstance(function, FunctionType) or _is_foreign(function) or id(function) in seen:
+    """Return the functions and classes of users among some objects, and those that their code calls or reads by name.
+
+    Each is there once.
+    """
+    reached: dict[int, Any] = {}
+    held = list(objects)
+    for value in held:
+        for definition in _definitions_of(value):
+            if id(definition) in reached or _is_of_package(definition):
                 continue
-            seen.add(id(function))
-            names = _globals_of(function.__code__)
-            values = [function.__globals__[name] for name in names if name in function.__globals__]
-            for module in [value for value in values if isinstance(value, ModuleType) and not _is_installed(value)]:
-                values += [vars(module)[name] for name in _attributes_of(function.__code__) if name in vars(module)]
-            for value in values:
-                value = getattr(value, "__wrapped__", value)
-                if isinstance(value, FunctionType | type) and not _is_of_package(value) and id(value) not in seen:
-                    seen.update([id(value)] if isinstance(value, type) else [])
-                    reached.append(value)
-    return reached
+            reached[id(definition)] = definition
+            if isinstance(definition, _lru_cache_wrapper):
+                continue
+            if isinstance(definition, FunctionType):
+                held += [_contents(cell) for cell in definition.__closure__ or ()]
+                held += [*defaults_of(definition), *vars(definition).values()]
+                for _, place, names in _modules_of(definition):
+                    held += [place[name] for name in names if name in place]
+            else:
+                held += vars(definition).values()  # pydantic may still complete the class
+    return [*reached.values()]
+
+
+def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
+    """Yield the functions, classes and caches that an object is, wraps, is an instance of, or has as items."""
+    if depth > DEPTH:
+        return
+    if isinstance(value, type):
+        metaclass: type = type(value)
+        yield from (base for base in (*value.__mro__, *metaclass.__mro__) if not is_foreign(base))
+    elif isinstance(value, CODE):
+        if isinstance(value, FunctionType | _lru_cache_wrapper):
+            yield value
+        for name in INNER:
+            yield from _definitions_of(getattr(value, name, None), depth + 1)
+    elif isinstance(value, list | tuple | dict):
+        for item in (value.values() if isinstance(value, dict) else value) if len(value) <= TABLE else ():
+            yield from _definitions_of(item, depth + DEPTH // 2)
+    elif isinstance(value, partial):
+        yield from _definitions_of(value.func, depth + 1)
+        yield from _definitions_of((*value.args, *value.keywords.values()), depth + 1)
+    elif not is_foreign(type(value)):
+        yield from _definitions_of(type(value))
+
+
+def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
+    """Yield the functions among the attributes of a class."""
+    for value in tuple(values):  # pydantic may still complete the class
+        if isinstance(value, CODE):
+            yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
 
 
 def _is_installed(module: ModuleType) -> bool:
@@ -164,13 +255,26 @@ def _is_installed(module: ModuleType) -> bool:
 def _is_of_package(definition: Any) -> bool:
     """Return whether a function or class is defined in such a module; what it remembers is a matter of its authors."""
     module = sys.modules.get(definition.__module__ or "")
-    return _is_foreign(definition) or (module is not None and _is_installed(module))
+    return is_foreign(definition) or (module is not None and _is_installed(module))
 
 
 @lru_cache(maxsize=256)
-def _attributes_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the attributes that a function and the functions inside it use."""
-    return frozenset(code.co_names).union(*map(_attributes_of, _inner(code)))
+def _names_of(code: CodeType) -> frozenset[str]:
+    """Return the names of the global variables and attributes that a function and the functions inside it use."""
+    return frozenset(code.co_names).union(*map(_names_of, _inner(code)))
+
+
+@lru_cache(maxsize=256)
+def _texts_of(code: CodeType) -> frozenset[str]:
+    """Return the texts that are constants of a function and of the functions inside it."""
+    return frozenset(item for item in code.co_consts if isinstance(item, str)).union(*map(_texts_of, _inner(code)))
+
+
+@lru_cache(maxsize=256)
+def _imports_of(code: CodeType) -> frozenset[str]:
+    """Return the names of the modules that a function and the functions inside it import."""
+    names = {item.argval for item in get_instructions(code) if item.opname == "IMPORT_NAME"}
+    return frozenset(names).union(*map(_imports_of, _inner(code)))
 
 
 def defaults_of(function: FunctionType) -> list[Any]:

@@ -4,9 +4,14 @@ import functools
 import importlib
 import itertools
 import pkgutil
+import queue
 import random
 import re
+import sys
+import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextvars import ContextVar
+from types import FunctionType, ModuleType
 from warnings import catch_warnings, simplefilter
 
 import networkx
@@ -465,6 +470,279 @@ CALLED = 0
 
 def generating(state, rng):
     return next(HEADINGS)
+
+
+# State that is found by text, in descriptors, tables and caches, or that cannot be copied.
+
+STATE = ModuleType("state_of_a_user")
+STATE.calls = STATE.other = 0
+STATE.seen = [0]
+CYCLE = itertools.cycle([1j, -1j])
+CHAIN = itertools.chain([1j], itertools.repeat(-1j))
+SLICE = itertools.islice(itertools.count(), 10**6)
+MAPPED = map(float, range(10**6))
+BY_TEXT = BY_MODULE = 0
+IN_PROPERTY, IN_CACHED_PROPERTY, IN_STATIC, DISPATCHED = [0], [0], [0], [0]
+CONTEXT = ContextVar("CONTEXT", default=0)
+THREAD = threading.local()
+THREAD.calls = 0
+QUEUE = queue.Queue()
+GRAPH = networkx.path_graph(2)
+STEP = Remembering().turn
+PART = functools.partial(Remembering())
+
+
+class Total:
+    """A descriptor that keeps one number for all instances."""
+
+    def __init__(self):
+        self.value = 0
+
+    def __get__(self, owner, kind=None):
+        return self.value
+
+    def __set__(self, owner, value):
+        self.value = value
+
+
+class WithDescriptor:
+    calls = Total()
+
+    def __call__(self, state, rng):
+        self.calls += 1
+        return 1j
+
+
+class WithProperty:
+    @property
+    def calls(self):
+        IN_PROPERTY[0] += 1
+        return IN_PROPERTY[0]
+
+    def __call__(self, state, rng):
+        return 1j * np.sign(self.calls)
+
+
+class WithCachedProperty:
+    @functools.cached_property
+    def calls(self):
+        IN_CACHED_PROPERTY[0] += 1
+        return IN_CACHED_PROPERTY[0]
+
+    def __call__(self, state, rng):
+        return 1j * np.sign(self.calls)
+
+
+class WithStatic:
+    @staticmethod
+    def count():
+        IN_STATIC[0] += 1
+        return IN_STATIC[0]
+
+    @classmethod
+    def sign(cls):
+        return np.sign(cls.count())
+
+    def __call__(self, state, rng):
+        return 1j * self.sign()
+
+
+class Meta(type):
+    calls = 0
+
+
+class WithMeta(metaclass=Meta):
+    def __call__(self, state, rng):
+        Meta.calls += 1
+        return 1j
+
+
+class Holding:
+    """An object with something that cannot be copied."""
+
+    def __init__(self):
+        self.numbers = (number for number in itertools.count())
+        self.call = lambda: next(self.numbers)
+
+
+HOLDING = Holding()
+
+
+def counted(function):
+    calls = 0
+
+    @functools.wraps(function)
+    def counting():
+        nonlocal calls
+        calls += 1
+        return function(calls)
+
+    return counting
+
+
+@counted
+def decorated(calls):
+    return calls
+
+
+@functools.cache
+def memory():
+    return {"calls": 0}
+
+
+@functools.lru_cache(maxsize=2)
+def bounded_memory(number):
+    return [number]
+
+
+@functools.singledispatch
+def dispatched(number):
+    DISPATCHED[0] += 1
+    return DISPATCHED[0]
+
+
+@functools.cache
+def table(number):
+    return [1j] * number
+
+
+def by_text():
+    globals()["BY_TEXT"] += 1
+
+
+def by_module():
+    sys.modules[__name__].BY_MODULE += 1
+
+
+def in_a_module():
+    STATE.calls += 1
+
+
+def by_name_in_a_module():
+    setattr(STATE, "other", STATE.other + 1)  # noqa: B010
+
+
+def in_an_imported_module():
+    from state_of_a_user import seen
+
+    seen[0] += 1
+
+
+def in_a_cache():
+    memory()["calls"] += 1
+
+
+def in_a_bounded_cache():
+    bounded_memory(1)[0] += 1
+
+
+def in_a_context():
+    CONTEXT.set(CONTEXT.get() + 1)
+
+
+def in_a_thread():
+    THREAD.calls += 1
+
+
+def in_a_queue():
+    QUEUE.put(0)
+    return QUEUE.qsize()
+
+
+def in_a_graph():
+    GRAPH.nodes[0]["calls"] = GRAPH.nodes[0].get("calls", 0) + 1
+
+
+TABLE = {"a": {"b": lambda: next(IN_TABLE)}}
+IN_TABLE = itertools.count()
+
+
+def doing(act):
+    """Return a strategy that acts at each step and flies up."""
+
+    def strategy(state, rng):
+        act()
+        return 1j
+
+    return strategy
+
+
+HIDDEN = {
+    "CYCLE": lambda: next(CYCLE),
+    "CHAIN": lambda: next(CHAIN),
+    "SLICE": lambda: next(SLICE),
+    "MAPPED": lambda: next(MAPPED),
+    "BY_TEXT": by_text,
+    "BY_MODULE": by_module,
+    "state_of_a_user.calls": in_a_module,
+    "state_of_a_user.other": by_name_in_a_module,
+    "state_of_a_user.seen": in_an_imported_module,
+    "memory": in_a_cache,
+    "bounded_memory": in_a_bounded_cache,
+    "CONTEXT": in_a_context,
+    "THREAD": in_a_thread,
+    "QUEUE": in_a_queue,
+    "GRAPH": in_a_graph,
+    "STEP": lambda: STEP(),
+    "PART": lambda: PART(),
+    "IN_TABLE": lambda: TABLE["a"]["b"](),
+    "HOLDING": lambda: HOLDING.call(),
+    "calls of decorated": lambda: decorated(),
+    "DISPATCHED": lambda: dispatched(1),
+    "WithDescriptor.calls": WithDescriptor(),
+    "IN_PROPERTY": WithProperty(),
+    "IN_CACHED_PROPERTY": WithCachedProperty(),
+    "IN_STATIC": WithStatic(),
+    "Meta.calls": WithMeta(),
+}
+
+
+def brief(strategy):
+    return Scenario(team=Team(count=2), evader=Evader(strategy=strategy), horizon=0.1)
+
+
+@pytest.mark.parametrize(("name", "act"), HIDDEN.items(), ids=HIDDEN)
+def test_hidden_state_is_warned_of(name, act, monkeypatch):
+    monkeypatch.setitem(sys.modules, "state_of_a_user", STATE)
+    scenario = brief(doing(act) if isinstance(act, FunctionType) else act)
+    with catch_warnings(record=True) as caught:
+        simplefilter("always")
+        for _ in range(2):
+            run(scenario, 1)
+    texts = [str(warning.message) for warning in caught if warning.category is StateWarning]
+    assert len(texts) == 1
+    assert re.search(
+        rf"\b{re.escape(name)}\b.*: (an earlier run has changed it|the run has changed what its cache)", texts[0]
+    )
+
+
+def test_a_memo_and_a_report_are_not_warned_of():
+    """A cache of a function that always returns the same, and a queue into which the run only puts."""
+    seen = queue.Queue()
+
+    def strategy(state, rng):
+        seen.put(state.stamp)
+        return table(3)[0]
+
+    scenario = brief(strategy)
+    for _ in range(3):
+        run(scenario, 1)
+    assert seen.qsize() > 0
+
+
+def test_a_graph_that_a_function_holds_is_copied():
+    held = networkx.path_graph(2)
+    held.nodes[0]["calls"] = 0
+
+    def graph(size):
+        held.nodes[0]["calls"] += 1
+        return held
+
+    scenario = Scenario(team=Team(count=2), network=Links(graph=graph), horizon=0.1)
+    for _ in range(2):
+        run(scenario, 1)
+    assert held.nodes[0]["calls"] == 0
+    run(Scenario(team=Team(count=3), network=Links(graph=networkx.cycle_graph), horizon=0.1), 1)
 
 
 @pytest.mark.slow_but_one
