@@ -2,10 +2,12 @@
 
 import array
 import collections
+import ctypes
 import dataclasses
 import datetime
 import enum
 import functools
+import random
 import types
 import uuid
 from collections import Counter, OrderedDict, UserDict, UserList, UserString, defaultdict, deque
@@ -189,6 +191,8 @@ IMMUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     "np.datetime64": (np.datetime64("2024-05-06T07"), "2024-05-06T07", 8),
     "np.timedelta64": (np.timedelta64(1500, "ms"), 1.5, 8),
     "np months": (np.timedelta64(3, "M"), "3 months", 8),
+    "pandas.NA": (pd.NA, None, 8),
+    "time zone": (datetime.UTC, "UTC", 3),
     "class": (Bid, "Bid", NONE),
     "function": (function, "function", NONE),
     "builtin": (len, "len", NONE),
@@ -269,7 +273,15 @@ MUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     "method": (Plan(1).__init__, "Plan.__init__", NONE),
     "empty object": (types.SimpleNamespace(), {"class_name": "SimpleNamespace"}, NONE),
     "object": (object(), {"class_name": "object"}, NONE),
-    "random generator": (np.random.default_rng(1), {"class_name": "Generator"}, NONE),
+    "series with a missing number": (pd.Series([1, None], dtype="Int64"), [1, None], 16),
+    "random.Random": (
+        random.Random(1),
+        {"class_name": "Random", "args": [], "state": [3, [*random.Random(1).getstate()[1]], None]},
+        NONE,
+    ),
+    "slice": (slice(1, 2), {"class_name": "slice", "args": [1, 2, None]}, NONE),
+    "interval": (pd.Interval(0, 1), {"class_name": "Interval", "args": [0, 1, "right"]}, NONE),
+    "C integer": (ctypes.c_int8(5), {"class_name": "c_byte", "args": ["c_byte", [{}, "05"]]}, NONE),
 }
 """By name: a body that may change, its content and its size, bytes."""
 BODIES = IMMUTABLE | MUTABLE

@@ -1,6 +1,7 @@
 """Bodies of all kinds arrive as they were sent, in every way, and are recorded by their content."""
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -8,7 +9,9 @@ import weakref
 from contextlib import redirect_stdout
 from functools import partial
 from io import StringIO
+from logging import getLogger
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import networkx as nx
 import numpy as np
@@ -20,7 +23,7 @@ from hypothesis import strategies as st
 from desim.kernel.core.body_content import MAX_DEPTH, content, in_json_types
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Broadcast, Delivered, Sent, Trace
-from desim.kernel.core.message_body import as_sent, is_immutable
+from desim.kernel.core.message_body import as_sent, differs, is_immutable
 from desim.kernel.core.message_size import HEADER, size, size_of
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import body_json, events_of, line_of
@@ -221,6 +224,22 @@ def generator():
         (generator(), "a body of type generator cannot be sent: cannot pickle 'generator' object"),
         ({"a": [generator()]}, "a body of type dict cannot be sent: cannot pickle 'generator' object"),
         ((1, threading.Lock()), "a body of type tuple cannot be sent: cannot pickle '_thread.lock' object"),
+        (
+            iter([1]),
+            "a body of type list_iterator cannot be sent: an object of type list_iterator can be read only once",
+        ),
+        (
+            [enumerate("a")],
+            "a body of type list cannot be sent: an object of type enumerate can be read only once: send a list of its",
+        ),
+        (
+            map(abs, [1]),
+            "a body of type map cannot be sent: an object of type map can be read only once: send a list of its items",
+        ),
+        (StringIO("a"), "a body of type StringIO cannot be sent: an object of type StringIO can be read only once"),
+        (sys.stdout, f"a body of type {type(sys.stdout).__name__} cannot be sent: "),
+        ({1: property()}, "a body of type dict cannot be sent: the content of an object of type property is not known"),
+        (getLogger(), "a body of type RootLogger cannot be sent: "),
         ({}.keys(), "a body of type dict_keys cannot be sent: cannot pickle 'dict_keys' object"),
         (cyclic(), "a body of type list cannot be sent: it is nested more than 100 levels deep, or contains itself"),
         (Cell(), "a body of type Cell cannot be sent: it is nested more than 100 levels deep, or contains itself"),
@@ -238,6 +257,28 @@ def test_what_cannot_be_copied_or_recorded_is_refused_at_sending(way, body, told
     with pytest.raises(ValueError) as refusal:
         WAYS[way](network, body)
     assert str(refusal.value).startswith(told)
+
+
+def test_missing_numbers_are_null_and_as_long_as_numbers():
+    for body in ([pd.NA], [np.ma.masked], (pd.NA,), np.array([pd.NA], object)):
+        assert in_json_types(as_sent(body)) == [None]
+        assert size_of(body) == HEADER + 8
+    assert as_sent(np.ma.masked) is np.ma.masked
+
+
+def test_objects_with_hidden_state_differ_in_their_content():
+    """Also those whose attributes say nothing, such as generators of random numbers, patterns and types of arrays."""
+    for one, other in (
+        (np.random.default_rng(1), np.random.default_rng(2)),
+        (np.random.PCG64(1), np.random.PCG64(2)),
+        (re.compile("a"), re.compile("b")),
+        (np.dtype("f4"), np.dtype("f8")),
+        (ZoneInfo("UTC"), ZoneInfo("Europe/Rome")),
+        (np.sin, np.cos),
+    ):
+        as_sent([one])
+        assert in_json_types(one) != in_json_types(other)
+        assert differs(one, other)
 
 
 def test_a_body_without_size_needs_one():

@@ -6,15 +6,17 @@ on settings. An object of another library takes part with `content.register`, an
 """
 
 import array
+import copyreg
 import dataclasses
 import datetime
 import functools
 import json
+import struct
 import types
 import uuid
 import weakref
 from collections import UserString
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from decimal import Decimal
 from enum import Enum
 from fractions import Fraction
@@ -63,8 +65,12 @@ def content(value: Any) -> Any:
     The fields of a dataclass, a named tuple, a pydantic or an attrs model by name; an array, a series, a deque or a
     range as a list; a set as a sorted list; a table by columns; bytes in hexadecimal digits; a complex number as its
     real and imaginary part; an enumeration by its value; a date in ISO 8601; a duration in seconds; a fraction, decimal
-    number, path or UUID as text; a function or a class by its name. Any other object is a dict of its attributes with
-    its class as `class_name`.
+    number, path, time zone or UUID as text; a function or a class by its name; a missing number (`pandas.NA`) as None.
+    Any other object is a dict of its attributes with its class as `class_name`; if it has more in it, of the
+    arguments and the state from which pickle would make it again.
+
+    Raises:
+        ValueError: if the content is not known, or can be read only once.
     """
     if (fields := content_fields(value)) is not None:
         return fields
@@ -77,11 +83,50 @@ def content(value: Any) -> Any:
         return {name: value[name] for name in value.columns}
     if hasattr(kind, "__array__"):
         return np.asarray(value)
+    if is_missing(value):
+        return None
+    if is_opaque(kind):
+        return _pickled(value)
     attributes = attributes_of(value)
     name = "class_name"
     while name in attributes:
         name += "_"
     return Fields({name: kind.__name__} | attributes)
+
+
+def is_missing(value: Any) -> bool:
+    """Return whether an object stands for a missing number, as `pandas.NA` and `numpy.ma.masked` do."""
+    kind: type = type(value)
+    return value is np.ma.masked or (kind.__name__ == "NAType" and kind.__module__.startswith("pandas."))
+
+
+@functools.cache
+def is_opaque(kind: Any) -> bool:
+    """Return whether the objects of a type, as a rule of one that is written in C, have more in them than attributes.
+
+    This is the rule by which Python decides whether their attributes suffice to copy them.
+    """
+    slots = copyreg._slotnames(kind)  # type: ignore[attr-defined]
+    pointers = (kind.__dictoffset__ > 0) + (kind.__weakrefoffset__ > 0) + len(slots)
+    return bool(kind.__itemsize__) or kind.__basicsize__ > object.__basicsize__ + pointers * struct.calcsize("P")
+
+
+def _pickled(value: Any) -> Any:
+    """Return the content of an object that has no other: that from which pickle would make it again."""
+    kind: type = type(value)
+    if isinstance(value, Iterator):
+        raise ValueError(f"an object of type {kind.__name__} can be read only once: send a list of its items")
+    try:
+        registered = copyreg.dispatch_table.get(kind)
+        reduced = value.__reduce_ex__(4) if registered is None else registered(value)
+    except TypeError as error:
+        raise ValueError(f"the content of an object of type {kind.__name__} is not known") from error
+    if isinstance(reduced, str):
+        return reduced
+    function, args, *rest = reduced
+    is_new = function is copyreg.__newobj__  # type: ignore[attr-defined]
+    state = {"state": rest[0]} if rest and rest[0] is not None else {}
+    return Fields({"class_name": kind.__name__, "args": args[1:] if is_new else args} | state)
 
 
 def content_fields(value: Any) -> Fields | None:
@@ -202,6 +247,7 @@ content.register(uuid.UUID, str)
 content.register(PurePath, lambda path: path.as_posix())
 content.register(datetime.date, lambda date: date.isoformat())
 content.register(datetime.time, lambda time: time.isoformat())
+content.register(datetime.tzinfo, str)
 content.register(datetime.timedelta, lambda duration: duration.total_seconds())
 
 
@@ -242,6 +288,8 @@ def _scalar(scalar: np.generic) -> Any:
 
 @content.register
 def _array(array: np.ndarray) -> Any:
+    if is_missing(array):
+        return None
     if array.ndim == 0:
         return array[()]
     return array.tolist() if array.dtype.kind in "biufcSUO" else list(np.asarray(array))

@@ -20,7 +20,15 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from desim.kernel.core.body_content import JSON_ATOMS, Fields, attributes_of, check_depth, content, in_json_types
+from desim.kernel.core.body_content import (
+    JSON_ATOMS,
+    Fields,
+    attributes_of,
+    check_depth,
+    content,
+    in_json_types,
+    is_missing,
+)
 
 ATOMS = JSON_ATOMS | {
     *(complex, bytes, range, type(Ellipsis), Decimal, Fraction, uuid.UUID),
@@ -73,18 +81,23 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
         ValueError: if it has not, or it is nested more than `MAX_DEPTH` levels deep.
     """
     check_depth(depth)
-    if type(copied) in ATOMS:
+    if type(copied) in ATOMS or is_missing(copied):
         return
     if copied is value and isinstance(value, list | dict | set | bytearray | deque | np.ndarray):
         raise ValueError(f"its copies would share a {type(value).__name__}")
     if isinstance(copied, np.ndarray) and copied.dtype.kind in "biufc":
         return
-    parts, copies = content(value), content(copied)
-    if copied is value or type(copies) in JSON_ATOMS:
+    if copied is value:
+        in_json_types(value)
         return
-    if isinstance(copies, list | Fields):
-        both = (parts, copies) if isinstance(copies, list) else (parts.values(), copies.values())
-        for part, copied_part in zip(*both, strict=True):
+    parts, copies = content(value), content(copied)
+    if type(copies) in JSON_ATOMS:
+        return
+    if isinstance(copies, Fields):
+        for name, copied_part in copies.items():  # a copy may lack what was computed from others
+            _check_copy(parts.get(name), copied_part, depth + 1)
+    elif isinstance(copies, list):
+        for part, copied_part in zip(parts, copies, strict=True):
             _check_copy(part, copied_part, depth + 1)
     else:
         _check_copy(parts, copies, depth + 1)
@@ -114,6 +127,8 @@ def is_immutable(value: Any, depth: int = 0) -> bool:
 def _immutable_parts(kind: Any) -> Parts | None:
     """Return the function that returns what an object of an immutable type consists of; None for any other type."""
     if issubclass(kind, Enum | type):
+        return lambda _: ()
+    if kind is type(np.ma.masked) or (kind.__name__ == "NAType" and kind.__module__.startswith("pandas.")):
         return lambda _: ()
     if kind is frozenset or (issubclass(kind, tuple) and not kind.__dictoffset__):  # 0: without attributes
         return iter

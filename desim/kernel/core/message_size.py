@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.python_numbers import whole
-from desim.kernel.core.body_content import Fields, attributes_of, content, content_fields
+from desim.kernel.core.body_content import Fields, attributes_of, content, content_fields, is_missing, is_opaque
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Record
 
@@ -90,12 +90,17 @@ def size(body: Any) -> int:
     Raises:
         ValueError: if it has none.
     """
+    kind: Any = type(body)
+    if is_missing(body):
+        return NUMBER
     simpler = content(body)
     if type(simpler) is not Fields:
         return _size(simpler)
     fields = content_fields(body)
     parts = attributes_of(body) if fields is None else fields
-    return portable_sum(map(_size, parts.values())) if parts or fields is not None else _no_size(body)
+    if fields is None and (not parts or is_opaque(kind)):
+        return _no_size(body)
+    return portable_sum(map(_size, parts.values()))
 
 
 @size.register(type)
@@ -165,6 +170,8 @@ def _pairs(items: Mapping) -> int:  # type: ignore[type-arg]
 
 @size.register
 def _array(numbers: np.ndarray) -> int:
+    if is_missing(numbers):
+        return NUMBER
     if numbers.dtype.kind in "biufmM":
         return NUMBER * numbers.size
     return 2 * NUMBER * numbers.size if numbers.dtype.kind == "c" else _size(content(numbers))
