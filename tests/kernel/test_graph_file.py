@@ -270,6 +270,15 @@ NO_GRAPHS = {
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
     "parallel.csv": ("0,1\n0,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
     "some.txt": ("0 1\n1 0\n1 2\n", "has 1 of its edges in both directions and the others in one: set directed = true"),
+    "cut.metis": ("4 2\n2\n1 3\n", "its first line should have the number of the lines below"),
+    "once.graph": ("3 2\n2\n3\n\n", "the edge between the nodes 1 and 2 should be in both lines .*graph of METIS; if"),
+    "count.metis": ("2 2\n2\n1\n", "line 1: says 2 edges, but 1 follow"),
+    "far.metis": ("2 1\n2\n3\n", "line 3: 3 is no other node from 1 to 2, or is there twice"),
+    "word.metis": ("2 1\nb\n1\n", "line 2: should have the numbers of the neighbours of node 1"),
+    "market.txt": ("%%MatrixMarket matrix coordinate\n2 2 1\n1 2 1\n", "Matrix Market is not read; in Python, scipy"),
+    "labels.tgf": ("1 a\n2 b\n", "should have a line # between nodes and edges"),
+    "far.tgf": ("1 a\n2 b\n#\n1 3\n", "line 4: should be two of the nodes above the line #"),
+    "as_rel.txt": ("1|2|-1\n2|3|0\n", "line 1: '1.2.-1' is no edge, and none follows"),
     "dict.edgelist": ("0 1 {'latency': f()}\n", r"line 1: the attributes should be like \{'latency': 0\.1\}"),
 }
 
@@ -447,6 +456,41 @@ def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
     assert Edges(file=str(file)).names == ("boat", "uav")
     file.write_text(f"{a}{mark}{b}\n1{mark}0\n")
     assert Edges(file=str(file)).names == ()
+
+
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    ends=st.sets(st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] < pair[1]), min_size=1),
+    code=st.sampled_from(["", " 0", " 1", " 10", " 011", " 111 2"]),
+    name=st.sampled_from(["g.graph", "g.metis", "g.txt"]),
+)
+def test_a_graph_of_metis_comes_back_with_any_weights(tmp_path, ends, code, name):
+    """Line i has the neighbours of node i; a list of edges would have others, and one between the two numbers."""
+    digits, _, number = code.strip().zfill(3).partition(" ")
+    before = ["7"] * (int(digits[0]) + int(digits[1]) * int(number or 1))
+    lines = [f"% a comment\n5 {len(ends)}{code}"]
+    for node in range(1, 6):
+        neighbours = sorted({*(b for a, b in ends if a == node), *(a for a, b in ends if b == node)})
+        weighted = [text for k in neighbours for text in ([str(k), "3"] if digits[2] == "1" else [str(k)])]
+        lines.append(" ".join(before + weighted))
+    (tmp_path / name).write_text("\n".join(lines) + "\n")
+    edges = read(tmp_path / name)
+    assert edges.nodes == 5
+    assert {(edge.src + 1, edge.dst + 1) for edge in edges.edges} == ends
+    with pytest.raises(ValueError, match="is the format of METIS, which says it"):
+        read(tmp_path / name, directed=True)
+
+
+def test_a_list_of_edges_may_have_the_ending_of_metis(tmp_path):
+    (tmp_path / "g.graph").write_text("0 1\n1 2\n2 0\n")
+    assert len(read(tmp_path / "g.graph").edges) == 3
+
+
+def test_a_trivial_graph_has_labels_of_nodes_and_edges(tmp_path):
+    """The labels are no nodes."""
+    (tmp_path / "g.tgf").write_text("1 First node\n2 Second\n3\n#\n1 2 an edge\n2 3\n")
+    edges = read(tmp_path / "g.tgf")
+    assert [(edge.src, edge.dst) for edge in edges.edges] == [(0, 1), (1, 2)]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Graphs as text: edge lists, adjacency lists and files of Pajek, as networkx graphs whose nodes are texts.
+"""Graphs as text: edge lists, adjacency lists and files of Pajek and METIS, as networkx graphs whose nodes are texts.
 
 Edge lists and adjacency lists do not say whether edges are one-way. A line of an edge list is an edge: its ends, and
 possibly attributes, named in a header or as Python writes a dict. A line with one name is a node without edges.
@@ -52,6 +52,9 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     """
     delimiter = _delimiter(text)
     header, rows = _header_of(file, _rows(file, text, delimiter))
+    if rows and all(len(row.cells) == 1 for row in rows):
+        place = f"{file}, line {rows[0].line}"
+        raise ValueError(f"{place}: {rows[0].cells[0][:40]!r} is no edge, and none follows: write both ends of each")
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
@@ -93,6 +96,73 @@ def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Gra
     rows = _rows(file, text, "")
     edges: list[NamedEdge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
     return _graph(file, [row.cells[0] for row in rows], edges, directed)
+
+
+def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
+    """Return the graph in the format of METIS; None if the text does not have as many lines as its first one says.
+
+    The first line has the numbers of nodes and edges and perhaps a code for weights. Line i of the others has the
+    neighbours of node i, from 1, so that each edge is there twice. Weights and sizes of nodes are not read.
+
+    Raises:
+        ValueError: if the lines are no such graph.
+    """
+    import networkx as nx
+
+    lines = [entry for entry in enumerate(text.split("\n"), 1) if not entry[1].lstrip().startswith("%")]
+    while lines and not lines[0][1].strip():
+        del lines[0]
+    head = lines[0][1].split() if lines else []
+    if not 2 <= len(head) <= 4 or not all(map(str.isdecimal, head)):
+        return None
+    size, number, code = int(head[0]), int(head[1]), (head[2] if len(head) > 2 else "").zfill(3)
+    rows = lines[1:]
+    while len(rows) > size and not rows[-1][1].strip():
+        rows.pop()
+    if len(rows) != size or not set(code) <= {"0", "1"} or len(code) > 3:
+        return None
+    before = int(code[0]) + (int(head[3]) if len(head) > 3 else 1) * int(code[1])
+    step = 2 if code[2] == "1" else 1
+    weights: dict[tuple[int, int], str] = {}
+    for node, (line, row) in enumerate(rows, 1):
+        cells = row.split()[before:]
+        if not all(map(str.isdecimal, cells[::step])) or len(cells) % step:
+            raise ValueError(f"{file}, line {line}: should have the numbers of the neighbours of node {node}")
+        for neighbour, weight in zip(map(int, cells[::step]), cells[step - 1 :: step], strict=True):
+            if not 1 <= neighbour <= size or neighbour == node or (node, neighbour) in weights:
+                why = f"{neighbour} is no other node from 1 to {size}, or is there twice"
+                raise ValueError(f"{file}, line {line}: {why}")
+            weights[node, neighbour] = weight if step == 2 else ""
+    if one_way := next((ends for ends in weights if weights.get(ends[::-1]) != weights[ends]), None):
+        raise ValueError(f"{file}: the edge between the nodes {one_way[0]} and {one_way[1]} should be in both lines")
+    if len(weights) != 2 * number:
+        raise ValueError(f"{file}, line {lines[0][0]}: says {number} edges, but {len(weights) // 2} follow")
+    graph: nx.Graph[Any] = nx.MultiGraph()
+    graph.add_nodes_from(map(str, range(1, size + 1)))
+    for (node, neighbour), weight in weights.items():
+        if node < neighbour:
+            graph.add_edge(str(node), str(neighbour), **({"weight": number_of(weight)} if weight else {}))
+    return graph
+
+
+def read_trivial(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
+    """Return the graph in the Trivial Graph Format: nodes with labels, a line #, and edges with labels.
+
+    Raises:
+        ValueError: if it has no line #, or a line is no edge.
+    """
+    lines = [line.split(maxsplit=2) for line in text.split("\n")]
+    if ["#"] not in lines:
+        raise ValueError(f"{file}: should have a line # between nodes and edges")
+    between = lines.index(["#"])
+    nodes = [cells[0] for cells in lines[:between] if cells]
+    edges: list[NamedEdge] = []
+    for number, cells in enumerate(lines[between + 1 :], between + 2):
+        if cells and not (len(cells) > 1 and {*cells[:2]} <= {*nodes}):
+            raise ValueError(f"{file}, line {number}: should be two of the nodes above the line #")
+        if cells:
+            edges.append((cells[0], cells[1], {"label": cells[2]} if len(cells) > 2 else {}))
+    return _graph(file, nodes, edges, directed)
 
 
 def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":

@@ -1,7 +1,7 @@
 """Graphs in files of many formats, as networkx graphs whose nodes have any names.
 
-The content determines the format, but for adjacency lists, which have the ending `.adjlist`: JSON (node-link, adjacency
-or Cytoscape), GraphML, GEXF, GML, Pajek, or else an edge list.
+The content determines the format, but for adjacency lists, which have the ending `.adjlist`, and the Trivial Graph
+Format (`.tgf`): JSON (node-link, adjacency or Cytoscape), GraphML, GEXF, GML, Pajek, METIS, or else an edge list.
 """
 
 import json
@@ -12,14 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.config.number_files import content_of, text_of_file
-from desim.kernel.graph_files.edge_lists import read_adjacency_list, read_edge_list, read_pajek
+from desim.kernel.graph_files.edge_lists import (
+    read_adjacency_list,
+    read_edge_list,
+    read_metis,
+    read_pajek,
+    read_trivial,
+)
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     import networkx as nx
 
-FORMATS = "JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML, Pajek, an edge list or an adjacency list"
+FORMATS = (
+    "JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML, Pajek, METIS, TGF, an edge list or an adjacency list"
+)
 XML = re.compile(rb"(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?\s*\x00?<")
 GML = re.compile(r"(\s*#[^\n]*\n|\s*(Creator|Version|Comment)\b[^\n]*\n|\s)*graph\s*\[", re.IGNORECASE)
 UNREAD = {
@@ -30,7 +38,11 @@ UNREAD = {
     ".s6": "nx.read_sparse6",
     ".leda": "nx.read_leda",
     ".npy": "nx.from_numpy_array",
+    ".lgl": "igraph.Graph.Read_Lgl(...).to_networkx",
+    ".gdf": "a script of yours",
 }
+METIS = {".metis", ".chaco", ".graph"}
+"""The endings of graphs in the format of METIS; an edge list may have the last one, too."""
 """The functions that read graphs of formats that are not read here, by the ending of the file."""
 
 
@@ -47,10 +59,7 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
     suffixes = [suffix.lower() for suffix in file.suffixes if suffix.lower() != ".gz"]
     ending = suffixes[-1] if suffixes else ""
     if ending in UNREAD:
-        raise ValueError(
-            f"{file}: {ending} is not read; in Python, {UNREAD[ending]} reads it, and a networkx graph can be the graph"
-            f" of the network. Allowed: {FORMATS}"
-        )
+        raise ValueError(_not_read(file, ending, UNREAD[ending]))
     content = content_of(file)
     if XML.match(content):
         name, read = _xml_reader(file, content)
@@ -66,6 +75,14 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
             raise
         missing = "there is no " if isinstance(error, KeyError) else ""
         raise ValueError(f"{file} is not a graph in {name.removeprefix('a ')}: {missing}{error}") from error
+
+
+def _not_read(file: Path, form: str, function: str) -> str:
+    """Return why a file is refused in a format that a function of Python reads."""
+    return (
+        f"{file}: {form} is not read; in Python, {function} reads it, and a networkx graph can be the graph of the"
+        f" network. Allowed: {FORMATS}"
+    )
 
 
 Reader = Callable[[], "nx.Graph[Any]"]
@@ -86,7 +103,32 @@ def _text_reader(file: Path, ending: str, text: str, directed: bool | None) -> t
         raise ValueError(f"{file} is not a graph in {ending[1:]}: it does not begin like one")
     if ending == ".adjlist":
         return "an adjacency list", lambda: read_adjacency_list(file, text, directed)
+    if ending == ".tgf":
+        return "an edge list", lambda: read_trivial(file, text, directed)
+    if begin.lower().startswith("%%matrixmarket"):
+        raise ValueError(_not_read(file, "Matrix Market", UNREAD[".mtx"]))
+    metis = _metis(file, ending, text)
+    if metis is not None:
+        return "the format of METIS", lambda: metis
     return "an edge list", lambda: read_edge_list(file, text, directed)
+
+
+def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
+    """Return the graph in the format of METIS; None if the text is a list of edges.
+
+    Raises:
+        ValueError: if the ending says that it is in this format and it is not, or it may be.
+    """
+    try:
+        graph = read_metis(file, text)
+    except ValueError as error:
+        if ending in METIS:
+            hint = "; if it is an edge list, its ending should be .edgelist" if ending == ".graph" else ""
+            raise ValueError(f"{error} (as a graph of METIS{hint})") from error
+        return None
+    if graph is None and ending in METIS - {".graph"}:
+        raise ValueError(f"{file} is not a graph of METIS: its first line should have the number of the lines below")
+    return graph
 
 
 # JSON

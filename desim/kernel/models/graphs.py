@@ -136,9 +136,9 @@ class Edges(Value):
     edges: tuple[Edge, ...] = ()
     """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
-    """Instead of edges, nodes and names: path of a file in JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML
-    or Pajek's format, of an edge list or of an adjacency list, relative to the scenario file. The file is read once,
-    when the model is created."""
+    """Instead of edges, nodes and names: path of a file in JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML,
+    TGF or the format of Pajek or METIS, of an edge list or of an adjacency list, relative to the scenario file. It is
+    read once, when the model is created."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
