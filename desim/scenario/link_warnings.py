@@ -7,7 +7,7 @@ from typing import Any
 from desim.config.model import RESOLUTION
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.core.units import nanoseconds
+from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma
@@ -97,6 +97,14 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             )
 
 
+def only_first(noun: str, second: float, horizon: float) -> str:
+    """Return the warning that a table has nothing after its first row during a run; its second is at `second` s."""
+    return (
+        f"only the first {noun} counts: the second is at {second:g} s, and the horizon is {horizon:g} s; are the times"
+        " in another unit?"
+    )
+
+
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about traces of links that end before the run, how named nodes are numbered, and doubts."""
     owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
@@ -114,6 +122,12 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             if model.is_replayed and model.doubt is not None:
                 field, why = model.doubt
                 numbers[key if key == "network.graph" else f"{key}.{name}.{field}", why] = None
+            times = model.measurements.times
+            if model.is_replayed and len(times) > 1 and model.start != "random":
+                second = seconds(int(times[1])) - model.start
+                if second > scenario.horizon:
+                    place = key if key == "network.graph" else f"{key}.{name}.time_unit"
+                    numbers[place, only_first("row", second, scenario.horizon)] = None
             if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))

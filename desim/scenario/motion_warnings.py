@@ -5,11 +5,15 @@ from math import sqrt
 from typing import Any
 
 from desim.config.traits import inherits
+from desim.pursuit.motion.flow import RecordedFlow
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Estimator
+from desim.scenario.link_warnings import only_first
 from desim.scenario.scenario import Scenario
 
+SLOW = 10.0
+"""The time until the second row of a record, in horizons, from which on its times probably have another unit."""
 RARE_TURNS = 10.0
 """The time between two turns of an evader, s, beyond which a filter that expects it gives a warning.
 
@@ -85,11 +89,17 @@ def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, record in records:
         if getattr(record, "has_heights", False):
             yield key, "the heights in the file are dropped: motion is in the plane, and so are all distances"
+        waypoints: Sequence[Any] = getattr(record, "waypoints", ())
+        if len(waypoints) > 1 and waypoints[1][0] > SLOW * scenario.horizon:
+            yield f"{key}.waypoints", only_first("waypoint", waypoints[1][0], scenario.horizon)
 
 
 def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about a flow without an effect, and about a guidance that does not allow for it."""
     environment = scenario.environment
+    measured: Sequence[Any] = getattr(environment.flow, "velocities", ())
+    if isinstance(environment.flow, RecordedFlow) and len(measured) > 1 and measured[1][0] > SLOW * scenario.horizon:
+        yield "environment.flow.velocities", only_first("measurement", measured[1][0], scenario.horizon)
     if environment.is_still and environment.on != "all":
         yield "environment.on", "it has no effect without a flow"
     if not environment.is_still and scenario.motion.static:

@@ -13,7 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim import LatencyTrace, LossTrace, Scenario, SignalTrace
+from desim import (
+    Environment,
+    Evader,
+    LatencyTrace,
+    LossTrace,
+    RecordedFlow,
+    RecordedMotion,
+    Scenario,
+    SignalTrace,
+)
 from desim.kernel.core.clock import Clock
 from desim.kernel.measured.csv_tables import _csv_of
 from desim.kernel.measured.measurements import LAST_CLOCK, PER_SECOND, start_of, time_of
@@ -141,7 +150,7 @@ def test_a_date_is_the_time_that_python_says(date, east):
     aware = date.replace(tzinfo=timezone(timedelta(minutes=east)))
     seconds = (aware - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(microseconds=1)
     assert time_of(aware.isoformat()) == Decimal(round(seconds)) / 10**6
-    assert start_of([time_of(date.isoformat())]) == time_of(date.isoformat()) > LAST_CLOCK / 2
+    assert start_of([time_of(date.isoformat())], "") == time_of(date.isoformat()) > LAST_CLOCK / 2
 
 
 @pytest.mark.parametrize(
@@ -164,8 +173,64 @@ def test_what_is_no_date_or_another_clock_is_refused(times, complaint):
 
 
 def test_times_that_count_from_a_date_start_with_the_earliest_and_others_with_0():
-    assert start_of([]) == start_of([time_of("10"), time_of("5")]) == 0
-    assert start_of([time_of("1715949000500", "ms"), time_of("1715949000")]) == 1_715_949_000
+    assert start_of([], "") == start_of([time_of("10"), time_of("5")], "") == 0
+    assert start_of([time_of("1715949000500", "ms"), time_of("1715949000")], "") == 1_715_949_000
+    assert start_of([time_of("1970-01-01T00:00:05Z")], "") == 5
+
+
+TIMES_OF_NOTHING = {
+    "one number for a date": (["20240517", "20240518"], "probably dates: write 2024-05-17 instead of 20240517"),
+    "microseconds": (["150000000", "150100000"], "the times begin at 1500*e?.*: they are probably in ms, us or ns"),
+    "microseconds before 2001": (["999999999"], "they are probably in ms, us or ns"),
+    "milliseconds in the year 2611": (["20240517123000"], "is too great for a time in s"),
+}
+
+
+@pytest.mark.parametrize(("times", "why"), TIMES_OF_NOTHING.values(), ids=TIMES_OF_NOTHING)
+@pytest.mark.parametrize("form", ["trace", "flow", "table", "ns-2", "BonnMotion"])
+def test_a_number_that_is_neither_a_time_nor_a_date_is_refused_in_every_file(tmp_path, times, why, form):
+    rows = [f"{time},1,2" for time in times]
+    texts = {
+        "trace": "t,value\n" + "".join(f"{time},0.1\n" for time in times),
+        "ns-2": "$node_(0) set X_ 1\n$node_(0) set Y_ 1\n"
+        + "".join(f'$ns_ at {time} "$node_(0) setdest 2 2 1"\n' for time in times),
+        "BonnMotion": " ".join(f"{time} 1 2" for time in times) + "\n",
+    }
+    file = tmp_path / ("f.tcl" if form == "ns-2" else "f.movements" if form == "BonnMotion" else "f.csv")
+    file.write_text(texts.get(form, "t,x,y\n" + "\n".join(rows) + "\n"))
+    model = {"trace": LatencyTrace, "flow": RecordedFlow}.get(form, RecordedMotion)
+    with pytest.raises(ValueError, match=why):
+        model(file=str(file))
+
+
+def test_dates_of_the_last_century_and_long_logs_in_small_units_are_read():
+    table = "t,value\n1990-05-01T00:00:00Z,0.1\n1990-05-01T00:00:01Z,0.1\n"
+    assert LatencyTrace(table=table).measurements.times.tolist() == [0, 10**9]
+    table = "t,value\n20240517,0.1\n20240518,0.1\n"
+    assert LatencyTrace(table=table, time_unit="ms").measurements.times.tolist() == [0, 10**6]
+
+
+def test_a_record_of_which_only_the_first_row_counts_is_warned_of():
+    """Relative times in us, for instance, are taken for s."""
+    slow, fast = ((0.0, 1.0, 1.0), (2e6, 2.0, 2.0)), ((0.0, 1.0, 1.0), (2.0, 2.0, 2.0))
+    table = "t,value\n1500000000,0.1\n1500020000,0.1\n"
+    scenario = Scenario(
+        horizon=10.0,
+        network=Links(latency=LatencyTrace(table=table)),
+        environment=Environment(flow=RecordedFlow(velocities=slow)),
+        evader=Evader(strategy=RecordedMotion(waypoints=slow)),
+    )
+    told = dict(warnings(scenario))
+    for key in ("network.latency.time_unit", "environment.flow.velocities", "evader.strategy.waypoints"):
+        assert "the second is at 2" in told[key]
+    good = scenario.with_(
+        {
+            "network.latency.table": "t,value\n0,0.1\n2,0.1\n",
+            "environment.flow.velocities": fast,
+            "evader.strategy.waypoints": fast,
+        }
+    )
+    assert not any("only the first" in why for _, why in warnings(good))
 
 
 @pytest.mark.parametrize(

@@ -33,17 +33,25 @@ MAX_NODE = 2**31 - 1
 LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 """Matches a number, also in a wrong form, and an empty cell."""
 NODE = "the number of a node, 0 or more"
-FIRST_DATE = Decimal(10**8)
-"""A time of this many seconds or more, three years, counts from a date, not from the start of a simulation."""
-LAST_CLOCK = Decimal(10**11)
-"""A greater time, s, is in a smaller unit: in seconds since 1970, it would be in the year 5138."""
+LAST_TIME = Decimal(10**8)
+"""A number of this many seconds or more, three years, does not count from the start of a simulation."""
+FIRST_CLOCK = Decimal(10**9)
+"""A number of this many seconds or more, since 2001, counts from a date."""
+LAST_CLOCK = Decimal(5 * 10**9)
+"""A greater time, s, is in a smaller unit: in seconds since 1970, it would be after the year 2128."""
 DATE = re.compile(
     r"(\d{4})[-/](\d\d)[-/](\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?"
     r" ?(?:(Z|UTC)|([+-]\d\d):?(\d\d)?)?)?",
     re.ASCII | re.IGNORECASE,
 )
 DATE_FORM = "2024-05-17T12:30:00.25Z"
+COMPACT_DATE = re.compile(r"(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01])", re.ASCII)
+"""Matches a date that is written as one number."""
 YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)
+
+
+class DateTime(Decimal):
+    """A time, s, that was written as a date."""
 
 
 class Columns(NamedTuple):
@@ -149,17 +157,38 @@ def _seconds_of_date(text: str) -> Decimal:
         raise ValueError(f"{text!r} is not a date: {error}") from error
     east = timedelta(hours=int(hours or 0), minutes=int(f"{(hours or '+')[0]}{minutes or 0}"))
     since = date - (YEAR_1970 if utc or hours else YEAR_1) - east
-    return Decimal(since // timedelta(seconds=1)) + Decimal(f"0.{fraction or 0}")
+    return DateTime(Decimal(since // timedelta(seconds=1)) + Decimal(f"0.{fraction or 0}"))
 
 
-def start_of(times: Iterable[Decimal]) -> Decimal:
+def start_of(times: Iterable[Decimal], file: Path | str) -> Decimal:
     """Return the time (s) that is the start of the simulation: the earliest, if the times count from a date, else 0.
 
     Apply it to all times of a file, so that its nodes keep their common clock: `float(time - start)` is then the time
     of the simulation.
+
+    Raises:
+        ValueError: if they are no times in s; the message names the file.
     """
-    earliest = min(times, default=Decimal(0))
-    return earliest if earliest >= FIRST_DATE else Decimal(0)
+    every = list(times)
+    earliest = min(every, default=Decimal(0))
+    if reason := _why_no_seconds(every, earliest):
+        raise ValueError(f"{file}: {reason}")
+    return earliest if isinstance(earliest, DateTime) or earliest >= FIRST_CLOCK else Decimal(0)
+
+
+def _why_no_seconds(times: Sequence[Decimal], earliest: Decimal) -> str | None:
+    """Return why numbers are probably no times in s; None if they may be."""
+    if isinstance(earliest, DateTime):
+        return None
+    if LAST_TIME <= earliest < FIRST_CLOCK:
+        return (
+            f"the times begin at {earliest:g} s, which is too late for a simulation and, as a date, before 2001: they"
+            " are probably in ms, us or ns"
+        )
+    if all(COMPACT_DATE.fullmatch(str(time)) for time in times) and times:
+        text = str(earliest)
+        return f"the times are probably dates: write {text[:4]}-{text[4:6]}-{text[6:]} instead of {text}"
+    return None
 
 
 def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[list[tuple[float, ...]], list[str]]:
@@ -179,7 +208,7 @@ def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[li
     names, time = tuple(columns), columns[0]
     cells = cells_of(select(csv_text(file, names), names, str(file)), str(file))
     times = cells.numbers(time, partial(time_of, unit=unit))
-    start = start_of(times)
+    start = start_of(times, f"{file}, column {time}")
     numbers = [cells.numbers(name, _finite) for name in names[1:]]
     for row, seconds in enumerate(times):
         if not 0 <= seconds - start <= MAX_TIME:
@@ -229,6 +258,9 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
     """Return the (R,) times after the earliest, ns; they are exact, also for times since 1970."""
     times = cells.numbers(column, partial(time_of, unit=unit))
     start = min(times)
+    if reason := _why_no_seconds(times, start):
+        hint = " (time_unit)" if "probably in" in reason else ""
+        raise cells.error(times.index(start), f"{column}: {reason}{hint}")
     if (most := max(times)) - start > MAX_TIME:
         hint = (
             "; dates should all have a time zone, or none"

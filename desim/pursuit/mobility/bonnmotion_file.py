@@ -65,7 +65,7 @@ class BonnMotionFile(MobilityFile):
         if len(row) % width:
             form = SHOULD_BE_TRIPLES if width == 3 else "should be t1 x1 y1 z1 t2 ..., four numbers each"
             raise ValueError(f"{place}: {form}; there are {len(row)}{SET_3 if width == 3 and not len(row) % 4 else ''}")
-        start = start_of(_first_times(self._rows))
+        start = start_of(_first_times(self._rows), self.file)
         is_high, waypoints = False, list[Waypoint]()
         for k in range(0, len(row), width):
             t, x, y = time(row[k], place, start), coordinate(row[k + 1], place), coordinate(row[k + 2], place)

@@ -125,7 +125,7 @@ class MobilityTable(MobilityFile):
             raise ValueError(f"{self._file}, line {line}: {error}") from error
 
     def _track(self, node: NodeName) -> NodeTrack:
-        start = start_of(self._time(row) for rows in self._rows.values() for row in rows)
+        start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self._file)
         t, x, y = (self._columns[key] or 0 for key in "txy")
         z = self._columns["z"]
         waypoints, is_high = list[Waypoint](), False

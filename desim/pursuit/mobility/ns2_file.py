@@ -66,9 +66,8 @@ class Ns2File(MobilityFile):
         for number, statement in _statements(lines):
             self._read(statement, number)
         super().__init__(file, sorted(self._motions))
-        self._zero = start_of(
-            _time(text, f"{file}, line {move.line}") for motion in self._motions.values() for text, move in motion.moves
-        )
+        moves = [entry for motion in self._motions.values() for entry in motion.moves]
+        self._zero = start_of((_time(text, f"{file}, line {move.line}") for text, move in moves), file)
         for motion in self._motions.values():
             for text, move in motion.moves:
                 time(text, f"{file}, line {move.line}", self._zero)
