@@ -160,7 +160,7 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                     (
                         "desim.learning.environments.AECPursuit",
                         "desim.learning.environments.ParallelPursuit",
-                        "desim.learning.environments.play",
+                        "desim.learning.playing.play",
                     ),
                 ),
                 Section(

@@ -26,6 +26,7 @@ from scenarios.studies.learning_runs import (
     Cell,
     Generation,
     compare,
+    costs_table,
     document,
     in_words,
     linear,
@@ -39,16 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WITHOUT, WITH = "trained without delay", f"trained with {DELAY:g} s"
-
-
-def table(cells: Sequence[Cell], runs: int) -> str:
-    """Return the costs as text, a row per rule and a column per latency."""
-    rules, latencies = list(dict.fromkeys(cell.rule for cell in cells)), sorted({cell.latency for cell in cells})
-    rows: list[tuple[str, ...]] = [("rule", *(f"L = {latency:g} s" for latency in latencies))]
-    for rule in rules:
-        here = {cell.latency: cell for cell in cells if cell.rule == rule}
-        rows.append((rule, *(f"{here[l].cost:.2f} +- {here[l].standard_error:.2f}" for l in latencies)))  # noqa: E741
-    return f"Active time + 3 x idle time, s, {runs} runs of equal seeds, with standard errors\n{aligned(rows)}"
 
 
 def weights_table(weights: Sequence[float]) -> str:
@@ -121,7 +112,7 @@ def _with_delays(options: Options) -> None:
     rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
     cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
     text = "\n\n".join(
-        [table(cells, options.runs), *(f"{name}\n{weights_table(g[-1].mean)}" for name, g in trained.items())]
+        [costs_table(cells, options.runs), *(f"{name}\n{weights_table(g[-1].mean)}" for name, g in trained.items())]
     )
     content = {name: document(generations, []) for name, generations in trained.items()}
     options.show(content | {"costs": document([], cells)["costs"]}, text)
@@ -142,7 +133,7 @@ def main(options: Options) -> None:
     generations = train(options, notes, LATENCY)
     learned = linear(generations[-1].mean)
     cells = compare(options, notes, {"learned": learned, **RIVALS}, LATENCIES)
-    text = f"{table(cells, options.runs)}\n\n{weights_table(generations[-1].mean)}"
+    text = f"{costs_table(cells, options.runs)}\n\n{weights_table(generations[-1].mean)}"
     options.show(document(generations, cells), text, lambda: picture(generations, cells))
     click.echo(f"wrote {learned.write(options.out / 'learning.weights.json')}", err=True)
 

@@ -4,8 +4,9 @@ The run is performed in a greenlet, a coroutine with a stack of its own. Where a
 rule switches to the caller, so no schedule needs to know of it: the order of the turns is that of the run.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from threading import get_ident
 from typing import Any, cast
 
 from greenlet import GreenletExit, getcurrent, greenlet
@@ -48,7 +49,8 @@ class _Turns:
 class Episode:
     """A run that waits at each turn of a pursuer.
 
-    It is waiting for the action of `turn`, or over. `act` continues it.
+    It is waiting for the action of `turn`, or over. `act` continues it. A copy, or one that was pickled, performs the
+    run again up to the present.
 
     Args:
         scenario: the experiment; its protocol, a `Rule`, determines when pursuers take their turns.
@@ -64,11 +66,13 @@ class Episode:
 
     def __init__(self, scenario: Scenario, seed: int):
         self._scenario, self._seed, self._turns = scenario, seed, _Turns()
+        self._taken: list[int] = []
+        self._is_closed, self._has_failed, self._thread = False, False, get_ident()
         played = with_protocol(scenario, played_rule(rule_of(scenario), self._turns))
         self._run = greenlet(_perform)
         self.turn: Agent | None = None
         self.result: Result | None = None
-        self._receive(self._run.switch(played, seed, self._turns))
+        self._continue(played, seed, self._turns)
 
     @property
     def simulation(self) -> Simulation:
@@ -81,22 +85,56 @@ class Episode:
 
         Raises:
             ValueError: if there is no such action.
+            RuntimeError: if another thread began the episode, or the run has failed.
         """
-        self._run.parent = getcurrent()  # it may be another one than that which began the episode
-        self._receive(self._run.switch(action))
+        self.check()
+        self._taken.append(action)
+        self._continue(action)
 
     def close(self) -> None:
-        """End the run at this instant; later calls have no effect."""
-        if self.result is None:
-            self._run.parent = getcurrent()
-            self._receive(self._run.switch(None))
+        """End the run at this instant; later calls have no effect.
 
-    def _receive(self, answer: Agent | Result) -> None:
-        """Take the next turn, or the result at the end, from the run."""
+        If another thread began the episode, it is only left.
+        """
+        if self.turn is not None:
+            self._is_closed = True
+            if self._thread == get_ident():
+                self._continue(None)
+            else:
+                self.turn, self._run = None, None
+
+    def check(self) -> None:
+        """Raise `RuntimeError` if the episode cannot go on here."""
+        if self._has_failed:
+            raise RuntimeError("the run of this episode has failed: call reset()")
+        if self.turn is not None and self._thread != get_ident():
+            raise RuntimeError("another thread began this episode: call reset() in the thread that calls step()")
+
+    def _continue(self, *values: Any) -> None:
+        """Let the run go on with some values, and take the next turn, or the result at the end, from it."""
+        self._run.parent = getcurrent()  # it may be another one than that which began the episode
+        try:
+            answer: Agent | Result = self._run.switch(*values)
+        except BaseException:
+            self.turn, self._has_failed = None, True
+            raise
         if isinstance(answer, Result):
             self.turn, self.result = None, Result(self._scenario, self._seed, answer.trace)
         else:
             self.turn = answer
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self._scenario, self._seed, tuple(self._taken), self._is_closed)
+
+
+def _again(scenario: Scenario, seed: int, taken: Sequence[int], is_closed: bool) -> Episode:
+    """Return an episode after some actions were taken."""
+    episode = Episode(scenario, seed)
+    for action in taken:
+        episode.act(action)
+    if is_closed:
+        episode.close()
+    return episode
 
 
 def _perform(scenario: Scenario, seed: int, turns: _Turns) -> Result:

@@ -13,6 +13,7 @@ import numpy as np
 from desim import Links, Recording, Result, Scenario, Team, run
 from desim.analysis.metrics import active_time, idle_time
 from desim.analysis.statistics import estimate
+from desim.analysis.tables import aligned
 from desim.config.data_files import content_hash
 from desim.config.json_numbers import from_json, to_json
 from desim.config.trust import write_whole
@@ -197,6 +198,16 @@ def compare(options: Options, notes: Notebook, rules: Mapping[str, Rule], latenc
             mean = estimate(costs)
             cells.append(Cell(name, latency, mean.mean, mean.standard_error))
     return cells
+
+
+def costs_table(cells: Sequence[Cell], runs: int) -> str:
+    """Return the costs as text, a row per rule and a column per latency."""
+    rules, latencies = list(dict.fromkeys(cell.rule for cell in cells)), sorted({cell.latency for cell in cells})
+    rows: list[tuple[str, ...]] = [("rule", *(f"L = {latency:g} s" for latency in latencies))]
+    for rule in rules:
+        here = {cell.latency: cell for cell in cells if cell.rule == rule}
+        rows.append((rule, *(f"{here[l].cost:.2f} +- {here[l].standard_error:.2f}" for l in latencies)))  # noqa: E741
+    return f"Active time + 3 x idle time, s, {runs} runs of equal seeds, with standard errors\n{aligned(rows)}"
 
 
 def in_words(weights: Sequence[float]) -> list[tuple[str, float, str]]:

@@ -1,11 +1,13 @@
 """The environments for learners: their order, their interface, and what ends an episode."""
 
+import copy
 import gc
 import pickle
 import sys
 import threading
 import warnings
 from functools import partial
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +21,7 @@ from pettingzoo.test.state_test import state_test
 import desim
 from desim import Crash, Evader, Scenario, Team, load, run
 from desim.kernel.core.trace_file import line_of
-from desim.learning.environments import play
+from desim.learning.playing import play
 from desim.learning.rewards import team as team_reward
 from desim.pursuit.core.events import Ended
 from desim.pursuit.game.game import welfare, wonderful_life_utility
@@ -206,7 +208,9 @@ def test_rewards_add_up_between_turns():
     """In a static game, utilities change with actions only: their integral is a sum over the decisions of the trace."""
     scenario = small(**{"motion.static": True, "capture.radius": 0.01})
     first = desim.env(scenario, 3)
-    choose = lambda env, agent: (env.pursuer(agent).id + len(env._taken)) % 2  # noqa: E731
+    turns = count(), count()
+    choose = lambda env, agent: (env.pursuer(agent).id + next(turns[env is second])) % 2  # noqa: E731
+    second = desim.env(scenario, 3, reward="team")
     first.reset()
     begin = first.pursuer("pursuer_0").now
     sums = played_out(first, choose)
@@ -222,7 +226,6 @@ def test_rewards_add_up_between_turns():
         if hasattr(event, "pursuer"):
             profile[event.pursuer] = event.active
     assert list(sums.values()) == pytest.approx(expected.tolist(), abs=1e-12)
-    second = desim.env(scenario, 3, reward="team")
     second.reset()
     assert list(played_out(second, choose).values()) == pytest.approx([total] * 5, abs=1e-12)
 
@@ -291,6 +294,8 @@ def test_wrong_actions_are_refused():
         parallel.step({"pursuer_0": 1})
     with pytest.raises(KeyError, match="there is no agent 'pursuer_9': they are pursuer_0 to pursuer_4"):
         parallel.observe("pursuer_9")
+    with pytest.raises(KeyError, match="there is no agent 'pursuer_9'"):
+        parallel.step(dict.fromkeys([*parallel.agents, "pursuer_9"], 1))
 
 
 def test_it_is_registered_as_pettingzoo_registers():
@@ -355,3 +360,109 @@ def test_an_environment_that_is_forgotten_ends_its_run():
     gc.collect()
     result = run(small(), 1)
     assert result.trace.of(Ended)
+
+
+def test_an_episode_belongs_to_the_thread_that_began_it():
+    """Another thread may look at it, leave it, and begin one of its own."""
+    env, log = desim.env(small(), 1), []
+    env.reset()
+    env.step(1)
+
+    def use():
+        log.append(env.observe("pursuer_0"))
+        with pytest.raises(RuntimeError, match=r"another thread began this episode: call reset\(\)"):
+            env.step(1)
+        env.reset(seed=1)
+        env.step(1)
+        log.append(env.observe("pursuer_0"))
+        env.close()
+
+    thread = threading.Thread(target=use)
+    thread.start()
+    thread.join()
+    assert np.array_equal(*log)
+    env.reset()
+    env.step(1)
+
+
+def test_a_run_that_fails_ends_the_episode_and_not_the_environment(monkeypatch):
+    def latency(context, rng):
+        return 0.01 / (rng.random() > 0.1)
+
+    env = desim.env(small(**{"network.latency": latency}), 1)
+    env.reset()
+    with pytest.raises(ZeroDivisionError):
+        played_out(env)
+    with pytest.raises(RuntimeError, match=r"the run of this episode has failed: call reset\(\)"):
+        env.step(1)
+    env.close()
+    env.reset()
+    env.step(1)
+    monkeypatch.setattr("desim.learning.pursuit.Episode", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        env.reset()
+    with pytest.raises(RuntimeError, match=r"there is no episode: call reset\(\) first"):
+        env.step(1)
+
+
+@pytest.mark.parametrize("make", [desim.env, desim.parallel_env])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_has_an_episode_of_its_own(make, copied):
+    def act(env):
+        env.step(1 if make is desim.env else dict.fromkeys(env.agents, 1))
+
+    counter = Counter()
+    env = make(small(), 3, reward=counter)
+    env.reset()
+    act(env)
+    twin = copied(env)
+    assert counter.steps == 1  # the steps of the past are not rewarded again
+    assert np.array_equal(twin.state(), env.state())
+    act(twin)
+    assert not np.array_equal(twin.state(), env.state())
+    act(env)
+    assert np.array_equal(twin.state(), env.state())
+    env.close()
+    assert lines(copied(env).result) == lines(env.result)
+
+
+class Counter:
+    """A reward that counts the steps."""
+
+    steps = 0
+
+    def __call__(self, step):
+        self.steps += 1
+        return 0.0
+
+
+@pytest.mark.slow
+def test_several_episodes_may_alternate_with_each_other_and_with_runs():
+    scenario, seeds = small(**{"record.messages": True, "horizon": 0.5}), (1, 2)
+    envs, rules, other = [desim.env(scenario, seed) for seed in seeds], [{} for _ in seeds], small(horizon=0.02)
+    for env in envs:
+        env.reset()
+    while any(env.agents and not env.terminations[env.agent_selection] for env in envs):
+        for env, memory in zip(envs, rules, strict=True):
+            if not env.terminations[env.agent_selection]:
+                me = env.pursuer(env.agent_selection)
+                env.step(next(memory.setdefault(me.id, LocalMin().actions(me))))
+        run(other, 9)
+    assert [lines(env.result) for env in envs] == [lines(run(scenario, seed)) for seed in seeds]
+
+
+def test_a_closed_episode_is_over():
+    env = desim.env(small(), 1)
+    env.close()
+    env.reset()
+    env.step(1)
+    env.close()
+    env.close()
+    env.step(1)
+    assert all(env.terminations.values())
+    parallel = desim.parallel_env(small(), 1)
+    parallel.reset()
+    parallel.close()
+    assert all(parallel.step(dict.fromkeys(parallel.agents, 1))[2].values())
+    with pytest.raises(RuntimeError, match=r"the episode is over: call reset\(\)"):
+        parallel.step({})

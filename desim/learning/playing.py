@@ -1,0 +1,39 @@
+"""A rule that plays in an environment."""
+
+from typing import TYPE_CHECKING
+
+from desim.learning.environments import AECPursuit, ParallelPursuit
+from desim.simulation.run import Result
+from protocols.rule import Rule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None) -> Result:
+    """Let a rule decide for all pursuers of an environment, and return the run.
+
+    The rule gets the agents themselves, so the run is that of a scenario with this rule. A pursuer that restarts
+    without memory restarts the rule. In a parallel environment the rule decides in each round for all, also for those
+    that a run would not ask.
+
+    Args:
+        env: the environment; it is reset.
+        rule: the rule.
+        seed: the seed of the episode; see `reset`.
+    """
+    memories: dict[tuple[int, int], Iterator[int]] = {}
+
+    def decide(agent: str) -> int:
+        me = env.pursuer(agent)
+        return next(memories.setdefault((me.id, me.restarts), iter(rule.actions(me))))
+
+    env.reset(seed=seed)
+    if isinstance(env, ParallelPursuit):
+        while env.agents:
+            env.step({agent: decide(agent) for agent in env.agents})
+        return env.result
+    for agent in env.agent_iter():
+        is_over = env.terminations[agent] or env.truncations[agent]
+        env.step(None if is_over else decide(agent))
+    return env.result

@@ -1,0 +1,214 @@
+"""What the environments have in common: the game of a scenario, its spaces, and the episode that is played."""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from secrets import randbits
+from typing import Any, Self
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
+from numpy.typing import NDArray
+
+from desim.kernel.core.events import Trace
+from desim.kernel.core.seeds import run_seed, seed_of
+from desim.learning.episode import Episode, rule_of
+from desim.learning.rewards import REWARDS, Reward, Step, reward_named, rewards_of
+from desim.learning.spaces import Spaces, Vector
+from desim.learning.steps import step_begun, step_ended
+from desim.pursuit.core.events import Ended, Sampled
+from desim.pursuit.core.state import coordinates
+from desim.pursuit.sensing.world_state import WorldState
+from desim.pursuit.team.agent import Agent
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result
+from desim.view.pages.replay import replay, with_recordings
+
+RENDER_MODES = ("rgb_array", "replay")
+FORMS = ("vector", "dict")
+"""The forms of observations."""
+
+
+class Pursuit:
+    """What both environments have in common; the arguments are those of `desim.env`.
+
+    Attributes:
+        scenario: the experiment.
+        possible_agents: the names of all pursuers, pursuer_0 .. pursuer_(N - 1).
+        agents: the names of those that are still in the episode.
+        observation_names: the name of each number of an observation.
+        state_names: the name of each number of a state.
+        state_space: the space of states.
+        max_cycles: the greatest number of turns of a pursuer; None: no limit.
+        render_mode: what `render` returns.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int | None,
+        *,
+        reward: str | Reward,
+        observation: str,
+        omniscient: bool,
+        max_cycles: int | None,
+        agents_leave: bool,
+        render_mode: str | None,
+    ):
+        if observation not in FORMS:
+            raise ValueError(f"an observation should be {' or '.join(FORMS)} (got {observation!r})")
+        if render_mode not in {None, *RENDER_MODES}:
+            raise ValueError(f"a render mode should be {' or '.join(RENDER_MODES)} (got {render_mode!r})")
+        if max_cycles is not None and max_cycles < 1:
+            raise ValueError(f"max_cycles should be at least 1 (got {max_cycles})")
+        rule_of(scenario)  # it is refused here, and not at the first episode
+        self.scenario = scenario
+        self._played = scenario if render_mode is None else with_recordings(scenario)
+        self._reward, self._agents_leave = reward_named(reward), agents_leave
+        self._counts_chasers = reward in REWARDS
+        self.max_cycles, self.render_mode = max_cycles, render_mode
+        self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
+        self._ids = {name: i for i, name in enumerate(self.possible_agents)}
+        self._actions = range(len(scenario.evaders) + 1)
+        self.agents: list[str] = []
+        self._spaces = Spaces(scenario, with_masks=observation == "dict", omniscient=omniscient)
+        self.observation_spaces = {name: self._spaces.of_observations() for name in self.possible_agents}
+        self.action_spaces = {name: self._spaces.of_actions() for name in self.possible_agents}
+        self.state_space: Box = self._spaces.state
+        self.observation_names, self.state_names = self._spaces.observation_names, self._spaces.state_names
+        self._root, self._number = None if seed is None else seed_of(seed), 0
+        self._seed: int | None = None
+        self._episode: Episode | None = None
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the space of observations of a pursuer, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete:
+        """Return the space of actions of a pursuer, always the same object: 0 (inactive), or the evader to chase."""
+        return self.action_spaces[agent]
+
+    def observe(self, agent: str) -> Any:
+        """Return what a pursuer knows now, in the space of its observations; nothing changes by it."""
+        return self._spaces.observed(self.pursuer(agent))
+
+    def state(self) -> Vector:
+        """Return the true state of all players now, in the order of `state_names`; for centralised critics."""
+        return self._spaces.state_of(self._world)
+
+    def pursuer(self, agent: str) -> Agent:
+        """Return the agent that knows what a pursuer knows, as a protocol gets it."""
+        return self._running.simulation.agents[self._number_of(agent)]
+
+    @property
+    def result(self) -> Result:
+        """The run, for metrics and pictures; while the episode lasts, that up to now."""
+        if self._running.result is not None:
+            return self._running.result
+        assert self._seed is not None
+        trace, world = Trace(), self._world
+        trace.events = list(self._running.simulation.trace.events)
+        if self._played.record.trajectory:
+            places = tuple((x, y) for x, y in coordinates(world.players.positions()).tolist())
+            trace.events.append(Sampled(world.now, places[world.size :], places[: world.size]))
+        trace.events += self._running.simulation.counts()
+        trace.events.append(Ended(world.now, "stopped", None))
+        return Result(self._played, self._seed, trace)
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """Return a picture of the present as an (H, W, 3) array ("rgb_array"), or the replay page as HTML ("replay").
+
+        Both need the extra `plot`. Without a render mode nothing is recorded, and None is returned.
+        """
+        if self.render_mode is None:
+            return None
+        if self.render_mode == "replay":
+            return replay(self.result).page
+        from desim.view.pictures.animation import frames
+
+        (picture,) = frames(self.result, [self._world.now])
+        return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+
+    def close(self) -> None:
+        """End the episode at this instant."""
+        if self._episode is not None:
+            self._episode.close()
+
+    @property
+    def _running(self) -> Episode:
+        """The episode."""
+        if self._episode is None:
+            raise RuntimeError("there is no episode: call reset() first")
+        return self._episode
+
+    def _ready(self) -> Episode:
+        """Return the episode, which can go on.
+
+        Raises:
+            RuntimeError: if there is none, it is over, its run has failed, or another thread began it.
+        """
+        self._running.check()
+        if not self.agents:
+            raise RuntimeError("the episode is over: call reset()")
+        return self._running
+
+    @property
+    def _world(self) -> WorldState:
+        """The true state of the world."""
+        return self._running.simulation.state
+
+    def _number_of(self, agent: str) -> int:
+        """Return the id of a pursuer, given its name."""
+        if agent not in self._ids:
+            raise KeyError(
+                f"there is no agent {agent!r}: they are {self.possible_agents[0]} to {self.possible_agents[-1]}"
+            )
+        return self._ids[agent]
+
+    def _begin(self, seed: int | None) -> None:
+        """Begin the next episode.
+
+        Args:
+            seed: its seed; None: that of the constructor, and then those of the runs of the last seed that was given.
+                Without any, the first seed is random.
+        """
+        if seed is not None:
+            self._root, self._number = seed_of(seed), 0
+        if self._root is None:
+            self._root = randbits(32)
+        self._seed = run_seed(self._root, self._number) if self._number else self._root
+        self._number += 1
+        self.close()
+        self._episode = None  # if the run fails at once, no old one is left
+        self._episode = Episode(self._played, self._seed)
+        self.agents = self.possible_agents.copy()
+
+    def _checked(self, agent: str, action: Any) -> int:
+        """Return an action as an integer; ValueError if it is none of the actions of the game."""
+        if type(action) is int and action in self._actions:  # the check of the space takes longer
+            return action
+        if action is None or not self.action_spaces[agent].contains(action):
+            raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
+        return int(action)
+
+    def _begun(self, actions: Mapping[int, int]) -> Step:
+        """Return the step that begins now with some actions, by pursuer; its end is still open."""
+        return step_begun(self._running.simulation, self.scenario.horizon, actions, of_all=not self._counts_chasers)
+
+    def _rewards(self, step: Step) -> list[float]:
+        """Return the (N,) rewards of a step that has begun and ends now."""
+        return rewards_of(self._reward, step_ended(step, self._world, is_last=self._running.turn is None))
+
+    def _leavers(self) -> list[str]:
+        """Return the agents that leave now, because their robots are down."""
+        if not self._agents_leave:
+            return []
+        broken = self._world.broken
+        return [name for name in self.agents if broken[self._number_of(name)]]
+
+    def _info(self, agent: str) -> dict[str, Any]:
+        """Return the mask of the actions of a pursuer."""
+        return {"action_mask": self._spaces.mask(self.pursuer(agent))}
+
+    def __copy__(self) -> Self:
+        """Return a copy with an episode of its own, at the same instant."""
+        return deepcopy(self)

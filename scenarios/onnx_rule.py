@@ -1,0 +1,94 @@
+"""A rule whose network is an ONNX file, as frameworks export it: an example of a rule from outside.
+
+The network maps the (1, n) numbers of an observation to the (1, M + 1) scores of the actions. The metadata "features"
+of the file has the names of its inputs, separated by spaces. The rule needs the package onnxruntime.
+
+As a program it makes such a file of a file of weights, through a network of torch.
+"""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+import numpy as np
+
+from desim.pursuit.team.agent import Agent
+from desim.pursuit.team.observation import observation, observation_names
+from protocols.policy import Policy
+from protocols.rule import Rule
+
+
+class OnnxRule(Rule):
+    """The action of the greatest score, where the network of an ONNX file computes the scores."""
+
+    kind: Literal["onnx"] = "onnx"
+    model: str = "policy.onnx"
+    """Path of the file."""
+
+    def depends_on(self) -> tuple[str, ...]:
+        """Return the file, so that its content is part of the identity of a run."""
+        return (self.model,)
+
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield the action of the greatest score, or 0, at each turn.
+
+        Raises:
+            ValueError: if the network has inputs that the game has not.
+        """
+        network = session(self.model)
+        features = network.get_modelmeta().custom_metadata_map["features"].split()
+        columns = [observation_names(me.team_size, me.evader_count).index(name) for name in features]
+        (entry,) = network.get_inputs()
+        while True:
+            numbers = np.array(observation(me), dtype=np.float32)[columns]
+            (scores,) = network.run(None, {entry.name: numbers[np.newaxis]})[0].tolist()
+            yield max(me.options(), key=scores.__getitem__)
+
+
+@lru_cache
+def session(path: str) -> Any:
+    """Return the network of a file, which all pursuers share."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # runs are parallel already
+    return onnxruntime.InferenceSession(path, options)
+
+
+def torch_network(policy: Policy) -> Any:
+    """Return the network of a rule as a module of torch."""
+    import torch
+
+    parts: list[Any] = []
+    for layer in policy.layers:
+        linear = torch.nn.Linear(layer.inputs, len(layer.bias))
+        with torch.no_grad():
+            linear.weight.copy_(torch.tensor(layer.weights))
+            linear.bias.copy_(torch.tensor(layer.bias))
+        parts += [linear, torch.nn.Tanh() if policy.activation == "tanh" else torch.nn.ReLU()]
+    return torch.nn.Sequential(*parts[:-1])
+
+
+@click.command()
+@click.argument("weights", type=click.Path(exists=True, path_type=Path))
+@click.argument("model", type=click.Path(path_type=Path))
+def main(weights: Path, model: Path) -> None:
+    """Write the network of a file of WEIGHTS, as `Policy.write` writes it, to the ONNX file MODEL.
+
+    It needs torch, onnx and onnxscript.
+    """
+    import onnx
+    import torch
+
+    policy = Policy(file=str(weights))
+    inputs = torch.zeros(1, len(policy.features))
+    torch.onnx.export(torch_network(policy), (inputs,), model, input_names=["observation"], external_data=False)
+    content = onnx.load(model)
+    onnx.helper.set_model_props(content, {"features": " ".join(policy.features)})
+    onnx.save(content, model)
+
+
+if __name__ == "__main__":
+    main()
