@@ -216,7 +216,7 @@ def test_links_are_independent_of_each_other_also_the_two_ways(model):
     run, rng = model.start_run(8001), np.random.default_rng(4)
     for now in (0.0, 0.01):
         out = run(LinkContext(0, np.arange(1, 8001), now=now), rng)
-        back = np.array([run(LinkContext(node, np.array([0]), now=now), rng)[0] for node in range(1, 1001)])
+        back = np.array([run(LinkContext(node, np.array([0]), now=now), rng) for node in range(1, 1001)])
     assert abs(errors((out[:4000] & out[4000:]).sum(), 4000, SHARE**2)) < 5
     assert abs(errors((out[:1000] & back).sum(), 1000, SHARE**2)) < 5
     assert errors((out[:1000] & out[:1000]).sum(), 1000, SHARE**2) > 5
@@ -228,7 +228,7 @@ def test_a_link_remembers_across_broadcasts_and_single_messages():
     first = run(context(links=100), rng)
     assert 20 < first.sum() < 80
     assert (run(LinkContext(0, np.arange(51, 101)), rng) == first[50:]).all()
-    assert [bool(run(LinkContext(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
+    assert [run(LinkContext(0, np.array([node])), rng) for node in range(1, 101)] == first.tolist()
 
 
 def test_links_used_later_are_independent_of_earlier_ones_and_leave_them_unchanged():

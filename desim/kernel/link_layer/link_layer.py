@@ -7,14 +7,14 @@ its arrivals are scheduled when its frame ends.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from itertools import count
 
 from desim.kernel.channel.contention import Callbacks, Contention
 from desim.kernel.channel.hosts import Hosts
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.clock import Clock
-from desim.kernel.core.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.core.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.records import Arrival, Record, per_receiver
 from desim.kernel.link_layer.delivery import MessageDelivery
@@ -222,8 +222,10 @@ class LinkLayer:
             reached, arrival = _without(causes, receivers, arrival)
         if self._sampler.keeps_order:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
-        for hear in self._listeners:
-            hear(content, max(per_receiver(arrival, len(reached)), default=LOST))
+        if self._listeners:
+            last = max(per_receiver(arrival, len(reached)), default=LOST)
+            for hear in self._listeners:
+                hear(content, last)
         if self._is_traced:
             self._log.leave(transmission, causes, arrival)
         if causes:
@@ -285,10 +287,23 @@ class MessageLog:
         self._bytes_sent += transmission.size
 
     def leave(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Append a transmission with the times of its arrivals, ns, and the receivers for which it is already lost."""
+        """Append a transmission with the times of its arrivals, ns, and the receivers for which it is already lost.
+
+        A message that is lost at transmission has the arrival time `LOST`.
+        """
         assert self._trace is not None
-        for event in _events(transmission, causes, arrival, self._env.now):
-            self._trace.append_message(event)
+        now, (number, src, created, size, receivers, content, *_) = self._env.now, transmission
+        fates = arrival
+        if causes:
+            arrivals = iter(per_receiver(arrival, len(receivers)))
+            fates = [LOST if node in causes else next(arrivals) for node in receivers]
+        if isinstance(content, Record):
+            fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
+            broadcast = now, number, src, content.seq, tuple(receivers), fate, created, size, content.body
+            self._trace.append_message(_new(Broadcast, broadcast))
+            return
+        for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
+            self._trace.append_message(_new(Sent, (now, number, src, node, arrives, created, size, content.body)))
 
     def lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Count and record losses of a transmission now, given the cause of each loss by receiver."""
@@ -304,8 +319,9 @@ class MessageLog:
     def _record_losses(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Append losses to the trace."""
         assert self._trace is not None
+        now, (number, src, *_) = self._env.now, transmission
         for node, cause in causes.items():
-            self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
+            self._trace.append_message(_new(Lost, (now, number, src, node, cause)))
 
     def counts(self, in_flight: int, utilisation: float) -> MessageCounts:
         """Return all counts up to now, given the number of messages in flight and the utilisation of the channels."""
@@ -313,18 +329,3 @@ class MessageLog:
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
         fates = self.sent, self.sent - lost - in_flight, lost, in_flight
         return MessageCounts(self._env.now, *fates, by_cause, self._transmissions, self._bytes_sent, utilisation)
-
-
-def _events(transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival, now: int) -> Iterator[Event]:
-    """Yield the events of a transmission in the trace; a message lost at transmission has the arrival time `LOST`."""
-    number, src, created, size, receivers, content = transmission[:6]
-    fates = arrival
-    if causes:
-        arrivals = iter(per_receiver(arrival, len(receivers)))
-        fates = [LOST if node in causes else next(arrivals) for node in receivers]
-    if isinstance(content, Record):
-        fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
-        yield Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
-        return
-    for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
-        yield Sent(now, number, src, node, arrives, created, size, content.body)

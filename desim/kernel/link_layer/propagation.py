@@ -83,6 +83,9 @@ class LinkSampler:
             src: {dst: link_trait(model, "is_lost") for dst, model in to.items()}
             for src, to in self._latency_overrides.items()
         }
+        self._nodes = np.arange(size)
+        """(n,) all nodes; a part of it costs less than a new array."""
+        self._nodes.setflags(write=False)
         self._receivers: dict[int, _Receivers] = {}
         """By sender; at most `ROOM` numbers in all."""
         self._lists_are_kept = links.range == inf or links.range_check == "delivery"
@@ -232,6 +235,9 @@ class LinkSampler:
         return arrivals
 
     def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
+        if len(dst) == 1:
+            (node,) = dst
+            return LinkContext(src, self._nodes[node : node + 1], now / SECOND, size, self._seed, self._positions)
         receivers = self._receivers.get(src)
         if receivers is None or receivers.nodes is not dst:
             receivers = self._arrays(src, dst)
@@ -245,7 +251,7 @@ class LinkSampler:
         moves.
         """
         array = np.array(dst, dtype=np.intp)
-        if not self._lists_are_kept or len(dst) == 1 or (len(self._receivers) + 1) * len(self._graph) > ROOM:
+        if not self._lists_are_kept or (len(self._receivers) + 1) * len(self._graph) > ROOM:
             return _Receivers(dst, array, None)
         distances = None
         if isinstance(self._positions, PositionSource) and self._positions.max_speed == 0.0:

@@ -37,7 +37,7 @@ class LinkMemory:
         self._initial = initial
         # The links used so far, by node; never empty, because `take` rejects an empty array.
         self._nodes, self._value, self._since = np.array([-1]), np.array([initial]), np.array([-np.inf])
-        self._selected = np.array([0])
+        self._selected, self._one = np.array([0]), 0
         self.dst: NDArray[np.intp] | None = None
         self.value: Floats = self._value
         self.since: float | Floats = self._since
@@ -61,15 +61,14 @@ class LinkMemory:
             self._put_aside()
             self._selected, self.dst = NO_LINKS, NO_LINKS
             self.value, self.since = self._value[:0], self._since[:0]
-        link = self._nodes.searchsorted(node)
+        self._one = link = int(self._nodes.searchsorted(node))
         if link == len(self._nodes) or self._nodes.item(link) != node:
             self._add(np.array([node]))
         return self._value.item(link), self._since.item(link)
 
-    def set_one(self, node: int, value: float, since: float) -> None:
-        """Set the number of a link that `one` has returned, and the time (s) of its last message."""
-        link = self._nodes.searchsorted(node)
-        self._value[link], self._since[link] = value, since
+    def set_one(self, value: float, since: float) -> None:
+        """Set the number of the link that `one` has returned last, and the time (s) of its last message."""
+        self._value[self._one], self._since[self._one] = value, since
 
     def _put_aside(self) -> None:
         self._value[self._selected], self._since[self._selected] = self.value, self.since

@@ -115,6 +115,8 @@ def booleans_of(answer: Any, count: int, model: object) -> list[bool]:
     Raises:
         ValueError: if they are neither one boolean nor one for each link.
     """
+    if isinstance(answer, bool):
+        return [answer] * count
     booleans = np.asarray(answer)
     if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
         raise wrong_answer(f"losses should be one boolean or one for each of {count} links", answer, model)

@@ -111,15 +111,15 @@ class _Bursts:
         with time, found it so right after the last message. A link that has not been used has the share of the
         stationary distribution."""
 
-    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Advance the state of each link and return the (k,) losses.
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
+        """Advance the state of each link and return the (k,) losses, or that of the only link.
 
         Kept equal to draws link by link by
         `tests/kernel/test_propagation.py::test_losses_are_those_of_a_plain_model_that_draws_link_by_link`.
         """
         row, dst = self._rows[context.src], context.dst
         if len(dst) == 1:
-            return np.array([self._to_one(row, dst.item(), context.now, rng)])
+            return self._to_one(row, dst.item(), context.now, rng)
         row.select(dst)
         chance = row.value
         if self._in_time:
@@ -141,7 +141,7 @@ class _Bursts:
         if self._in_time:
             chance = self._share + (chance - self._share) * math.exp(self._rate * (since - now))
         bad = rng.random() < chance
-        row.set_one(node, self._after_bad if bad else self._after_good, now)
+        row.set_one(self._after_bad if bad else self._after_good, now)
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
             return bad
         return rng.random() < (self._loss_bad if bad else self._loss_good)

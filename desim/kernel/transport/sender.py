@@ -190,10 +190,12 @@ class ReliableSender:
         """Transmit a message for the first time, to all its receivers at once."""
         self._send_segment(entry, self._flow.dst, next(iter(self._entries)), 1)
         self._log.attempts += len(entry.owed)
-        for owed in entry.owed.values():
-            owed.attempts, owed.due = 1, self._endpoint.env.now + self._timeout(entry, 0)
         if not entry.owed:
             del self._entries[entry.seq]
+            return
+        due = self._endpoint.env.now + self._timeout(entry, 0)
+        for owed in entry.owed.values():
+            owed.attempts, owed.due = 1, due
 
     def _act(self, entry: Entry, node: int, owed: Owed) -> None:
         """Repeat a message to a receiver, tell the receiver of a held message not to wait, or give the message up."""
