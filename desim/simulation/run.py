@@ -254,6 +254,14 @@ class _PursuerPositions(PositionSource):
     def of(self, nodes: Nodes) -> Floats:
         return coordinates(self._state.players.positions_of(nodes))
 
+    def distance(self, node: int, other: int) -> float:
+        """Return the present distance between two pursuers, m.
+
+        Kept equal to that between their positions by
+        `tests/simulation/test_world.py::test_the_distance_of_two_pursuers_is_that_between_their_positions`.
+        """
+        return self._state.players.distances(node, [other])[0]
+
     def at(self, nodes: Nodes, times: int | Integers) -> Floats:
         return coordinates(self._state.players.positions_at(nodes, times))
 

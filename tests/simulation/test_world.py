@@ -1,5 +1,7 @@
 """The world: two clocks, orders that take effect at their instant, capture within a step."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,16 +9,21 @@ from hypothesis import strategies as st
 
 from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time
+from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.positions import PositionSource
+from desim.kernel.core.units import SECOND
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.state.received_records import Records
 from desim.pursuit.core.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.core.geometry import toward
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
+from desim.simulation.run import _PursuerPositions
 from desim.testing.pursuits import watched
 from scenarios.studies.study import SCENARIOS
 
@@ -355,3 +362,17 @@ def test_recording_the_messages_changes_no_decision(name, monkeypatch):
         together.clear()
     assert runs[0] == runs[1]
     assert runs[0][2][-1].lost_by["out_of_range"] > 0
+
+
+def test_the_distance_of_two_pursuers_is_that_between_their_positions():
+    """The network asks for it at each arrival of a message to one node, also after the positions have been read."""
+    env, rng = Clock(), np.random.default_rng(4)
+    players = Kinematics(env, rng.normal(size=5) + 1j * rng.normal(size=5))
+    source = _PursuerPositions(SimpleNamespace(players=players, static=False), 1.0)
+    for until in (SECOND // 3, SECOND, 2 * SECOND):
+        env.run(until=until)
+        for _ in range(2):
+            for node, other in ((0, 1), (3, 2), (4, 0)):
+                assert source.distance(node, other) == PositionSource.distance(source, node, other)
+            players.positions()
+        players.command(rng.normal(size=5) + 1j * rng.normal(size=5))

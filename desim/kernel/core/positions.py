@@ -30,6 +30,11 @@ class PositionSource:
         """Return the positions of some nodes, (k, 2) m; a subclass may override this method with one of cost O(k)."""
         return self().take(nodes, axis=0)
 
+    def distance(self, node: int, other: int) -> float:
+        """Return the present distance between two nodes, m; a subclass may override this method with a faster one."""
+        (x, y), (u, v) = self.of(np.array([node, other])).tolist()
+        return abs(complex(x - u, y - v))
+
     def at(self, nodes: Nodes, times: int | Integers) -> Floats:
         """Return the positions of some nodes, each at a time, (k, 2) m.
 

@@ -3,7 +3,7 @@
 Those that are known when a transmission starts are drawn by `desim.kernel.link_layer.departure`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import repeat
 
 import numpy as np
@@ -58,19 +58,26 @@ class ArrivalLosses:
 
         Args:
             nodes: (k,) the receivers.
-            times: the times of the arrivals, ns, one for all or (k,).
-            flights: what arrives, one for all or (k,).
+            times: the times of the arrivals, ns: now for all, or (k,).
+            flights: what arrives: one now, or (k,).
         """
         causes: dict[int, Cause] = {}
         if self._transmitter is not None:
             causes = dict.fromkeys(self._while_transmitting(nodes, times, flights), "half_duplex")
         if not self._checks_range and self._fault_state is None:
             return causes
-        src, number = _of_each(flights, lambda sent: sent.src), _of_each(flights, lambda sent: sent.number)
-        when = times if isinstance(times, int) else np.array(times)
+        src: int | Integers
+        number: int | Integers
+        when: int | Integers
+        if isinstance(flights, Flight):
+            src, number, when = flights.transmission.src, flights.transmission.number, self._env.now
+        else:
+            src = np.array([transmission.src for transmission, _ in flights])
+            number = np.array([transmission.number for transmission, _ in flights])
+            when = np.array(times)
         losses: list[Sequence[Cause | None] | None] = []
         if self._checks_range:
-            reached = self._topology.reaches(src, nodes, number, when)
+            reached = self._topology.reaches(src, nodes, number, None if isinstance(when, int) else when)
             losses.append([None if in_range else "out_of_range" for in_range in reached])
         if (faults := self._fault_state) is not None:
             losses += [faults.jammed(nodes, when), faults.separated(src, nodes), self._crashed(nodes, number)]
@@ -106,10 +113,3 @@ class ArrivalLosses:
             "crash" if node in down or number in cut_short else None
             for node, number in zip(nodes, numbers, strict=False)
         ]
-
-
-def _of_each(flights: Flight | list[Flight], number: Callable[[Transmission], int]) -> int | Integers:
-    """Return a number of one transmission, or of each of k: (k,)."""
-    if isinstance(flights, Flight):
-        return number(flights.transmission)
-    return np.array([number(transmission) for transmission, _ in flights])

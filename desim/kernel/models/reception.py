@@ -61,6 +61,16 @@ class QuasiUnitDisk(Value):
         probabilities[distances <= self.certain * range] = 1.0
         return probabilities
 
+    def one(self, distance: float, range: float) -> float:  # noqa: A002
+        """Return the probability of reception at one distance, m, in a fiftieth of the time.
+
+        Kept equal to that at several distances by
+        `tests/kernel/test_topology.py::test_several_messages_reach_what_each_of_them_reaches`.
+        """
+        if distance <= self.certain * range:
+            return 1.0
+        return self.p if distance <= range else 0.0
+
     def bound(self, range: float) -> float:  # noqa: A002
         """Return R."""
         return range

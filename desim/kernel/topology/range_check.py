@@ -11,7 +11,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
-from desim.kernel.models.reception import Disk, ReceptionModel, bound
+from desim.kernel.models.reception import Disk, QuasiUnitDisk, ReceptionModel, bound
 
 
 class RangeCheck:
@@ -59,15 +59,22 @@ class RangeCheck:
         """
         if self._is_certain:
             return apart <= self._range
-        probability = self._reception(np.array([apart]), self._range)
-        if not self._is_ours:
-            probability = np.broadcast_to(_probabilities(probability, 1, self._reception), 1)
+        probability = self._probability(apart)
         if self._per_link:
             kept = self._drawn.get(src)
             draw = pair_draw(self._seed, "fading", src, dst) if kept is None else kept.item(dst)
         else:
             draw = pair_draw(self._seed, "fading", src, dst, message, symmetric=False)
-        return draw <= float(probability[0])
+        return draw <= probability
+
+    def _probability(self, apart: float) -> float:
+        """Return the probability of reception at a distance, m."""
+        if type(self._reception) is QuasiUnitDisk:
+            return self._reception.one(apart, self._range)
+        probability = self._reception(np.array([apart]), self._range)
+        if not self._is_ours:
+            probability = np.broadcast_to(_probabilities(probability, 1, self._reception), 1)
+        return float(probability[0])
 
     def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
         """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""

@@ -121,10 +121,10 @@ class Topology:
         source = self._positions
         if source is None or not len(dst):
             return [True] * len(dst)
+        if len(dst) == 1 and times is None and isinstance(src, int) and isinstance(message, int):
+            node = int(dst[0])
+            return [self._received.one(src, node, source.distance(src, node), message)]
         places = source.of if times is None else partial(source.at, times=times)
-        if len(dst) == 1 and isinstance(src, int) and isinstance(message, int):
-            (x, y), (u, v) = places(np.array([src, dst[0]])).tolist()
-            return [self._received.one(src, int(dst[0]), abs(complex(x - u, y - v)), message)]
         receivers = np.asarray(dst)
         if isinstance(src, int):
             apart = distances(places(np.append(src, receivers)), 0)[1:]
