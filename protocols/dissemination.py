@@ -110,7 +110,7 @@ class Flooding(Value):
                 if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
-                    me.after(rng.uniform(0.0, self.jitter), again, Phase.RELAY)
+                    me.after(self.jitter * rng.random(), again, Phase.RELAY)  # `uniform` takes 8 times as long
 
 
 class Gossip(Value):

@@ -90,7 +90,8 @@ class Records:
     def relay(self, node: int, record: Record) -> None:
         """Store a record that a node has received by other means than a scheduled arrival; see `insert`."""
         self._own.relayed.add(node)
-        self.insert([node], record)
+        self._own.unread[node] += self._env.now, record
+        self._note_unread()
 
     def insert(self, nodes: list[int], record: Record) -> None:
         """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""

@@ -212,8 +212,11 @@ class Topology:
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         assert self._positions is not None
-        index = int(candidates.searchsorted(node))
-        apart = distances(self._positions.of(candidates), index)
+        if self._complete and len(candidates) == self.size:  # a source may keep the positions of all at an instant
+            index, places = node, self._positions()
+        else:
+            index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
+        apart = distances(places, index)
         apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
         received = self._received(node, candidates, apart, message)
         received[index] = False
