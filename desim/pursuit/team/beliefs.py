@@ -119,24 +119,33 @@ class Beliefs(Knowledge):
 
     def believed_active(self, evader: int = 1) -> list[int]:
         """Return the teammates that it believes to chase an evader; see `believed_chasers`."""
-        return self._rivals(evader)[1]
+        return list(self._chasing_records(evader)) if self._judge is None else self._rivals(evader)[1]
+
+    def _chasing_records(self, evader: int) -> dict[int, Record]:
+        """Return the fresh announcements by which teammates chase an evader, in the order of their ids."""
+        oldest, matching = self._clock.true - self._timeout, self._network.matching(self.id)
+        # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
+        # bit.
+        return {
+            j: matching[j][1]
+            for j in sorted(matching)
+            if matching[j][1].body.active == evader and matching[j][0] >= oldest
+        }
 
     def _rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
 
         The believed chasers are teammates. Capture times are in s; nan if unknown.
         """
-        oldest, matching = self._clock.true - self._timeout, self._network.matching(self.id)
-        # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
-        # bit.
-        chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
+        announced = self._chasing_records(evader)
+        chasing = list(announced)
         if self._judge is not None:
-            chasing = [j for j in chasing if is_believed(self._judge, matching[j][1])]
+            chasing = [j for j in chasing if is_believed(self._judge, announced[j])]
         if self.senses_others:
             own_time, *times = self._view.capture_times_of([self.id, *chasing], evader)
         else:
             (own_time,) = self._view.capture_times_of([self.id], evader)
-            times = [self._capture_time(matching[j][1], evader) for j in chasing]
+            times = [self._capture_time(announced[j], evader) for j in chasing]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
             # Claims are judged together, and therefore after all records that are not believed are gone.
@@ -157,7 +166,8 @@ class Beliefs(Knowledge):
                 and then with the ordered actions.
         """
         now, records = self._clock.stamp, self.trusted(period)
-        motions = {j: self._motion(record, orders) for j, record in records.items() if isinstance(record.body, Located)}
+        located = {j: record for j, record in records.items() if isinstance(record.body, Located)}
+        motions = self._motions(located, orders)
         times = self._view.capture_times_from(list(motions), list(motions.values()), evader)
         time_of = dict(zip(motions, times, strict=True))
         beliefs = {
@@ -189,15 +199,13 @@ class Beliefs(Knowledge):
         if self.senses_others:
             return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
-        ids = sorted({*records, self.id})
-        motions = [self._motion(records[j]) if j in records else state.motion(j) for j in ids]
-        times = dict(zip(ids, view.capture_times_from(ids, motions, evader), strict=True))
-        times |= {
-            j: self._capture_time(record, evader)
-            for j, record in records.items()
-            if isinstance(record.body, TimedAssignment)
-        }
-        phi = [times[j] for j in ids]
+        motion_of = {self.id: state.motion(self.id), **self._motions(records)}
+        ids = sorted(motion_of)
+        motions = [motion_of[j] for j in ids]
+        phi = view.capture_times_from(ids, motions, evader)
+        for row, j in enumerate(ids):
+            if j in records and isinstance(records[j].body, TimedAssignment):
+                phi[row] = self._capture_time(records[j], evader)
         return TeamEstimate(ids, np.array([motion.position for motion in motions]), state.speeds[ids], np.array(phi))
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
@@ -261,30 +269,33 @@ class Beliefs(Knowledge):
             return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan
         if not isinstance(body, Located):
             return self._view.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._view.capture_time_from(record.src, self._motion(record), evader)
+        return self._view.capture_time_from(record.src, self._motions({record.src: record})[record.src], evader)
 
-    def _motion(self, record: Record, orders: Orders = UNORDERED) -> MotionState:
-        """Return the motion of a teammate: extrapolated from its record, or sensed; nan if neither is possible.
+    def _motions(self, records: Mapping[int, Record], orders: Orders = UNORDERED) -> dict[int, MotionState]:
+        """Return the motions of teammates: extrapolated from their records, or sensed; nan if neither is possible.
 
-        The teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
+        Each teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
         share what they extrapolate from the same record at the same time.
 
         Kept equal to an extrapolation by each pursuer by
         `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
         """
-        now, ordered, reckonings = self._clock.stamp, orders.get(record.src, ()), self._view.reckonings
-        reckoning = reckonings.get(record.src)
-        if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not ordered:
-            return reckoning[2]
-        if not isinstance(record.body, Located):
-            return self._view.state.motion(record.src) if self.senses_others else MotionState(complex(nan, nan))
-        motion = self._reckoned(record, ordered, now)
-        if self._view.unlimited and not ordered:
-            reckonings[record.src] = record, now, motion
-        return motion
+        now, reckonings = self._clock.stamp, self._view.reckonings
+        motions: dict[int, MotionState] = {}
+        for j, record in records.items():
+            reckoning, ordered = reckonings.get(j), orders.get(j, ())
+            if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not ordered:
+                motions[j] = reckoning[2]
+            elif isinstance(record.body, Located):
+                motions[j] = motion = self._reckoned(record, ordered, now)
+                if self._view.unlimited and not ordered:
+                    reckonings[j] = record, now, motion
+            else:
+                motions[j] = self._view.state.motion(j) if self.senses_others else MotionState(complex(nan, nan))
+        return motions
 
     def _reckoned(self, record: Record, ordered: Sequence[tuple[int, int]], now: int) -> MotionState:
-        """Return the motion of a teammate at `now` (ns, local clock), extrapolated from its record; see `_motion`."""
+        """Return the motion of a teammate at `now` (ns, local clock), extrapolated from its record; see `_motions`."""
         body: Located = record.body
         motion = body.motion
         # The clock of the sender may be ahead of this one.
