@@ -219,13 +219,15 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
         present: the present owners; if there are several, the one of least measure counts.
         hysteresis: share by which the least measure must be below that of the present owner to take over.
     """
-    best = int(measures.argmin())  # ties: the lowest id
-    if measures[best] == inf:
+    values: list[float] = measures.tolist()
+    least = min(values)
+    if least == inf:
         return None
+    best = values.index(least)  # ties: the lowest id
     if hysteresis:
         owners = [row for row, pursuer in enumerate(ids) if pursuer in present]
-        owner = min(owners, key=measures.__getitem__, default=best)
-        best = best if measures[best] < (1.0 - hysteresis) * measures[owner] else owner
+        owner = min(owners, key=values.__getitem__, default=best)
+        best = best if least < (1.0 - hysteresis) * values[owner] else owner
     return ids[best]
 
 

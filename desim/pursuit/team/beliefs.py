@@ -283,12 +283,12 @@ class Beliefs(Knowledge):
         now, reckonings = self._clock.stamp, self._view.reckonings
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
-            reckoning, ordered = reckonings.get(j), orders.get(j, ())
-            if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not ordered:
+            reckoning = reckonings.get(j)
+            if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not orders.get(j):
                 motions[j] = reckoning[2]
             elif isinstance(record.body, Located):
-                motions[j] = motion = self._reckoned(record, ordered, now)
-                if self._view.unlimited and not ordered:
+                motions[j] = motion = self._reckoned(record, orders.get(j, ()), now)
+                if self._view.unlimited and not orders.get(j):
                     reckonings[j] = record, now, motion
             else:
                 motions[j] = self._view.state.motion(j) if self.senses_others else MotionState(complex(nan, nan))
