@@ -9,7 +9,7 @@ import pytest
 from desim import Scenario, run, summary
 from desim.kernel.core.events import Sent
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Crash
+from desim.kernel.models.faults import ClockSkew, Crash
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
@@ -275,3 +275,23 @@ def test_recorded_estimates_change_nothing_and_are_the_tracks():
     assert all(each.xx * each.yy > each.xy**2 for each in found)
     unfiltered = Sensing(noise=NOISE, estimate="hold")
     assert not run(scenario(unfiltered, record=Recording(estimates=True), horizon=0.2)).trace.of(Estimated)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_predictions_that_are_shared_are_those_of_each_pursuer(offset, monkeypatch):
+    """The same trace if the sensor forgets each prediction at once, also if one clock is wrong."""
+    sensing = Sensing(noise=NOISE, estimator=Kalman(), fusion="naive")
+    record = Recording(messages=True, estimates=True)
+    clocks = (ClockSkew(offset=offset, node=0),) if offset else ()
+    case = scenario(sensing, network=Links(latency=Constant(value=0.1)), horizon=0.5, fault=clocks, record=record)
+    shared = list(run(case, 1).trace)
+    predicted = NoisySensor.predicted
+
+    def forgetting(sensor, report, now):
+        sensor._predicted_at = None
+        return predicted(sensor, report, now)
+
+    monkeypatch.setattr(NoisySensor, "predicted", forgetting)
+    assert list(run(case, 1).trace) == shared
+    assert any(isinstance(event, Estimated) for event in shared)

@@ -79,6 +79,9 @@ class NoisySensor:
         assert not isinstance(sensing.noise, Noiseless)
         self.sensing, self._state, self._env, self._noise = sensing, state, env, sensing.noise
         self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
+        self._predicted: dict[int, tuple[Tracked, Track]] = {}
+        """By `id` of a report, the report and its track at `_predicted_at`, ns."""
+        self._predicted_at: int | None = None
         self.views = [TrackingView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
         self._measure()
         env.process(self._measurements())
@@ -105,6 +108,19 @@ class NoisySensor:
                     (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
                     x, y = track.state[:2]
                     yield Estimated(self._env.now, pursuer, evader, x, y, xx, xy, yy)
+
+    def predicted(self, report: Tracked, now: int) -> Track:
+        """Return a reported track at a time, ns; pursuers that have the same report share it.
+
+        Kept equal to a prediction by each pursuer by
+        `tests/pursuit/test_noisy_sensing.py::test_predictions_that_are_shared_are_those_of_each_pursuer`.
+        """
+        assert not isinstance(self.sensing.estimator, Unfiltered)
+        if self._predicted_at != now:
+            self._predicted, self._predicted_at = {}, now
+        if id(report) not in self._predicted:
+            self._predicted[id(report)] = report, self.sensing.estimator.predict(_unpacked(report), now)
+        return self._predicted[id(report)][1]
 
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
         period = nanoseconds(self.sensing.interval)
@@ -176,13 +192,13 @@ class TrackingView(LimitedView):
         clock: NodeClock,
     ):
         super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
-        self._covariance_at = sensor.covariance_at
+        self._sensor, self._covariance_at = sensor, sensor.covariance_at
         self._last: dict[int, Measurement] = {}
         """By evader, the newest sighting of its own."""
         self._newest: dict[int, Measurement] = {}
         """By evader, the newest sighting, its own or a reported one."""
         self._filters: dict[int, Filter] = {}
-        self._tracks: dict[tuple[int, int], Track] = {}
+        self._tracks: dict[tuple[int, int], Tracked] = {}
         """By evader and sender, the newest reported track."""
         self._fused: dict[int, Track | None] = {}
         """By evader, the track at the time `_fused_at`, ns, until something new is known."""
@@ -249,13 +265,11 @@ class TrackingView(LimitedView):
 
     def _fuse(self, evader: int, now: int) -> Track | None:
         """Return the track of an evader at `now` (ns, local clock)."""
-        sensing = self._sensing
-        assert not isinstance(sensing.estimator, Unfiltered)
         combined = self._filters[evader].at(now) if evader in self._filters else None
         # By source, because the fusion of three tracks depends on their order, and arrivals may be in any.
-        for _, reported in sorted((src, track) for (j, src), track in self._tracks.items() if j == evader):
-            other = sensing.estimator.predict(reported, now)
-            combined = other if combined is None else fused(combined, other, sensing.fusion)
+        for _, report in sorted((src, report) for (j, src), report in self._tracks.items() if j == evader):
+            other = self._sensor.predicted(report, now)
+            combined = other if combined is None else fused(combined, other, self._sensing.fusion)
         return combined
 
     def report(self) -> None:
@@ -303,7 +317,7 @@ class TrackingView(LimitedView):
     def _newest_stamp(self, evader: int) -> int:
         """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""
         stamps = [self._newest[evader].stamp] if evader in self._newest else []
-        return max([*stamps, *(track.stamp for (j, _), track in self._tracks.items() if j == evader)], default=-1)
+        return max([*stamps, *(report.stamp for (j, _), report in self._tracks.items() if j == evader)], default=-1)
 
     def _read_reports(self) -> None:
         """Process the reports that have arrived."""
@@ -312,9 +326,9 @@ class TrackingView(LimitedView):
                 if isinstance(report, Sighted):
                     self._add(report.evader, report.measurement)
                 else:
-                    key, track = (report.evader, message.src), _unpacked(report)
-                    if key not in self._tracks or self._tracks[key].stamp < track.stamp:
-                        self._tracks[key], self._fused_at = track, None
+                    key = report.evader, message.src
+                    if key not in self._tracks or self._tracks[key].stamp < report.stamp:
+                        self._tracks[key], self._fused_at = report, None
 
 
 def _packed(evader: int, track: Track) -> Tracked:

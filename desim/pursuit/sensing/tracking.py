@@ -384,8 +384,10 @@ def fused(track: Track, other: Track, how: Fusion) -> Track:
     return Track(track.stamp, *corrected_by_state(track.state, first, other.state, second))
 
 
-def _scaled(matrix: Matrix, factor: float) -> Matrix:
-    return [[factor * x, factor * y, factor * u, factor * v] for x, y, u, v in matrix]
+def _scaled(covariance: Matrix, factor: float) -> Matrix:
+    (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = covariance
+    xy, xu, xv, yu, yv, uv = factor * xy, factor * xu, factor * xv, factor * yu, factor * yv, factor * uv
+    return [[factor * xx, xy, xu, xv], [xy, factor * yy, yu, yv], [xu, yu, factor * uu, uv], [xv, yv, uv, factor * vv]]
 
 
 def corrected_by_state(
