@@ -54,10 +54,10 @@ def as_sent(body: Any) -> Any:
             deep.
     """
     try:
-        if isinstance(body, memoryview) and not is_immutable(body):
-            return memoryview(body.tobytes())  # `deepcopy` cannot copy it
         if is_immutable(body):
             return body
+        if isinstance(body, memoryview):
+            return memoryview(body.tobytes())  # `deepcopy` cannot copy it
         copied = deepcopy(body)
         _check_copy(body, copied)
     except Exception as error:

@@ -7,7 +7,7 @@ last digits of the C library differ only on processors without fused multiply-ad
 
 import math
 from collections.abc import Iterable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -57,7 +57,8 @@ def portable_sum(terms: Iterable[Number]) -> Number:
     total: Any = 0
     for term in terms:
         total += term
-    return cast("Number", total)
+    result: Number = total
+    return result
 
 
 def inner_product(vector: Iterable[float], other: Iterable[float]) -> float:

@@ -295,8 +295,11 @@ class MessageLog:
         now, (number, src, created, size, receivers, content, *_) = self._env.now, transmission
         fates = arrival
         if causes:
-            arrivals = iter(per_receiver(arrival, len(receivers)))
-            fates = [LOST if node in causes else next(arrivals) for node in receivers]
+            if isinstance(arrival, int):
+                fates = [LOST if node in causes else arrival for node in receivers]
+            else:
+                arrivals = iter(arrival)
+                fates = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
             fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
             broadcast = now, number, src, content.seq, tuple(receivers), fate, created, size, content.body

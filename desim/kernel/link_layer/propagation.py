@@ -114,7 +114,20 @@ class LinkSampler:
         Raises:
             ValueError: if a loss or a latency model returns invalid losses.
         """
-        lost = self._drawn_losses(src, dst, now, size)
+        # All receivers are drawn, also those with an override, whose draws have another stream: so an override changes
+        # the losses of no other link.
+        if self._lossless:
+            lost = None
+        elif self._loss_buffer is not None:
+            lost = self._loss_buffer.take(len(dst)).tolist()
+        else:
+            lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst), self._loss)
+        overrides = self._loss_overrides.get(src, {})
+        for k, node in enumerate(dst) if overrides else ():
+            if node in overrides:
+                lost = lost or [False] * len(dst)
+                context = self._context(src, [node], now, size)
+                (lost[k],) = booleans_of(overrides[node](context, self._override_loss_rng), 1, overrides[node])
         if not self._latency_loses:
             return lost
         without_latency = self._without_latency(src, dst, now, size)
@@ -124,26 +137,6 @@ class LinkSampler:
         """Return the cause of the losses that the loss model of a link draws."""
         to = self._cause_overrides.get(src)
         return self._cause if to is None else to.get(dst, self._cause)
-
-    def _drawn_losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Draw the losses from the loss models; see `losses`."""
-        # All receivers are drawn, also those with an override, whose draws have another stream: so an override changes
-        # the losses of no other link.
-        if self._lossless:
-            lost = None
-        elif self._loss_buffer is not None:
-            lost = self._loss_buffer.take(len(dst)).tolist()
-        else:
-            lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst), self._loss)
-        overrides = self._loss_overrides.get(src)
-        if overrides is None:
-            return lost
-        for k, node in enumerate(dst):
-            if node in overrides:
-                lost = lost or [False] * len(dst)
-                context = self._context(src, [node], now, size)
-                (lost[k],) = booleans_of(overrides[node](context, self._override_loss_rng), 1, overrides[node])
-        return lost
 
     def _without_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
         """Return for each receiver whether its latency model loses the message."""

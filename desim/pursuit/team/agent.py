@@ -164,7 +164,9 @@ class Agent(Beliefs, Timing):
 
     def broadcast(self) -> None:
         """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
-        self._announced = as_sent(self._news()) if self._announcements.trigger in {"change", "both"} else None
+        self._announced = None
+        if self._announcements.trigger in {"change", "both"}:
+            self._announced = self._news() if self._payload is None else as_sent(self._news())
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def _news(self) -> Any:
