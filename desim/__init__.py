@@ -17,10 +17,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from desim.config.errors import WORDINGS, Problem
-from desim.config.exports import homes_of_exports
+from desim.config.exports import homes_of_exports, missing_export
 from desim.config.extras import naming_extras
 from desim.config.html import PICTURES
-from desim.config.packages import ENVIRONMENTS, KINDS_OF, MARGINS, check_visible, explain_hidden_packages
+from desim.config.packages import (
+    ENVIRONMENTS,
+    KINDS_OF,
+    MARGINS,
+    check_visible,
+    explain_hidden_packages,
+    package_folder,
+)
 
 if TYPE_CHECKING:
     from desim.adapters.wrap import wrap as wrap
@@ -204,16 +211,26 @@ _HOMES = homes_of_exports(__file__)
 __all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `open`
 
 
+def _elsewhere() -> dict[str, str]:
+    """Return, by names that users look for in this package, what to write instead."""
+    protocols = homes_of_exports(str(package_folder("protocols") / "__init__.py"))
+    imports = {name: f"from protocols import {name}" for name in protocols}
+    others = {"simulate": "run", "Simulation": "run", "Simulator": "run", "read": "open", "load_scenario": "load"}
+    others |= {"Network": "Links", "Robot": "Team", "Pursuers": "Team", "Experiment": "Scenario", "Config": "Scenario"}
+    return imports | {name: f"from desim import {here}" for name, here in others.items()}
+
+
 def __getattr__(name: str) -> object:
     """Return the object that a public name denotes; its module is imported on first access.
 
     Raises:
         AttributeError: if there is no such name.
+        ImportError: if the name is one of the package `protocols`, or of a function that has another name here.
         HiddenPackageError: if another package or module hides `protocols`.
         ModuleNotFoundError: if its module needs a package of an extra that is not installed.
     """
     if name not in _HOMES:
-        raise AttributeError(f"module 'desim' has no attribute {name!r}")
+        raise missing_export("desim", name, _HOMES, _elsewhere())
     if (home := _HOMES[name]) not in sys.modules:
         check_visible("protocols")
     with naming_extras():

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from desim.config.exports import homes_of_exports
+from desim.config.exports import homes_of_exports, missing_export
 
 if TYPE_CHECKING:
     from protocols.best_response import BestResponse as BestResponse
@@ -97,7 +97,11 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> object:
     """Return a class, and import its module if necessary."""
     if name not in _HOMES:
-        raise AttributeError(f"module 'protocols' has no attribute {name!r}")
+        kinds = {kind: item for group in _CLASSES.values() for kind, item in group.items()}
+        imports = {kind.upper(): f"from protocols import {item}" for kind, item in kinds.items()} | {
+            kind: f"from protocols import {item}, or protocol={kind!r} for its defaults" for kind, item in kinds.items()
+        }
+        raise missing_export("protocols", name, _HOMES, imports)
     return getattr(import_module(_HOMES[name]), name)
 
 

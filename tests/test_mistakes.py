@@ -1,5 +1,7 @@
 """Natural mistakes, in Python, in files and in commands: each is told its place, the reason and a way out."""
 
+import time
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import desim
 from desim import Constant, Gamma, Lognormal, Scenario, Team, load
 from desim.cli import main
 from desim.config.errors import KeyedError
+from desim.config.shared_state import StateWarning
+from desim.simulation.run import Result
 
 SHORT = Scenario(horizon=0.01, team=Team(count=2))
 NAMES = {name: getattr(desim, name) for name in dir(desim)} | {
@@ -118,13 +122,38 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "load({'team': 3})": ("Scenario(**keys)",),
     "load('relay.toml')": ("load(examples()['relay'])",),
     "desim.open(SHORT)": ("the path of a folder",),
+    "run(SHORT, seeds=[1, 2])": ("did you mean 'seed'?", "run(scenario, seed=None, *watchers)", "for seed in range"),
+    "run(SHORT).active_time": ("a Result has no 'active_time'", "summary(result).active_time"),
+    "run(SHORT).plot()": ("plot(result)",),
+    "run(SHORT)['active_time']": ("a Result is no table", "summary(result).active_time"),
+    "SHORT.run(seed=7)": ("a Scenario has no 'run'", "run(scenario)"),
+    "SHORT.plot()": ("plot(run(scenario))",),
+    "SHORT.latency": ("a Scenario has no 'latency': scenario.network.latency",),
+    "SHORT.team.cnt": ("a Team has no 'cnt': its keys are count, positions",),
+    "SHORT.with_(latency=0.3)": ("scenario.with_({'network.latency.value': 0.5})",),
+    "setattr(SHORT.network, 'latency', 0.3)": ("scenario.with_({'...latency': ...})",),
+    "sweep(SHORT, GRID, n=5)": ("did you mean 'reps'?",),
+    "sweep(SHORT, GRID, n_jobs=5)": ("did you mean 'executor'?",),
+    "sweep(SHORT, GRID, executor='parallel')": ("a number of processes", "got 'parallel'"),
+    "sweep(SHORT, GRID)['active_time']": ("a SweepResult is no table", "result.to_frame()['active_time']"),
+    "sweep(SHORT, GRID).to_pandas()": ("result.to_frame()",),
+    "sweep(SHORT, GRID).mean('regret')": ("result.estimates('active_time')",),
+    "load(examples()['relay'], {'team.count': 8})": ("with_({'team.count': 8})",),
+    "Scenario(evader=PureEvasion())": ("should be an Evader", "Evader(strategy=PureEvasion(...))"),
+    "Scenario(network=Lognormal())": ("Links(latency=Lognormal(...))",),
+    "Scenario(fault=Crash(node=1, start=1.0))": ("should be a list: [Crash(...)]",),
+    "exec('from desim import SpatialAdaptivePlay')": ("from protocols import SpatialAdaptivePlay",),
+    "exec('from desim import Simulation')": ("from desim import run",),
+    "exec('from protocols import SAP')": ("from protocols import SpatialAdaptivePlay",),
+    "exec('from protocols import jsfp')": ("JointStrategyFictitiousPlay, or protocol='jsfp'",),
+    "desim.smmary": ("did you mean 'summary'?",),
 }
 
 
 @pytest.mark.parametrize("call", CALLS)
 def test_a_wrong_call_says_what_to_write(call, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises((ValueError, TypeError, OSError)) as refused:
+    with pytest.raises((ValueError, TypeError, OSError, AttributeError, ImportError)) as refused:
         eval(call, dict(NAMES))
     message = str(refused.value)
     for part in CALLS[call]:
@@ -132,6 +161,65 @@ def test_a_wrong_call_says_what_to_write(call, monkeypatch, tmp_path):
     assert "pydantic" not in message
     assert "[type=" not in message
     assert refused.value.__suppress_context__ or refused.value.__context__ is None
+
+
+LOOKS_AT_CALLER = {"open_data"}
+"""Functions that no decorator may stand before."""
+
+
+@pytest.mark.parametrize("name", [name for name in desim.__all__ if name.islower() and name not in LOOKS_AT_CALLER])
+def test_a_call_with_a_wrong_argument_names_those_that_the_function_takes(name):
+    function = getattr(desim, name)
+    with pytest.raises(TypeError) as refused:
+        function(**{"nothing_of_this_name": 1})
+    assert f"; it is {name}({next(iter(signature(function).parameters), ')')}" in str(refused.value)
+
+
+LINES: dict[str, str] = {
+    # a line of a protocol, and what its message has
+    "me.assign()": "it is me.assign(action): Chase an evader",
+    "me.send('hello')": "it is me.send(dst, body",
+    "me.broadcast('hello')": "it is me.broadcast()",
+    "me.assign(me.position[0] > 3)": "me.position() for instance",
+    "me.assign(abs(me.position) > 3)": "me.position() for instance",
+    "me.evader.position": "me.position() for instance",
+    "me.position()[0]": "its x is .real",
+    "x, y = me.position()": "its x is .real",
+    "me.x": "write me.position().real",
+    "me.receive()": "write me.mail()",
+    "me.asign(1)": "an Agent has no 'asign': it has action, after()",
+    "yield from me.sleep(0.1)": "not `yield from`",
+    "await me.sleep(0.1)": "`def` and `yield` in place of `async def` and `await`",
+}
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_wrong_line_of_a_protocol_says_what_to_write(line):
+    names: dict[str, Any] = {}
+    waits = "" if "await" in line else "yield me.sleep(0.001)\n    "
+    exec(f"{'async ' if 'await' in line else ''}def mine(me):\n    {waits}{line}", names)
+    with pytest.raises((TypeError, AttributeError, ValueError)) as refused:
+        desim.run(SHORT.with_({"protocol": names["mine"]}))
+    assert LINES[line] in " ".join([str(refused.value), *refused.value.__notes__])
+
+
+@pytest.mark.parametrize("line", ["import time; time.sleep(0.0)", "sleep(0.0)", "me.assign(int(clock() > 0))"])
+def test_a_protocol_that_waits_for_the_clock_of_the_computer_is_warned_of(line):
+    names: dict[str, Any] = {"sleep": time.sleep, "clock": time.time}
+    exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
+    with pytest.warns(StateWarning, match="the clock of the computer is not the one of the simulation"):
+        desim.run(SHORT.with_({"protocol": names["mine"]}))
+
+
+def test_an_attribute_that_fails_inside_is_not_said_to_be_missing():
+    class Own(Result):
+        @property
+        def gain(self) -> float:
+            return float(self.trace.no_such)  # type: ignore[attr-defined]
+
+    result = desim.run(SHORT)
+    with pytest.raises(AttributeError, match="no_such"):
+        Own(result.scenario, result.seed, result.trace).gain  # noqa: B018
 
 
 FILES: dict[str, tuple[str, ...]] = {
@@ -160,6 +248,22 @@ FILES: dict[str, tuple[str, ...]] = {
     "horizon = -1\nsed = 3\n[team]\ncout = 3": ("f.toml:1: horizon", "f.toml:2: sed", "f.toml:4: team.cout"),
     "motion = 3": ("f.toml:1: motion: should be a table",),
     "evader.strategy = 'pure-evasion'": ("did you mean 'pure_evasion'?",),
+    "[team]\ncount: 12": ("f.toml:2: not TOML: between a key and its value is =: count = 12",),
+    "[[team]]\ncount = 3": ("headed by [team] instead of [[team]]",),
+    "[fault]\nkind = 'crash'\nnode = 1\nstart = 1.0": ("headed by [[fault]] instead of [fault]",),
+    "[team]\ncount = 3\n[team]\nbox = [0.0, 1.0]": ("f.toml:3", "a table has one head"),
+    "record.messages = True": ("record.messages should be true instead of True",),
+    "network.range = None": ("network.range has no value", "leave the key out"),
+    "network.range = Infinity": ("should be inf instead of Infinity",),
+    "network.loss = 10%": ("network.loss should be a number from 0 to 1: 0.1 instead of '10%'",),
+    "network.latency = 50ms # late": ("network.latency should be a number, in s: 0.05 instead of '50ms'",),
+    "network.latency = { kind = 'lognormal', mean = 50 ms }": ("mean should be a number, in s: 0.05",),
+    "network.latency = 0,5": ("should be a number: 0.5 instead of '0,5'",),
+    "network.loss = 0.1;": ("nothing follows the value: network.loss = 0.1",),
+    "protocol = sap": ('a text is in quotes: protocol = "sap"',),
+    "network.latency = { kind = lognormal }": ('a text is in quotes: kind = "lognormal"',),
+    "// late": ("a comment begins with #",),
+    "{'horizon': 3}": ("this looks like JSON",),
 }
 
 
@@ -175,7 +279,7 @@ def test_a_wrong_file_says_where_and_why(text, monkeypatch, tmp_path):
 
 COMMANDS: dict[str, tuple[str, ...]] = {
     "rnu f.toml": ("Did you mean",),
-    "draw f.toml": ("Did you mean 'plot'?",),
+    "draw f.toml": ("Did you mean 'desim plot'?",),
     "run relay": ("desim examples relay",),
     "run relay.toml": ("desim examples relay",),
     "run .": (": cannot be read: Is a directory; a file in it is f.toml",),
@@ -207,6 +311,26 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "keys latency": ("network.latency",),
     "keys network.latncy": ("latency",),
     "examples realy": ("did you mean 'relay'?",),
+    "run": ("desim examples relay",),
+    "f.toml": ("type: desim run f.toml",),
+    "mine.py": ("python mine.py",),
+    "run f.py": ("is Python, not a scenario file: python f.py runs it, and the scenario beside it is f.toml",),
+    "help run": ("Did you mean 'desim --help'?",),
+    "gif f.toml": ("desim plot FILE --kind film",),
+    "run f.toml -n ten": ("'ten' should be a whole number from 1 to 1,000,000; Number of runs",),
+    "run f.toml -s 1-10": ("'1-10' should be a whole number of at least 0",),
+    "sweep f.toml -j all": ("'all' should be a whole number of at least 0", "0 = one per core"),
+    "run f.toml --latency 0.2": ("is set by --set network.latency=VALUE",),
+    "run f.toml --delay 0.2": ("is set by --set network.latency=VALUE",),
+    "run f.toml --protocol cbba": ("is set by --set protocol=VALUE",),
+    "sweep f.toml --seeds 5": ("Did you mean '-n'?",),
+    "run f.toml --workers 5": ("Did you mean '-j'?",),
+    "plot f.toml --kind trajectry": ("Did you mean 'trajectory'?",),
+    "new protocl mine": ("Did you mean 'protocol'?",),
+    "new protocol class": ("'class' is a word of Python itself", "my_class"),
+    "new protocol my-rule": ("my_rule for instance",),
+    "metrics activ": ("did you mean 'active_time'?",),
+    "compare f.toml f.toml": ("`desim sweep f.toml -o DIR`",),
 }
 
 
@@ -216,11 +340,12 @@ def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
     Path("f.toml").write_text("horizon = 0.01\n")
     Path("x.yaml").write_text("horizon: 3\n")
     Path("x.json").write_text('{"horizon": 3}')
+    Path("f.py").write_text("print(3)\n")
     done = CliRunner().invoke(main, command.split())
     assert done.exit_code == 2
     for part in COMMANDS[command]:
         assert part in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} == {"f.toml", "x.yaml", "x.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"f.py", "f.toml", "x.yaml", "x.json"}
 
 
 def test_a_traceback_of_a_wrong_call_is_short():

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from desim.config.arguments import naming_arguments
 from desim.config.extras import naming_extras
 
 ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave")
@@ -10,6 +11,7 @@ TALKS, OPERATES = ("message", "graph", "capacity", *ALL), ("idle", *ALL)
 
 
 @naming_extras()
+@naming_arguments
 def wrap(env: Any, links: Any = None, **options: Any) -> Any:
     """Return an environment whose agents talk over a network, for training or for any other use.
 

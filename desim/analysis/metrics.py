@@ -52,7 +52,7 @@ from desim.analysis.transport_metrics import (
     retransmissions,
     share_delivered,
 )
-from desim.config.arguments import run_argument
+from desim.config.arguments import naming_arguments, run_argument
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
@@ -421,6 +421,7 @@ class MetricError(RuntimeError):
     """Raised when a user's metric fails or returns a wrong type; the text names metric, scenario and seed."""
 
 
+@naming_arguments
 def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
     """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
 

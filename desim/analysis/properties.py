@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from desim.analysis.quantities import WATCHED, Level, Tally, cut, key_of, pieces_of
 from desim.analysis.trace_index import trace_index
-from desim.config.arguments import run_argument
+from desim.config.arguments import naming_arguments, run_argument
 from desim.kernel.core.events import Event
 from desim.kernel.core.units import seconds
 from desim.scenario.properties import Property, PropertyPiece, Worst, misfits_of, property_of, recording
@@ -67,6 +67,7 @@ def under_protocol(scenario: Scenario, kind: str) -> Scenario:
     return scenario.with_({"protocol.kind" if PROTOCOLS.holds(scenario.protocol) else "protocol": kind})
 
 
+@naming_arguments
 def judge(prop: Stated, result: Result) -> Judgement:
     """Judge a run: return the margin of a property. A property with a reference costs one more run.
 

@@ -22,10 +22,9 @@ from desim.cli.play import play
 from desim.cli.plot import plot
 from desim.cli.program import Program
 from desim.cli.start import examples, new
+from desim.cli.usage import no_command
 from desim.config.trust import no_cwd_import
 
-RENAMED = {"draw": "plot"}
-"""Names that users may try, each with the name of the command that they mean."""
 GROUPS: dict[str, dict[click.Command, str]] = {
     "Start": {
         examples: "List the example scenarios, or copy one.",
@@ -73,10 +72,10 @@ class Commands(Program, click.Group):
         """Return the name of the command that the arguments begin with, the command, and the remaining arguments.
 
         Raises:
-            click.UsageError: if there is no such command; for a name in `RENAMED` the message gives the right name.
+            click.UsageError: if there is no such command; the message says what to type.
         """
-        if args[0] in RENAMED:
-            ctx.fail(f"No such command {args[0]!r}. Did you mean {RENAMED[args[0]]!r}?")
+        if args[0] not in self.commands and (message := no_command(args[0])):
+            ctx.fail(message)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -99,20 +99,28 @@ def keys(key: str | None) -> None:
 
 
 @click.command()
-def metrics() -> None:
-    """List the built-in metrics, with units and whether more is better or worse, and the installed metrics."""
+@click.argument("only", metavar="[NAME]", required=False)
+def metrics(only: str | None) -> None:
+    """List the metrics, or the one called NAME, with units and whether more is better or worse."""
     from desim.analysis.metrics import METRICS, Summary, with_unit
     from desim.config.model import docs_of
+    from desim.config.suggestion import did_you_mean
     from desim.scenario.named_metrics import installed_metrics
 
-    docs = docs_of(Summary)
+    docs, installed = docs_of(Summary), installed_metrics()
+    if only is not None and only not in {*METRICS, *installed}:
+        close = did_you_mean(only, [*METRICS, *installed])
+        fail(f"there is no metric {only!r}{close}; `desim metrics` lists them, and `desim keys` the keys of scenarios")
     for name, metric in METRICS.items():
+        if only not in {None, name}:
+            continue
         text = docs.get(name) or (metric.of.__doc__ or "").partition("\n")[0].removeprefix("Return ") or metric.note
         sign = f" More is {metric.more_is}." if metric.more_is else ""
         text = f": {text[:1].upper()}{text[1:].removesuffix('.')}.{sign}" if isinstance(text, str) else ""
         echo(f"{with_unit(name, metric.unit)}{text}")
-    for name, point in installed_metrics().items():
-        echo(f"{name}: {point.value}")
+    for name, point in installed.items():
+        if only in {None, name}:
+            echo(f"{name}: {point.value}")
 
 
 @click.command()

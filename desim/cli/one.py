@@ -225,7 +225,11 @@ def _scenario_to_run(
         return source_of(file, overrides, metrics)[1], file.parent, 1
     if file is None and repeated is not None:
         return _recorded(repeated, overrides, metrics)
-    raise click.UsageError("needs a FILE or --from RUN.JSON" + (", not both" if file is not None else ""))
+    if file is not None:
+        raise click.UsageError("needs a FILE or --from RUN.JSON, not both")
+    raise click.UsageError(
+        "needs a FILE, or --from RUN.JSON; `desim examples relay` writes relay.toml, which `desim run relay.toml` runs"
+    )
 
 
 def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) -> "tuple[Scenario, Path, int]":

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
+from desim.cli.usage import advised
 from desim.config.errors import AnswerError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
@@ -31,6 +32,8 @@ class Program(click.Command):
             with raising(), warnings.catch_warnings():
                 warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
+        except click.UsageError as error:  # of a command of the group
+            raise advised(error) from None
         except KeyboardInterrupt as error:
             text = f"interrupted {error}".rstrip()
             try:
@@ -55,6 +58,13 @@ class Program(click.Command):
             if not isinstance(error, TraceEndError):
                 raise
             fail(str(error))
+
+    def make_context(self, *args: Any, **options: Any) -> click.Context:
+        """Return the context of the command; an error says what to type instead."""
+        try:
+            return super().make_context(*args, **options)
+        except click.UsageError as error:
+            raise advised(error) from None
 
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command with the arguments of the program."""

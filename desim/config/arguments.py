@@ -1,9 +1,16 @@
-"""Arguments of functions: an object that is not what a function takes is refused with what to write instead."""
+"""Arguments of functions, and attributes of objects: what does not exist is refused with what to write instead."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
+from inspect import Parameter, signature
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+
+from desim.config.suggestion import did_you_mean
+
+Taken = ParamSpec("Taken")
+Returned = TypeVar("Returned")
 
 
 class Argument(NamedTuple):
@@ -32,7 +39,7 @@ class Argument(NamedTuple):
         code = self.instead.get("path" if is_path else name)
         if code is None:
             return f"not a {name} (got {shown if len(shown) < MAX_SHOWN else shown[: MAX_SHOWN - 3] + '...'})"
-        what = "a path" if is_path else f"an {name}" if name[0] in "AEIOU" else f"a {name}"
+        what = "a path" if is_path else with_article(name)
         return f"not {what}: {code.format(function=function, value=shown)}"
 
 
@@ -60,3 +67,119 @@ def run_argument(*kinds: type) -> Argument:
         "list": "[{function}(result) for result in results]",
     }
     return Argument("the result of a run", kinds, MappingProxyType(instead))
+
+
+def with_article(noun: str) -> str:
+    """Return a noun with its indefinite article, for example "an Evader"."""
+    return f"an {noun}" if noun[:1] in "AEIOUaeiou" else f"a {noun}"
+
+
+WORDS = MappingProxyType(
+    {
+        "cores": "executor",
+        "filename": "path",
+        "jobs": "executor",
+        "n": "reps",
+        "n_jobs": "executor",
+        "n_runs": "reps",
+        "num_runs": "reps",
+        "overrides": "changes",
+        "processes": "executor",
+        "repeats": "reps",
+        "repetitions": "reps",
+        "runs": "reps",
+        "seeds": "seed",
+        "workers": "executor",
+    }
+)
+"""Names that other packages have for an argument, and the name that it has here."""
+EXAMPLES = MappingProxyType(
+    {
+        "Scenario.with_": ", for instance scenario.with_({'network.latency.value': 0.5})",
+        "run": "; for several seeds write [run(scenario, seed) for seed in range(5)], or use sweep",
+    }
+)
+"""By qualified name of a function, the end of a message: a call of it that users look for."""
+
+
+def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
+    """Let a call with wrong arguments name those that the function takes; a decorator.
+
+    Python's message names only the wrong one.
+    """
+
+    @wraps(function)
+    def called(*args: Taken.args, **named: Taken.kwargs) -> Returned:
+        try:
+            return function(*args, **named)
+        except TypeError as error:
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:  # raised inside of the function
+                raise
+            message = f"{error}{_meant(function, named)}; it is {function.__name__}{arguments_of(function)}"
+            message += EXAMPLES.get(function.__qualname__, "")
+        raise TypeError(message)
+
+    return called
+
+
+def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:
+    """Return the end of a message that suggests the name of an argument; "" if no name is wrong, or none is similar."""
+    names = [name for name in signature(function).parameters if name != "self"]
+    wrong = next((name for name in named if name not in names), None)
+    if wrong is None:
+        return ""
+    renamed = WORDS.get(wrong.lower())
+    return f", did you mean {renamed!r}?" if renamed in names else did_you_mean(wrong, names)
+
+
+def arguments_of(function: Callable[..., object]) -> str:
+    """Return the arguments of a function as in its definition, without annotations and without `self`."""
+    of_function = signature(function)
+    plain = [
+        item.replace(annotation=Parameter.empty) for name, item in of_function.parameters.items() if name != "self"
+    ]
+    return str(of_function.replace(parameters=plain, return_annotation=of_function.empty))
+
+
+class HintedAttributes:
+    """A class that says what to write in place of an attribute or an index that it does not have."""
+
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute or an index, as the end of a message."""
+        raise NotImplementedError
+
+    if not TYPE_CHECKING:  # a type checker reports missing attributes itself
+
+        def __getattr__(self, name: str) -> object:
+            """Raise AttributeError with what to write; called only if there is no such attribute."""
+            if hasattr(type(self), name):  # a property has raised an AttributeError
+                return object.__getattribute__(self, name)
+            raise missing_attribute(self, name)
+
+        def __getitem__(self, key: object) -> object:
+            """Raise TypeError with what to write, because the object is no table."""
+            raise TypeError(f"{with_article(type(self).__name__)} is no table: {self._instead_of(str(key))}")
+
+
+def missing_attribute(owner: object, name: str) -> AttributeError:
+    """Return the error for an attribute that an object does not have; the message says what to write instead."""
+    return AttributeError(_Missing(owner, name), name=name, obj=owner)
+
+
+class _Missing:
+    """The message about a missing attribute, made when it is read: programs often only ask whether there is one."""
+
+    def __init__(self, owner: object, name: str):
+        self._owner, self._name = owner, name
+
+    def __str__(self) -> str:
+        text = f"{with_article(type(self._owner).__name__)} has no {self._name!r}"
+        instead_of = getattr(type(self._owner), "_instead_of", None)
+        if self._name.startswith("_") or instead_of is None:
+            return text
+        return f"{text}: {instead_of(self._owner, self._name)}"
+
+    __repr__ = __str__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return str, (str(self),)

@@ -1,7 +1,10 @@
 """The names that a package exports, each of which is imported on first access."""
 
 import re
+from collections.abc import Collection, Mapping
 from pathlib import Path
+
+from desim.config.suggestion import did_you_mean
 
 _IMPORT = re.compile(r"^    from (\S+) import (\w+) as \2\b", re.MULTILINE)
 
@@ -13,3 +16,18 @@ def homes_of_exports(file: str) -> dict[str, str]:
     """
     source = Path(file).read_text(encoding="utf-8")
     return {name: home for home, name in _IMPORT.findall(source)}
+
+
+def missing_export(package: str, name: str, names: Collection[str], elsewhere: Mapping[str, str]) -> Exception:
+    """Return the error for a name that a package does not export.
+
+    Args:
+        package: the name of the package.
+        name: the missing name.
+        names: the names that it exports.
+        elsewhere: by missing name, the import that users mean. Such an error is an ImportError, because Python replaces
+            the text of an AttributeError in `from package import name`.
+    """
+    if name in elsewhere:
+        return ImportError(f"{package} has no {name!r}: write {elsewhere[name]}", name=package)
+    return AttributeError(f"module {package!r} has no attribute {name!r}{did_you_mean(name, names)}")

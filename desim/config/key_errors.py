@@ -16,6 +16,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from desim.config.arguments import with_article
 from desim.config.choice import OneOf, choices_of, why_no_number
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
@@ -134,10 +135,16 @@ class Wording:
             return "is missing"
         if kind in NOT_A_TABLE and self.is_call:
             name, value = context["class_name"], error["input"]
-            is_class = isinstance(value, type)
-            return f"should be a {name}{', not a class: ' + name + '()' if is_class else ' or a table of its keys'}"
+            if isinstance(value, type):
+                return f"should be {with_article(name)}, not a class: {name}()"
+            return f"should be {with_article(name)} or a table of its keys{_wrapped(value, info)}"
+        if kind in NOT_A_TABLE and isinstance(error["input"], list):
+            return f"should be one table, headed by [{place[-1]}] instead of [[{place[-1]}]]"
         if kind in NOT_A_TABLE:
             return "should be a table"
+        if kind == "tuple_type" and isinstance(error["input"], dict) and info and _holds_models(info):
+            written = "in [...]" if self.is_call else f"headed by [[{place[-1]}]] instead of [{place[-1]}]"
+            return f"should be a list of tables, {written}"
         if kind in {"too_long", "too_short"}:
             most = kind == "too_long"
             limit = context["max_length" if most else "min_length"]
@@ -159,6 +166,25 @@ NUMBERS = {"float_type", "int_type"}
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
+
+
+def _holds_models(info: FieldInfo) -> bool:
+    """Return whether the items of a field are tables of models."""
+    return any(True for _ in choices_of(info)) or any(True for _ in models_in(info.annotation))
+
+
+def _wrapped(value: Any, info: FieldInfo | None) -> str:
+    """Return how a model that stands in place of a table is put into it, as the end of a message; "" if it cannot be.
+
+    An evasion strategy, for example, is a key of an evader: Evader(strategy=Still()).
+    """
+    if not isinstance(value, BaseModel) or info is None:
+        return ""
+    for outer in models_in(info.annotation):
+        for name, field in fields_of(outer).items():
+            if any(type(value) in one_of.choices().values() for one_of in choices_of(field)):
+                return f": {outer.__name__}({name}={type(value).__name__}(...))"
+    return ""
 
 
 def holds(node: Any, key: Any) -> bool:

@@ -28,6 +28,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from desim.config.arguments import missing_attribute, with_article
 from desim.config.errors import WORDINGS, KeyedError, Problem
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
@@ -211,12 +212,16 @@ class Value(BaseModel, metaclass=_ValueType):
             return make(fields)
         plain, converted = _plain_fields(cls), dict(fields)
         for name in plain & fields.keys():
+            why = _why_no_list(cls, name, fields[name])
             try:
                 converted[name] = as_python(fields[name])
             except UnicodeEncodeError as error:
-                problem = PydanticCustomError("text", "{why}", {"why": why_no_text(error)})
-                detail = InitErrorDetails(type=problem, loc=(name,), input=fields[name])
-                raise ValidationError.from_exception_data(cls.__name__, [detail]) from error
+                why = why_no_text(error)
+            if why:
+                detail = InitErrorDetails(
+                    type=PydanticCustomError("text", "{why}", {"why": why}), loc=(name,), input=fields[name]
+                )
+                raise ValidationError.from_exception_data(cls.__name__, [detail])
         return make(converted)
 
     @classmethod
@@ -267,10 +272,29 @@ class Value(BaseModel, metaclass=_ValueType):
             is_key = name in type(self).model_fields
         else:
             return
-        how = "with_({" if hasattr(self, "with_") else "model_copy(update={"
-        hint = f"{how}{name!r}: ...}}) returns a changed copy" if is_key else "it has no such key"
+        how = f"with_({{{name!r}: ...}}) returns a changed copy"
+        if not hasattr(type(self), "with_"):
+            how = f"model_copy(update={{{name!r}: ...}}) returns a changed copy; to change a scenario, write"
+            how += f" scenario.with_({{'...{name}': ...}}) with the dotted key, network.latency.value for instance"
+        hint = how if is_key else "it has no such key"
         hint += "" if is_key else did_you_mean(name, type(self).model_fields)
-        raise KeyedError(Problem(f"cannot be set: a {type(self).__name__} is immutable; {hint}", name))
+        raise KeyedError(Problem(f"cannot be set: {with_article(type(self).__name__)} is immutable; {hint}", name))
+
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute that the value does not have, as the end of a message."""
+        keys = ", ".join(type(self).model_fields)
+        return f"its keys are {keys}" if keys else "it has no keys"
+
+    if not TYPE_CHECKING:  # a type checker reports missing attributes itself
+
+        def __getattr__(self, name: str) -> object:
+            """Raise AttributeError with what to write; called only if there is no such attribute."""
+            try:
+                return super().__getattr__(name)
+            except AttributeError:
+                if name.startswith("_") or hasattr(type(self), name):
+                    raise
+            raise missing_attribute(self, name)
 
     def __dir__(self) -> list[str]:
         """Return the names of the attributes without pydantic's deprecated methods, for tab completion."""
@@ -311,6 +335,12 @@ class Value(BaseModel, metaclass=_ValueType):
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
+
+
+def _why_no_list(model: type[Value], name: str, value: Any) -> str:
+    """Return the message for a model in place of a list of models, which pydantic reads as a list of fields; or ""."""
+    is_lone = isinstance(value, BaseModel) and get_origin(model.model_fields[name].annotation) is tuple
+    return f"should be a list: [{type(value).__name__}(...)]" if is_lone else ""
 
 
 @cache

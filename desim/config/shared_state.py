@@ -2,6 +2,7 @@
 
 import random
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -39,7 +40,10 @@ _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic",
 
 
 class StateWarning(UserWarning):
-    """Warns of state in a class, a function, a module or a collection that an earlier run has left."""
+    """Warns of state in a class, a function, a module or a collection that an earlier run has left.
+
+    The clock of the computer is such state, too.
+    """
 
 
 _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
@@ -60,6 +64,12 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
     objects = _reached(objects)
+    if clocks := sorted({name for item in objects for name in _wall_clocks(item)}):
+        text = (
+            f"{' and '.join(clocks)}: the clock of the computer is not the one of the simulation; a protocol reads the"
+            " time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in its arguments"
+        )
+        warn(text, StateWarning, stacklevel=6)
     reads = list(_shared(objects))
     before = [snapshot(read()) for _, _, read in reads]
     carried = set()
@@ -244,6 +254,37 @@ def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
     for value in tuple(values):  # pydantic may still complete the class
         if isinstance(value, CODE):
             yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
+
+
+def _wall_clocks(item: Any) -> Iterator[str]:
+    """Yield the names of the functions of `time` by which a function, or the methods of a class, wait or ask the time.
+
+    To measure how long a computation takes is another matter, so that `time.perf_counter` is not among them.
+    """
+    functions = [getattr(item, "__func__", item)]
+    for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
+        functions += [] if _is_foreign(base) else [getattr(value, "__func__", value) for value in vars(base).values()]
+    for function in functions:
+        if isinstance(function, FunctionType) and not _is_foreign(function):
+            places = function.__globals__
+            yield from (f"time.{name}" for name in _of_time(function.__code__))
+            yield from (f"time.{name}" for name in _globals_of(function.__code__) if places.get(name) in WALL_CLOCKS)
+
+
+WALL_CLOCKS = (time.sleep, time.time)
+"""The functions by which a simulated process does not wait, and that do not tell its time."""
+
+
+@lru_cache(maxsize=256)
+def _of_time(code: CodeType) -> frozenset[str]:
+    """Return which functions of `WALL_CLOCKS` a function, and the functions inside it, take from the module `time`."""
+    names = {function.__name__ for function in WALL_CLOCKS}
+    taken = {
+        after.argval
+        for instruction, after in pairwise(get_instructions(code))
+        if instruction.argval == "time" and instruction.opname.startswith("LOAD_") and after.argval in names
+    }
+    return frozenset(taken).union(*map(_of_time, _inner(code)))
 
 
 def _is_installed(module: ModuleType) -> bool:

@@ -5,6 +5,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from desim.config.arguments import naming_arguments
 from desim.config.model import MAX_TIME
 from desim.config.number_files import number_of
 from desim.config.python_numbers import real
@@ -57,6 +58,7 @@ class Fate(NamedTuple):
     """When it arrived, s; nan if it did not."""
 
 
+@naming_arguments
 def fates(
     messages: Iterable[Sequence[Any]],
     nodes: "int | nx.Graph[Any]",

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.extras import naming_extras
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 
 @naming_extras()
+@naming_arguments
 def env(
     scenario: "Scenario | str | Path | None" = None,
     seed: int | None = None,
@@ -68,6 +69,7 @@ def env(
 
 
 @naming_extras()
+@naming_arguments
 def parallel_env(
     scenario: "Scenario | str | Path | None" = None,
     seed: int | None = None,

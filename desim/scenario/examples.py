@@ -6,11 +6,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from desim.config.arguments import naming_arguments
 from desim.config.packages import package_folder
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import write_new
 
 
+@naming_arguments
 def examples() -> Mapping[str, Path]:
     """Return the path of each example scenario file by its name, sorted; use it as in `load(examples()["relay"])`."""
     return {path.stem: path for path in sorted(package_folder("scenarios").glob("*.toml"))}

@@ -12,8 +12,10 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from desim.config.arguments import naming_arguments
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
+from desim.config.key_index import all_keys
 from desim.config.model import (
     MIN_PERIOD,
     RESOLUTION,
@@ -186,6 +188,7 @@ class Scenario(Value):
     property is the metric "margin:NAME"; nothing in a run depends on it."""
     sweep: Sweep = Sweep()
 
+    @naming_arguments
     def with_(self, changes: Mapping[str, Any]) -> "Scenario":
         """Return the scenario with other values of some keys, checked as a scenario file with `--set` is.
 
@@ -211,6 +214,17 @@ class Scenario(Value):
         for name, value in sorted(changes.items(), key=lambda change: str(change[0]).count(".")):
             source.replace(name, value)  # a table before what is changed in it
         return validated(source, Scenario)
+
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute that a scenario does not have: a key, or a function."""
+        places = [key for key in all_keys(Scenario) if key.place[-1] == name]
+        nearest = [key.dotted for key in places if len(key.place) == len(places[0].place)]
+        if nearest:
+            return " or ".join(f"scenario.{key}" for key in dict.fromkeys(nearest[:2]))
+        of_run = {"plot", "replay", "summary", "export"}
+        others = ["plot(run(scenario))", "sweep(scenario, grid)", "play(scenario)", "scenario.with_({key: value})"]
+        first = f"{name}(run(scenario))" if name in of_run else "run(scenario)"
+        return f"functions take it, such as {', '.join(dict.fromkeys([first, *others]))}; {super()._instead_of(name)}"
 
     def env(self, seed: int | None = None, **options: Any) -> Any:
         """Return an environment of PettingZoo in which one pursuer at a time decides; see `desim.env`."""

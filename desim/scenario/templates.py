@@ -5,6 +5,7 @@ with the class `MyProtocol`. A copy has another name in place of these.
 """
 
 import ast
+import re
 import sys
 from importlib.util import find_spec
 from keyword import iskeyword
@@ -27,8 +28,12 @@ def starting_files(template: str, name: str) -> dict[str, str]:
         ValueError: if the name is not an identifier; for any template but "scenario", also if an installed module has
             this name or the code of the template uses it.
     """
-    if not name.isidentifier() or iskeyword(name):
-        raise ValueError(f"{name!r} should be an identifier: letters, digits and _, my_{template} for instance")
+    if iskeyword(name):
+        raise ValueError(f"{name!r} is a word of Python itself, which no module can have; choose another, my_{name}")
+    if not name.isidentifier():
+        usable = re.sub(r"\W", "_", name)
+        instance = usable if usable.isidentifier() else f"my_{template}"
+        raise ValueError(f"{name!r} should be an identifier: letters, digits and _, {instance} for instance")
     files = (f"my_{template}.py", f"test_my_{template}.py", f"my_{template}.toml")
     texts = {file: (_FOLDER / file).read_text(encoding="utf-8") for file in files if (_FOLDER / file).exists()}
     module = texts.get(f"my_{template}.py")

@@ -3,7 +3,7 @@
 import os
 import re
 from codecs import BOM_UTF8
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from desim.config.arguments import Argument
+from desim.config.arguments import Argument, naming_arguments
 from desim.config.errors import KeyPath, Problem
 from desim.config.own_modules import CodeName
 from desim.config.traits import kind_of
@@ -20,6 +20,7 @@ from desim.scenario.examples import examples
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_errors import BASE, validated
+from desim.scenario.toml_hints import what_was_meant
 from desim.scenario.toml_lines import MAX_PARTS, deep_key, key_lines, tables_of, unreadable
 
 INSTEAD_OF_PATH = {"dict": "Scenario(**keys)", "Scenario": "use it as it is, or scenario.with_({{key: value}})"}
@@ -27,6 +28,7 @@ PATH = Argument("the path of a scenario file", (str, Path), MappingProxyType(INS
 """What `load` takes."""
 
 
+@naming_arguments
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
     """Return the scenario in a TOML file.
 
@@ -46,6 +48,9 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
     PATH.check(file, "load")
     if isinstance(overrides, str):
         overrides = [overrides]
+    if isinstance(overrides, Mapping):
+        instead = f"load({str(file)!r}).with_({dict(overrides)!r})"
+        raise TypeError(f"load takes overrides as texts, ['team.count=8'] for instance; values by key: {instead}")
     try:
         source = read_source(file, overrides, allow_import=allow_import)
     except FileNotFoundError as error:
@@ -174,6 +179,10 @@ def _parsed(file: Path, allow_import: bool) -> Source:
     try:
         tables = tables_of(text)
     except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
+        if file.suffix == ".py":
+            beside = file.with_suffix(".toml")
+            scenario = f", and the scenario beside it is {beside}" if beside.is_file() else ""
+            raise ScenarioError(f"{file}: is Python, not a scenario file: python {file} runs it{scenario}") from None
         if how := CONVERSIONS.get(file.suffix.lower()):
             raise ScenarioError(f"{file}: scenario files are TOML; convert it: python -c '{how}' {file}") from None
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
@@ -241,6 +250,10 @@ def _syntax_error(file: str | Path, message: str, text: str) -> str:
     problem = message[: match.start()] if match else message
     if problem in UNCLOSED:
         return f"{file}:{line}: not TOML: a text is not closed by a quote{_opened(text, line)}"
+    if meant := what_was_meant(text.split("\n")[line - 1]):
+        return f"{file}:{line}: not TOML: {meant}"
+    if problem.startswith("Cannot declare"):
+        problem += ": a table has one head, below which all its keys are"
     column = f" (column {match[2]})" if match and match[2] else ""
     return f"{file}:{line}: not TOML: {problem}{column}"
 

@@ -1,11 +1,14 @@
 """Processes of pursuers that survive crashes of their robots."""
 
+import re
 from collections.abc import Iterator
+from inspect import iscoroutine
 from typing import cast
 
 import simpy
 
 from desim.config.answers import wrong_answer
+from desim.config.arguments import arguments_of
 from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
 
@@ -61,7 +64,32 @@ class RestartableProcess(simpy.Process):
                 return
             except (Exception, SystemExit) as error:
                 error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
+                if isinstance(error, TypeError | AttributeError) and (advice := _advice(str(error))):
+                    error.add_note(advice)
                 raise
+
+
+OF_METHOD = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")
+"""Finds in a message of Python that a method was used like a value."""
+EVENTS = {"Event", "Instant"}
+NOT_ITERABLE = re.compile(r"'(\w+)' object is not iterable")
+OF_CALL = re.compile(r"(\w+)\.(\w+)\(\) ")
+"""Finds in a message of Python the class and the name of a method that was called with wrong arguments."""
+
+
+def _advice(message: str) -> str:
+    """Return what to write in a protocol instead of what Python's message is about; "" if that is not known."""
+    if OF_METHOD.search(message):
+        return "a method of a pursuer is called, me.position() for instance"
+    if re.search("'complex'|complex object", message):
+        return "a position is a complex number: its x is .real, its y is .imag, and abs(a - b) is a distance"
+    if (kind := NOT_ITERABLE.search(message)) and kind[1] in EVENTS:
+        return "an event is waited for with yield: `yield me.sleep(0.1)`, not `yield from`"
+    call = OF_CALL.match(message)
+    method = getattr(Agent, call[2], None) if call and call[1] in (kind.__name__ for kind in Agent.__mro__) else None
+    if call is None or method is None:
+        return ""
+    return f"it is me.{call[2]}{arguments_of(method)}: {(method.__doc__ or '').partition(chr(10))[0]}"
 
 
 def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
@@ -71,6 +99,11 @@ def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
         AnswerError: if the behaviour returns no generator.
     """
     behaviour = protocol(agent)
+    coroutine: object = behaviour
+    if iscoroutine(coroutine):
+        coroutine.close()
+        why = f"{PROCESS} should have `def` and `yield` in place of `async def` and `await`"
+        raise wrong_answer(why, behaviour, protocol)
     if not isinstance(behaviour, Iterator):
         raise wrong_answer(f"{PROCESS} should be a generator that yields the events it waits for", behaviour, protocol)
     return behaviour

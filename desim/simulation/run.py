@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import HintedAttributes, naming_arguments, scenario_argument
 from desim.config.arrays import Floats, Integers
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
@@ -48,8 +48,12 @@ if TYPE_CHECKING:
     from desim.pursuit.team.trust import Judge
 
 
+ON_RESULTS = frozenset({"export", "plot", "replay", "save", "show", "summary", "write"})
+"""What users try to call on a result, and what functions do, to which the result is passed."""
+
+
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(HintedAttributes):
     """The result of a run: its scenario, its seed and the trace of its events."""
 
     scenario: Scenario
@@ -73,6 +77,14 @@ class Result:
         }
         return html_properties(rows) + picture_of("run", self)
 
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute that a result does not have."""
+        metric = name if name.isidentifier() and name not in ON_RESULTS else "active_time"
+        return (
+            f"it has scenario, seed and trace; functions take it, such as summary(result).{metric}, plot(result),"
+            " replay(result) and export(result, 'events.csv')"
+        )
+
     @property
     def _ended(self) -> str:
         """The outcome of the run as text."""
@@ -90,6 +102,7 @@ def _outcome(end: Ended, captures: int, evaders: int) -> str:
     return f"{how} {seconds(end.t):g} s"
 
 
+@naming_arguments
 def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Simulate a scenario once; equal arguments give equal traces.
 

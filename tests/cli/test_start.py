@@ -102,10 +102,14 @@ def test_a_new_file_overwrites_nothing(folder):
 @pytest.mark.parametrize(
     ("what", "name", "why"),
     [
-        ("protocol", "my-rule", "'my-rule' should be an identifier: letters, digits and _, my_protocol for instance"),
+        ("protocol", "my-rule", "'my-rule' should be an identifier: letters, digits and _, my_rule for instance"),
         ("scenario", "../evil", "'../evil' should be an identifier"),
         ("scenario", "", "'' should be an identifier"),
-        ("metric", "lambda", "'lambda' should be an identifier"),
+        (
+            "metric",
+            "lambda",
+            "'lambda' is a word of Python itself, which no module can have; choose another, my_lambda",
+        ),
         ("evader", "random", "'random' is the name of an installed module, which would hide random.py"),
         ("latency", "protocols", "'protocols' is the name of an installed module, which would hide protocols.py"),
         ("metric", "longest_pause", "'longest_pause' is the name of a function or class that longest_pause.py uses"),

@@ -8,11 +8,13 @@ positions of its teammates. It learns the actions of teammates only from deliver
 from collections.abc import Callable, Generator, Iterable
 from functools import cached_property
 from itertools import count
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
 import simpy
 
+from desim.config.arguments import HintedAttributes
 from desim.kernel.core.clock import Clock, NodeClock, Phase
 from desim.kernel.core.message_body import as_sent, differs
 from desim.kernel.core.records import Record
@@ -55,7 +57,36 @@ class Voice(Protocol):
         ...
 
 
-class Agent(Beliefs, Timing):
+MEANT = MappingProxyType(
+    {
+        "act": "assign(action)",
+        "chase": "assign(action)",
+        "clock": "now",
+        "delay": "sleep(duration)",
+        "get": "mail()",
+        "inbox": "mail()",
+        "index": "id",
+        "messages": "mail()",
+        "number": "id",
+        "pos": "position()",
+        "random": "rng",
+        "receive": "mail()",
+        "recv": "mail()",
+        "set_action": "assign(action)",
+        "target": "evader()",
+        "time": "now",
+        "timeout": "sleep(duration)",
+        "velocity": "speed",
+        "wait": "sleep(duration)",
+        "x": "position().real",
+        "xy": "position()",
+        "y": "position().imag",
+    }
+)
+"""Names that users try on an agent, and what it has instead."""
+
+
+class Agent(Beliefs, Timing, HintedAttributes):
     """The interface of a protocol to one pursuer.
 
     Its methods return what the pursuer knows (`Knowledge`) and believes (`Beliefs`), and the events that the protocol
@@ -103,6 +134,13 @@ class Agent(Beliefs, Timing):
         # this result has changed, or is None. Other triggers do not use it.
         self._announced: Any = None if announcements.start == "silent" else (self.action,)
         self._streams: dict[str, np.random.Generator] = {}
+
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute that an agent does not have."""
+        if name in MEANT:
+            return f"write me.{MEANT[name]}"
+        names = [other for other in dir(type(self)) if not other.startswith("_")]
+        return f"it has {', '.join(f'{other}()' if callable(getattr(type(self), other)) else other for other in names)}"
 
     def recovered(self, *, restarted: bool) -> None:
         """Register the end of a crash. An announcement is then due, because the crash may have suppressed the last one.

@@ -18,7 +18,7 @@ from typing import Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import seed_of
@@ -37,6 +37,7 @@ RUNS = 100
 `desim.analysis.statistics.paired`."""
 
 
+@naming_arguments
 def explain(
     scenario: Scenario,
     runs: int = RUNS,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.table_formats import SUFFIXES, TableFormat, formatted
+from desim.config.arguments import HintedAttributes, naming_arguments
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.config.trust import write_whole
@@ -28,8 +29,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class SweepResult(SweepRuns):
+class SweepResult(SweepRuns, HintedAttributes):
     """The runs of a sweep by configuration, as tables, figures, a data frame and files."""
+
+    def _instead_of(self, name: str) -> str:
+        """Return what to write instead of an attribute that the result of a sweep does not have."""
+        metric = name if name in METRICS or name in self.units else SHOWN[0]
+        return (
+            f"result.to_frame() has the runs for pandas, result.to_frame()[{metric!r}] a column of them;"
+            f" result.estimates({metric!r}) has the means, result.table([{metric!r}]) and result.plot({metric!r}) show"
+            " them, and result.write('runs.csv') writes the runs"
+        )
 
     @classmethod
     def of(
@@ -75,6 +85,7 @@ class SweepResult(SweepRuns):
         return cls(name, keys, groups, seeds == "common", units, fixed.get("announce.start"))
 
     @naming_extras()
+    @naming_arguments
     def plot(
         self,
         y: str = SHOWN[0],
@@ -136,6 +147,7 @@ class SweepResult(SweepRuns):
             raise ValueError(f"a figure of phase has no option {unfit[0]!r}: it is one of means")
         return figures.phase(self, y, **common)
 
+    @naming_arguments
     def table(
         self,
         metrics: Sequence[str] = SHOWN,

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from desim.config.arguments import Argument
+from desim.config.arguments import Argument, naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
 from desim.simulation.run import Result
@@ -20,6 +20,7 @@ from desim.study.store.store import Store
 PATH = Argument("the path of a folder with results", (str, Path), MappingProxyType({}))
 
 
+@naming_arguments
 def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
     """Read the run or the sweep in a folder; the scenario file is not needed.
 
@@ -41,13 +42,20 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
     if path.is_dir():
         path = _file_in(path)
     elif path.exists() and path.name != TRACE and path.suffix != ".sqlite":
-        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite; desim.load reads scenarios")
+        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite{_of_scenario(path)}")
     if path.name == TRACE:
         return run_folder.read(path.parent, allow_import=allow_import)
     with Store(path, read_only=True) as store:
         return SweepResult.of(store)
 
 
+def _of_scenario(path: Path) -> str:
+    """Return how to make a result of a scenario file, as the end of a message; "" for any other file."""
+    how = f"; `desim sweep {path} -o DIR` makes one of this scenario, and load({str(path)!r}) reads it"
+    return how if path.suffix == ".toml" else ""
+
+
+@naming_arguments
 def compare(
     first: SweepResult | str | Path,
     second: SweepResult | str | Path,

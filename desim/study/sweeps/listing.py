@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.tables import aligned
+from desim.config.arguments import naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.config.html import html_table
 from desim.config.trust import escaped
@@ -75,6 +76,7 @@ class Listing(list[Entry]):
         return html_table("results", self.rows()) if self else html.escape(self.table())
 
 
+@naming_arguments
 def ls(folder: str | Path = "out") -> Listing:
     """List the runs, sweeps and explanations in a folder and its subfolders.
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.results import environment
@@ -207,6 +207,7 @@ class SweepPlan:
         return jobs[part - 1 :: parts]
 
 
+@naming_arguments
 def sweep(
     scenario: Scenario | Source,
     grid: SweepGrid | None = None,

@@ -207,7 +207,7 @@ def workers_for(executor: Executor | int | str, calls: int | None = None) -> Wor
     """
     if isinstance(executor, str) and executor.isdecimal():
         raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
-    if isinstance(executor, str):
+    if isinstance(executor, str) and ":" in executor:
         return Cluster(executor, START_TIMEOUT)
     if isinstance(executor, Executor):
         return Workers(executor)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from desim.config.arguments import run_argument
+from desim.config.arguments import naming_arguments, run_argument
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.extras import missing
@@ -107,6 +107,7 @@ def _reason(error: ValidationError, exporter: Any) -> str:
     return f"exporter {name}: {f'{key}: ' if key else ''}{text_of(first)}"
 
 
+@naming_arguments
 def export(result: Result | StreamedResult, file: str | Path, exporter: Any = None) -> int | None:
     """Write a run to a file, and return the number of its rows, packets, messages or other items.
 

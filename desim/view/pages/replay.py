@@ -8,7 +8,7 @@ from pathlib import Path
 
 from desim.analysis.drawing import palette
 from desim.analysis.trace_index import lacks_messages, messages, positions_known, trace_index
-from desim.config.arguments import run_argument
+from desim.config.arguments import naming_arguments, run_argument
 from desim.config.extras import naming_extras
 from desim.config.trust import escaped, write_whole
 from desim.scenario.scenario import Scenario
@@ -55,6 +55,7 @@ class Replay:
 
 
 @naming_extras()
+@naming_arguments
 def replay(result: Result, ghost: Result | None = None) -> Replay:
     """Create the replay of a run, a page to show in a notebook or to save with `write`; needs jinja2 (extra `plot`).
 

@@ -8,7 +8,7 @@ from typing import Any
 import anywidget
 import traitlets
 
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.workers.workers import Processes, Workers
@@ -100,6 +100,7 @@ class PlayWidget(anywidget.AnyWidget):
         self.send({"number": number, "answer": last, "isLast": True})
 
 
+@naming_arguments
 def play(scenario: Scenario, timeout: float = 30.0) -> PlayWidget:
     """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
 

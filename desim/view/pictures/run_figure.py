@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-from desim.config.arguments import run_argument
+from desim.config.arguments import naming_arguments, run_argument
 from desim.config.extras import naming_extras
 from desim.pursuit.core.events import Sampled
 from desim.simulation.run import Result
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 @naming_extras()
+@naming_arguments
 def plot(
     result: Result,
     kind: Literal["trajectory", "spacetime"] = "trajectory",
