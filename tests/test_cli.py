@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from desim.analysis.metrics import summary
 from desim.analysis.statistics import FIRST_LOOK
 from desim.analysis.tables import counted
 from desim.config.model import Value, fields_of
@@ -240,8 +241,10 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
     assert desim("run", file(DUEL)).exit_code == 130
 
 
-def test_an_interrupted_command_shows_what_has_ended_and_how_to_keep_all(tmp_path, monkeypatch):
+@pytest.mark.parametrize("into", [(), ("-o", "runs")])
+def test_an_interrupted_command_shows_what_has_ended_and_how_to_keep_all(into, tmp_path, monkeypatch):
     """The third run is interrupted; the command that is shown repeats all that decides the runs."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "waiting.py").write_text("def waits(me):\n    yield me.sleep(1.0)\n")
     path = tmp_path / "f.toml"
     path.write_text('horizon = 0.2\nteam.count = 1\nprotocol = "waiting:waits"\n')
@@ -252,9 +255,11 @@ def test_an_interrupted_command_shows_what_has_ended_and_how_to_keep_all(tmp_pat
         return run(scenario, seed)
 
     monkeypatch.setattr("desim.study.workers.dispatch.simulation", lambda *_: interrupted_in_the_third)
-    stopped = desim("run", path, "-n", 5, "-s", 2, "--set", "evader.speed=0.3", "--allow-import")
+    monkeypatch.setattr("desim.results.run_folder.write_below", lambda _, result, **__: summary(result))
+    stopped = desim("run", path, "-n", 5, "-s", 2, "--set", "evader.speed=0.3", "--allow-import", *into)
     assert stopped.exit_code == 130
     head, _, command = stopped.stderr.splitlines()[-1].partition("make a sweep: desim ")
+    assert ("runs have ended, in runs/seed-*;" in head) == bool(into)
     ended = int(re.search(r"(\d) of 5 runs have ended", head)[1])  # those that a worker has reported
     assert ended in {1, 2}
     assert f"captured in 0 of {counted(ended, 'run')};" in stopped.stdout

@@ -172,27 +172,31 @@ def _run_several(
     """
     from functools import partial
 
-    from desim.analysis.metrics import Summary
+    from desim.analysis.metrics import Summary, summary
     from desim.results import provenance, run_folder
     from desim.study.workers.batch import run_many, seeds_from
     from desim.study.workers.dispatch import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
-    if into is None:
-        start, finished = time.perf_counter(), dict[int, Summary]()
-        try:
-            return run_many(tasks, jobs, scenario.name, simulate=simulation(timeout), on_done=finished.__setitem__)
-        except KeyboardInterrupt as error:
-            _show_finished(scenario, finished, time.perf_counter() - start)
-            error.add_note(f"{len(finished)} of {count} runs have ended{_how_to_keep(file, scenario, count)}")
-            raise
-    out, made = into
-    measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
-    simulate = simulation(timeout, partial(run_folder.simulate_below, out))
-    results = run_many(tasks, jobs, scenario.name, measure, simulate)
-    run_folder.clear(out)
-    with run_folder.writing():
-        provenance.write(out, made)
+    simulate, measure = simulation(timeout), summary
+    if into is not None:
+        out, made = into
+        measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
+        simulate = simulation(timeout, partial(run_folder.simulate_below, out))
+    start, finished = time.perf_counter(), dict[int, Summary]()
+    try:
+        results = run_many(tasks, jobs, scenario.name, measure, simulate, finished.__setitem__)
+    except KeyboardInterrupt as error:
+        _show_finished(scenario, finished, time.perf_counter() - start)
+        where = f", in {into[0]}/seed-*" if into and finished else ""
+        note = f"{len(finished)} of {count} runs have ended{where}{_how_to_keep(file, scenario, count)}"
+        notes = getattr(error, "__notes__", [])
+        error.__notes__ = [note, *notes]  # before the line at which the simulation was, which matters if it hangs
+        raise
+    if into is not None:
+        run_folder.clear(out)
+        with run_folder.writing():
+            provenance.write(out, made)
     return results
 
 
@@ -211,6 +215,7 @@ def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
     typed = click.get_current_context().params
     words = [str(file), "-g", f"horizon={scenario.horizon}", "-n", str(count)]
     words += [] if typed["seed"] is None else ["-s", str(typed["seed"])]
+    words += [] if typed["jobs"] == 1 else ["-j", str(typed["jobs"])]
     repeated = {"--set": typed["overrides"], "--metric": typed["metrics"]}
     words += [word for option, values in repeated.items() for value in values for word in (option, value)]
     words += ["--allow-import"] if is_import_allowed() else []

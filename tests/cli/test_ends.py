@@ -9,6 +9,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from runpy import run_module
 
 import pytest
 from click.testing import CliRunner
@@ -313,3 +314,19 @@ def test_an_error_repeats_no_name_of_a_hundred_thousand_characters(tmp_path):
     assert first.startswith(f"{scenario}:1: xxx")
     assert "unknown key" in first
     assert "did you mean 'horizon'" in second
+
+
+def test_ctrl_c_while_the_command_is_imported_ends_with_one_line(monkeypatch, capsys):
+    class Interrupted:
+        @staticmethod
+        def find_spec(name, *_):
+            if name == "desim.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "desim.cli")
+    monkeypatch.delitem(sys.modules, "desim.__main__", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        run_module("desim.__main__")
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "interrupted\n"

@@ -34,5 +34,5 @@ def advance(bar: "tqdm[Any]", steps: int) -> None:
     """
     if not bar.n and not bar.disable:
         bar.initial, bar.start_t = steps, time()
-        bar.last_print_t = bar.start_t
+        bar.last_print_n, bar.last_print_t = steps, bar.start_t
     bar.update(steps)
