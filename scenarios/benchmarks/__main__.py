@@ -9,8 +9,9 @@ numbers. The other simulators are installed or built in a temporary folder: ns-3
 packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. Each of them must make the right
 number of deliveries; mango runs a tenth of the turns only. `--runs` is the number of laps. Every way runs once in each
 lap; a way that takes more than 5 s in the first lap is left out of the others. A rate is the number of deliveries per
-second of CPU time, the median over the laps. Then the costs of large teams, losses on arrival, whole runs, recording
-and start-up are measured, in time and memory. Some costs have an upper limit; the table marks a cost above its limit.
+second of CPU time, the median over the laps. Then the costs of large teams, losses on arrival, whole runs, recording,
+start-up and replays are measured, in time, memory and size. Some costs have an upper limit; the table marks a cost
+above its limit.
 """
 
 from collections.abc import Mapping, Sequence

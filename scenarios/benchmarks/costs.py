@@ -44,6 +44,7 @@ from desim.scenario.scenario import Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import SharedSeed
 from scenarios.benchmarks.measuring import Cost, apart, command, memory, per_unit
+from scenarios.benchmarks.pages import replays
 from scenarios.benchmarks.peers.bare_loop import bare_loop
 from scenarios.benchmarks.peers.desim_ways import Publish
 from scenarios.benchmarks.peers.simpy_contention import Contention
@@ -426,6 +427,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "start": start,
         "sweeps": two_workers,
         "large_store": large_store,
+        "replays": replays,
     }
 )
 
