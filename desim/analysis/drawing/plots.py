@@ -21,6 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
+from desim.analysis.drawing.legends import uncover_data
 from desim.analysis.drawing.palette import (
     ACTIVE,
     ACTIVE_WITH_OTHERS,
@@ -151,6 +152,9 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0, style: Style = No
         figure.draw_without_rendering()
         if not layout.is_settled(figure):  # the first layout has changed the ticks of the axes
             figure.draw_without_rendering()
+        if uncover_data(figure):
+            layout.unsettle()
+            figure.draw_without_rendering()
 
 
 class _StyledFigure(Figure):
@@ -181,6 +185,10 @@ class _SettledLayout(ConstrainedLayoutEngine):
     def is_settled(self, figure: Figure) -> bool:
         """Return whether size and texts of a figure are those of its last layout."""
         return _extent(figure) == self._known
+
+    def unsettle(self) -> None:
+        """Let the next drawing compute the layout anew."""
+        self._known = None
 
     def execute(self, figure: Figure) -> None:
         if not self.is_settled(figure):

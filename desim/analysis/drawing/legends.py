@@ -1,0 +1,56 @@
+"""Legends that lie on data: they are moved out of the axes."""
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+MAX_COLUMNS = 3
+"""The largest number of columns of a legend below the axes."""
+NOTHING = {"None", "", " ", None}
+"""The markers and the styles of lines that are not drawn."""
+
+
+def uncover_data(figure: Figure) -> bool:
+    """Move each legend that lies on data below the axes, and return whether there is one; the figure has been drawn.
+
+    In a small figure of a study with other data than its author saw, no place within the axes may be free.
+    """
+    covering = [axes for axes in figure.axes if (box := _legend_box(axes)) and covers_data(figure, box)]
+    for axes in covering:
+        legend = axes.get_legend()
+        assert legend is not None
+        texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
+        size = legend.get_texts()[0].get_fontsize()
+        handles = [handle for handle in legend.legend_handles if handle is not None]
+        legend.remove()
+        columns = min(len(texts), MAX_COLUMNS)
+        figure.legend(handles, texts, title=title, loc="outside lower center", ncols=columns, fontsize=size)
+    return bool(covering)
+
+
+def _legend_box(axes: Axes) -> Bbox | None:
+    """Return the place of a legend, in pixels; None if the axes have none."""
+    legend = axes.get_legend()
+    return None if legend is None else legend.get_window_extent()
+
+
+def covers_data(figure: Figure, box: Bbox) -> bool:
+    """Return whether a line, a marker, an error bar or an area of a figure is in a box, in pixels."""
+    return any(_is_in(axes, box) for axes in figure.axes)
+
+
+def _is_in(axes: Axes, box: Bbox) -> bool:
+    """Return whether data of axes is in a box, in pixels."""
+    for line in axes.lines:
+        path = line.get_path().transformed(line.get_transform())
+        if line.get_marker() not in NOTHING and box.count_contains(path.vertices):
+            return True
+        if line.get_linestyle() not in NOTHING and path.intersects_bbox(box, filled=False):
+            return True
+    for collection in axes.collections:
+        if collection.get_offset_transform() == axes.transData:  # the markers of a scatter plot
+            if box.count_contains(axes.transData.transform(collection.get_offsets())):
+                return True
+        elif any(path.transformed(collection.get_transform()).intersects_bbox(box) for path in collection.get_paths()):
+            return True
+    return any(patch.get_path().transformed(patch.get_transform()).intersects_bbox(box) for patch in axes.patches)

@@ -1,0 +1,67 @@
+"""Legends that would lie on data."""
+
+import pytest
+
+from desim.analysis.drawing.legends import covers_data
+from desim.analysis.drawing.plots import styled
+
+
+def lines(axes):
+    axes.plot([0.0, 1.0], [0.0, 1.0], label="line")
+
+
+def markers(axes):
+    axes.plot([0.05, 0.95], [0.05, 0.95], "o", label="markers")
+
+
+def error_bars(axes):
+    axes.errorbar([0.05, 0.95], [0.5, 0.5], yerr=0.5, fmt="none", label="bars")
+
+
+def scattered(axes):
+    axes.scatter([0.05, 0.95], [0.05, 0.95], label="dots")
+
+
+def bars(axes):
+    axes.bar([0.1, 0.9], [1.0, 1.0], width=0.3, label="bars")
+
+
+def area(axes):
+    axes.fill_between([0.0, 1.0], [0.0, 0.0], [1.0, 1.0], label="area")
+
+
+@pytest.mark.parametrize("draw", [lines, markers, error_bars, scattered, bars, area])
+@pytest.mark.parametrize("corner", ["upper right", "lower left"])
+def test_a_legend_on_data_is_moved_below_the_axes(draw, corner):
+    with styled(figsize=(3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        draw(axes)
+        axes.legend(loc=corner)
+    assert axes.get_legend() is None
+    (legend,) = figure.legends
+    assert not covers_data(figure, legend.get_window_extent())
+    assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+
+
+def test_a_legend_beside_data_stays():
+    with styled(figsize=(3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        lines(axes)
+        axes.legend(loc="upper left", title="kind")
+    assert axes.get_legend() is not None
+    assert not figure.legends
+
+
+def test_data_of_axes_with_another_ordinate_count_and_the_title_is_kept():
+    with styled(figsize=(3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        axes.plot([0.0, 1.0], [0.0, 0.0], label="one")
+        axes.set_ylim(0.0, 1.0)
+        axes.legend(loc="upper center", title="kind")
+        twin = axes.twinx()
+        twin.plot([0.0, 1.0], [0.9, 0.9])
+        twin.set_ylim(0.0, 1.0)
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "kind"
+    assert [text.get_text() for text in legend.get_texts()] == ["one"]
