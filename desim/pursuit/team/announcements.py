@@ -285,11 +285,17 @@ class Announcements(Value):
     If in doubt, use 0.25 where nodes contend for a channel, as OLSR does (RFC 3626), and else 0.
     """
     belief_timeout: Annotated[
-        Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
+        Annotated[Timeout, Tag("number")] | Annotated[Literal["auto", "affordable"], Tag("text")],
+        Discriminator(_form_of_timeout),
     ] = "auto"
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
-    TDMA keep a pursuer from sending every heartbeat."""
+    TDMA keep a pursuer from sending every heartbeat. "affordable": as long, but no longer than the pursuer can wait and
+    still capture in time, and at least one heartbeat; so a slow pursuer stands in for one that is down before it is too
+    late, and at worst chases beside one that is up.
+
+    If in doubt, use auto; affordable if pursuers may crash and hardly any other could be in time.
+    """
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How announcements spread beyond the first receivers."""
     trust: Annotated[Trust, TRUSTS] = Credulous()

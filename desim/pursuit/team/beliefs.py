@@ -243,21 +243,40 @@ class Beliefs(Knowledge):
         """The ids of the team."""
         return list(range(self._view.state.size))
 
-    @cached_property
+    @property
     def _timeout(self) -> float:
-        """The time for which an announcement is believed, ns of true time."""
-        return self._timeout_for(self._announcements.heartbeat if self._announcements.has_heartbeats else inf)
+        """The time for which an announcement is believed now, ns of true time."""
+        if self._announcements.belief_timeout == "affordable":
+            return self._timeout_for(self._period)
+        return self._constant_timeout
+
+    @cached_property
+    def _constant_timeout(self) -> float:
+        return self._timeout_for(self._period)
+
+    @property
+    def _period(self) -> float:
+        """The time between two announcements of a teammate, s; inf without heartbeats."""
+        return self._announcements.heartbeat if self._announcements.has_heartbeats else inf
 
     def _timeout_for(self, period: float) -> float:
         """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
-        if limit == "auto":
+        if isinstance(limit, str):
             estimates, announcement = self._network.estimates, self._announcement()
             delay = estimates.latency + estimates.airtime(announcement)
             period = max(period, estimates.interval(announcement))
             # Two announcements in a row may be lost before a teammate is given up.
-            limit = 3.0 * period + 2.0 * delay if period < inf else inf
+            auto = 3.0 * period + 2.0 * delay if period < inf else inf
+            limit = auto if limit == "auto" else self._affordable(period + 2.0 * delay, auto)
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
+
+    def _affordable(self, least: float, most: float) -> float:
+        """Return the time, s, for which it can wait for news and still capture in time; `most` if it cannot at all."""
+        at_large = self._view.state.at_large
+        soonest = min((self._view.capture_times_of([self.id], evader)[0] for evader in at_large), default=inf)
+        slack = self.time_left() - soonest
+        return min(max(slack, least), most) if slack >= 0.0 else most
 
     def _capture_time(self, record: Record, evader: int) -> float:
         """Return the capture time, s, of a teammate for an evader, from its record or its sensed position.
