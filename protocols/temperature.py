@@ -163,6 +163,6 @@ def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[f
     """
     for eta in slots_seen(tau, me, slot):
         inverse: Any = tau(eta)
-        if (type(inverse) is not float and not isinstance(inverse, (int, np.number))) or not inverse >= 0.0:
+        if isinstance(inverse, bool) or not isinstance(inverse, (float, int, np.number)) or not inverse >= 0.0:
             raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", inverse, tau)
         yield float(inverse)

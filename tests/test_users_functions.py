@@ -49,26 +49,35 @@ def test_a_function_of_a_wrong_signature_is_refused_when_it_is_given(name):
 
 
 WRONG = {
-    "latency": ["late", None, -1.0, np.nan, np.inf, [0.1], {}],
+    "latency": ["late", None, True, -1.0, np.nan, np.inf, [0.1], {}],
     "latency of one link": ["late", None, -1.0, np.nan, [0.1, 0.2]],
     "latency of an edge": ["late", None],
     "jitter": [None, -1.0, np.nan],
     "loss": [None, 0.5, "lost", 1, np.ones(7, dtype=bool)],
     "duplicate": [None, 0.5],
     "reception": [None, np.nan, 2.0, -0.1, "near", np.ones(7), 1j],
-    "medium": [None, -1.0, np.nan, np.inf, "long"],
+    "medium": [None, True, -1.0, np.nan, np.inf, "long"],
     "interference": [None, True, np.ones(7, dtype=bool), 0.5],
     "graph": [None, 5, {0: [1]}, nx.path_graph(7), nx.MultiGraph()],
     "fault": [None, 3, [3], [None]],
-    "guidance": [None, 0j, np.zeros(7), np.zeros((4, 2)), "north", np.full(4, np.nan), np.full(4, 99.0)],
-    "strategy": [None, (1.0, 0.0), np.array([1.0, 0.0]), "north", np.nan, 2.0],
+    "guidance": [
+        None,
+        0j,
+        np.ones(4, dtype=bool),
+        np.zeros(7),
+        np.zeros((4, 2)),
+        "north",
+        np.full(4, np.nan),
+        np.full(4, 99.0),
+    ],
+    "strategy": [None, (1.0, 0.0), np.array([1.0, 0.0]), "north", np.nan, 2.0, True, np.True_],
     "dynamics of an evader": [None, 1j],
-    "flow": [None, 0.1, np.zeros(7), np.zeros((4, 2)), "east", np.full(5, np.nan)],
-    "utility": [None, "much", np.nan, (1.0,), 1j],
+    "flow": [None, 0.1, np.ones(5, dtype=bool), np.zeros(7), np.zeros((4, 2)), "east", np.full(5, np.nan)],
+    "utility": [None, True, "much", np.nan, (1.0,), 1j],
     "schedule": [None, 3, [3]],
-    "temperature": [None, -1.0, np.nan, "cold"],
+    "temperature": [None, True, -1.0, np.nan, "cold"],
     "protocol": [None, 3],
-    "noise": [None, (1.0, 2.0), np.nan, "far"],
+    "noise": [None, True, (1.0, 2.0), np.nan, "far"],
 }
 """For each family, what its functions should not return."""
 RETURNS = [(name, k) for name, values in WRONG.items() for k in range(len(values))]
@@ -89,12 +98,23 @@ def test_a_wrong_return_value_gives_a_sentence_about_what_it_should_be(name, k):
 
 WRONG_METHODS = {
     "false capture time": [None, "x", nan, 1j, [1.0], True],
-    "false position": [None, "x", complex(nan, 0.0), complex(inf, 0.0), (1.0, 2.0), np.ones(2)],
+    "false position": [None, True, "x", complex(nan, 0.0), complex(inf, 0.0), (1.0, 2.0), np.ones(2)],
     "judge": [3, "x", object()],
     "ignored": [None, 3, "x"],
     "covariance": [None, 1.0, np.eye(2), (1.0, 2.0, 1.0), (-1.0, 0.0, 1.0), ("a", 0.0, 1.0), (nan, 0.0, 1.0)],
-    "capture_times": [None, 1.0, [1.0], np.ones(7), np.full(4, nan), "x", np.ones((4, 2)), np.ones(4) * 1j],
-    "headings": [None, [1.0], [0j] * 4, "abcd", [2.0 + 0j] * 4, [nan] * 4],
+    "capture_times": [
+        None,
+        np.ones(4, dtype=bool),
+        1.0,
+        [1.0],
+        np.ones(7),
+        np.full(4, nan),
+        "x",
+        np.ones((4, 2)),
+        np.ones(4) * 1j,
+    ],
+    "steered": [None, True, "x", nan, [1.0]],
+    "headings": [None, [True] * 4, [1.0], [0j] * 4, "abcd", [2.0 + 0j] * 4, [nan] * 4],
 }
 """For each function of a liar, and each method of a trust, a noise and dynamics, what it should not return."""
 

@@ -4,11 +4,11 @@ import ast
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence, Set, Sized
-from functools import cache
+from functools import cache, cached_property
 from inspect import cleandoc, getsource
 from itertools import pairwise
 from pathlib import PurePath
-from types import MappingProxyType, UnionType
+from types import FunctionType, MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
 
 from pydantic import (
@@ -21,6 +21,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    PydanticUserError,
     ValidationError,
     model_validator,
 )
@@ -204,6 +205,22 @@ class Value(BaseModel, metaclass=_ValueType):
         """By name of each field without effect: the value of another field because of which it has none."""
         return MappingProxyType({})
 
+    @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        """Raise PydanticUserError if a class defines a method or property in the place of a field.
+
+        pydantic takes it for the default of the field.
+        """
+        super().__pydantic_init_subclass__(**options)
+        for name in cls.model_fields.keys() - annotated(cls):
+            kind: type = type(cls.model_fields[name].default)
+            if issubclass(kind, ACCESSORS) and cls.model_fields[name].default is not _inherited_default(cls, name):
+                raise PydanticUserError(
+                    f"{cls.__name__}.{name} is a {kind.__name__} in the place of a key: give the key another default"
+                    f" ({name}: ... = value), or override the method that reads it",
+                    code="model-field-overridden",
+                )
+
     @model_validator(mode="wrap")  # outside of all validators of mode "before", which then see Python's numbers only
     @classmethod
     def _with_python_numbers(cls, fields: Any, make: ModelWrapValidatorHandler[Self]) -> Self:
@@ -214,7 +231,9 @@ class Value(BaseModel, metaclass=_ValueType):
         for name in plain & fields.keys():
             why = _why_no_list(cls, name, fields[name])
             try:
-                converted[name] = as_python(fields[name])
+                is_set = isinstance(fields[name], SET_TYPES)
+                takes_set = is_set and get_origin(cls.model_fields[name].annotation) in SET_TYPES
+                converted[name] = as_python([*fields[name]] if takes_set else fields[name])
             except UnicodeEncodeError as error:
                 why = why_no_text(error)
             if why:
@@ -343,6 +362,16 @@ def _why_no_list(model: type[Value], name: str, value: Any) -> str:
     return f"should be a list: [{type(value).__name__}(...)]" if is_lone else ""
 
 
+def _inherited_default(model: type[BaseModel], name: str) -> Any:
+    """Return the default of a field in the first base class that has it."""
+    bases = (base for base in model.__mro__[1:] if issubclass(base, BaseModel) and name in base.model_fields)
+    return next((base.model_fields[name].default for base in bases), None)
+
+
+ACCESSORS = (property, cached_property, FunctionType, classmethod, staticmethod)
+"""The types of methods and properties in a class."""
+
+
 @cache
 def _plain_fields(model: type[Value]) -> frozenset[str]:
     """Return the names of the fields that hold numbers, texts, or lists and tables of anything."""
@@ -364,6 +393,7 @@ def _is_plain(annotation: Any) -> bool:
 
 PLAIN_TYPES = frozenset({int, float, bool, str, tuple, list, dict, set, frozenset, Sequence, Mapping, Literal})
 """The types of fields whose values are converted to Python numbers and lists."""
+SET_TYPES = (set, frozenset)
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:

@@ -4,8 +4,8 @@ A number is an `int` if it counts (`operator.index`), and a `float` if it measur
 a boolean stays a boolean, and a text stays a text, so strict types refuse the same values as before the conversion. A
 value that is neither a number nor a list is returned unchanged, for the field that receives it to judge.
 
-A text that no file can hold is refused, with UnicodeEncodeError: one with half of a surrogate pair, such as names with
-undecodable bytes on a command line have.
+A set is refused by any field that is a list. A text that no file can hold is refused, with UnicodeEncodeError: one with
+half of a surrogate pair, such as names with undecodable bytes on a command line have.
 """
 
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
@@ -21,7 +21,7 @@ ATOMS = frozenset({int, float, bool, str, type(None)})
 NUMBERS = ATOMS - {str}
 ROWS = frozenset({list, tuple})
 LISTS = (list, tuple, Sequence, Iterator, KeysView, ValuesView, ItemsView)
-"""Types with an order: lists, ranges, generators, `zip`, views of dicts, deques. A set has none and stays a set."""
+"""Types with an order: lists, ranges, generators, `zip`, views of dicts, deques. A set has none."""
 TEXTS = (str, bytes, bytearray)
 DATES = frozenset("mM")
 """The `kind` of the dtypes of times and dates, which numpy takes for integers of an arbitrary unit."""
@@ -47,6 +47,8 @@ def as_python(value: Any) -> Any:
         return value if _is_plain(value) else _items(value)
     if kind is dict:
         return {as_python(key) if type(key) is str else key: as_python(item) for key, item in value.items()}
+    if kind is set or kind is frozenset:
+        return _Unordered(value)
     if callable(value):  # a model of a user, which may be a list, too
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES:
@@ -68,6 +70,16 @@ class _Quantity:
 
     def __repr__(self) -> str:
         return f"{self._value!r}, with a unit: give a number in the unit of the key"
+
+
+class _Unordered:
+    """A set, which is refused: a field would take its items in an arbitrary order, and equal ones once."""
+
+    def __init__(self, value: Any):
+        self._value = value
+
+    def __repr__(self) -> str:
+        return f"the set {self._value!r}, which has no order: give a list"
 
 
 def why_no_text(error: UnicodeEncodeError) -> str:

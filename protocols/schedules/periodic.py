@@ -214,7 +214,7 @@ def slot_length(schedule: Schedule, me: Agent) -> float:
     """
     mean_slot: Any = schedule.mean_slot
     slot = mean_slot(me) if callable(mean_slot) else None
-    if not isinstance(slot, float | int | np.number) or not 0.0 < slot < inf:
+    if isinstance(slot, bool) or not isinstance(slot, float | int | np.number) or not 0.0 < slot < inf:
         raise wrong_answer("mean_slot(me) should return a finite time > 0 s", slot, schedule)
     return float(slot)
 

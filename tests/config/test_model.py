@@ -3,15 +3,16 @@
 import json
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import EntryPoint, EntryPoints
 from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, Field, TypeAdapter
+from pydantic import BaseModel, Field, PydanticUserError, TypeAdapter
 
 import protocols
-from desim import Scenario
+from desim import Lognormal, Scenario
 from desim.config import choice
 from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
@@ -366,3 +367,20 @@ def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):
     else:
         with pytest.raises(ValueError, match=re.escape(says)):
             Scenario.model_validate(table)
+
+
+@pytest.mark.parametrize(
+    "accessor",
+    [property(lambda _: 3.0), cached_property(lambda _: 3.0), lambda _: 3.0, staticmethod(lambda: 3.0)],
+    ids=type,
+)
+def test_a_property_or_method_in_the_place_of_a_key_is_refused_with_what_to_write(accessor):
+    """pydantic would take it for the default of the key."""
+    told = r"Theirs.mean is a (property|cached_property|function) in the place of a key: give the key another default"
+    with pytest.raises(PydanticUserError, match=told):
+        type(Lognormal)("Theirs", (Lognormal,), {"__module__": "theirs", "mean": accessor})
+
+    class Named(Lognormal):
+        mean: float = 3.0
+
+    assert Named().mean_latency() == Lognormal(mean=3.0).mean_latency()

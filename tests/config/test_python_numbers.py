@@ -21,11 +21,13 @@ from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.python_numbers import as_python, real, whole
-from desim.kernel.models.faults import CustomFault
+from desim.kernel.models.faults import CustomFault, Partition
+from desim.kernel.models.latency import Empirical
 from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
 from desim.pursuit.evaders.recorded import RecordedMotion
-from desim.scenario.players import Team
+from desim.pursuit.motion.flow import RecordedFlow
+from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Sweep
 from tests.models import MODELS, made
@@ -179,13 +181,39 @@ class Called(list[int]):
             np.datetime64("2020-01-01"),
             pd.Timedelta(1, "s"),
         ),
-        *(np.ma.masked, pd.NA, Unit(), Called([np.int64(1)]), {1, 2}, b"12", Fraction(10**400), Decimal("1e999")),
+        *(np.ma.masked, pd.NA, Unit(), Called([np.int64(1)]), b"12", Fraction(10**400), Decimal("1e999")),
         np.longdouble("1e4000"),
     ],
     ids=repr,
 )
 def test_what_is_no_number_and_no_list_is_returned_unchanged(value):
     assert as_python(value) is value
+
+
+SETS = [
+    (Team, {"positions": {(1.0, 2.0), (3.0, 4.0)}}),
+    (Team, {"count": 1, "positions": [{1.0, 2.0}]}),
+    (Team, {"count": 2, "speeds": {1.0, 2.0}}),
+    (Evader, {"position": {1.0, 2.0}}),
+    (RecordedMotion, {"waypoints": {(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)}}),
+    (RecordedFlow, {"velocities": frozenset({(0.0, 1.0, 1.0)})}),
+    (Empirical, {"values": {0.1, 0.2}}),
+    (Partition, {"start": 0.0, "groups": [{0, 1}]}),
+    (Scenario, {"fault": set()}),
+]
+
+
+@pytest.mark.parametrize(("model", "keys"), SETS, ids=lambda part: str(part))
+def test_a_set_is_refused_where_the_order_or_the_number_counts(model, keys):
+    with pytest.raises(KeyedError, match=r"should be a (list|number).*got the set"):
+        model(**keys)
+
+
+def test_a_field_that_is_a_set_takes_one():
+    class Marked(Value):
+        marks: frozenset[int]
+
+    assert Marked(marks={2, 1}).marks == {1, 2}
 
 
 @pytest.mark.parametrize(

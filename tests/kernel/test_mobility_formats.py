@@ -173,6 +173,7 @@ REFUSED = {
     "degrees": ("t,lat,lon\n0,48.1,11.5\n", r"has positions in degrees; project them to m"),
     "kilometres": ("t,x [km],y [km]\n0,1,2\n", r"column 'x' is in km, and should be in m; .* set scale"),
     "milliseconds": ("time [ms],x,y\n0,1,2\n", r"column 'time' is in ms, and should be in s"),
+    "decimal commas": ("0 1,5 2,5 3 2,5 3,5\n", r"line 1: '1,5' is not a number; the decimal sign is a point"),
     "since 1970 in ms": ("t,x,y\n1714564800250,1,2\n", r"line 2: '1714564800250' is too great for a time in s"),
     "no header": ("0,1,2\n1,2,3\n", r"line 1: has no column t; the first line should name the columns, t, x and y"),
     "no y": ("t,x,why\n0,1,2\n", r"line 1: has no column y"),

@@ -299,7 +299,7 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
 
 def _checked(airtime: Any, medium: Medium) -> float:
     try:
-        if 0.0 <= airtime < inf:
+        if 0.0 <= airtime < inf and not isinstance(airtime, bool | np.bool_):
             return min(float(airtime), MAX_TIME)
     except (TypeError, ValueError):  # not a number
         pass

@@ -210,7 +210,8 @@ class FalseAnnouncements(ByzantineFault):
 
     def _place(self, truth: complex, me: Speaker) -> complex:
         place: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
-        if not isinstance(place, (complex, float, int, np.number)) or not isfinite(complex(place)):
+        is_number = isinstance(place, (complex, float, int, np.number)) and not isinstance(place, bool)
+        if not is_number or not isfinite(complex(place)):
             raise ValueError(f"a false position should be a finite complex number, x + yj in m (got {place!r})")
         return complex(place)
 

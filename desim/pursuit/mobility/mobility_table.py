@@ -12,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from desim.config.number_files import COMMAS
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
@@ -27,6 +26,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 """The names that a column of a table may have, in lower case; the first that a table has is read."""
 DEGREES = {"lat", "latitude", "lon", "lng", "long", "longitude"}
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
+NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?", re.IGNORECASE)
+"""Matches a number between spaces, perhaps with commas."""
 HEADER_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 """Matches the name of a column and its unit, for example `x [m]`."""
 
@@ -55,7 +56,7 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         if len(column_names & set(header.names)) >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
-            is_bonnmotion = len(text.split()) > 2 and all(map(COMMAS.fullmatch, text.split()))  # refused there
+            is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # refused there
             return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
     return None
 

@@ -316,7 +316,8 @@ def steered_with(dynamics: Dynamics, command: complex, course: Course, aim: comp
     steered: Any = dynamics.steered(command, course, aim, radius)
     if is_ours(type(dynamics)):
         return steered  # type: ignore[no-any-return]
-    if not isinstance(steered, complex | float | int | np.number) or not isfinite(complex(steered)):
+    is_number = isinstance(steered, complex | float | int | np.number) and not isinstance(steered, bool)
+    if not is_number or not isfinite(complex(steered)):
         raise wrong_answer("steered of dynamics should return a finite complex number, in m/s", steered, dynamics)
     return complex(steered)
 

@@ -141,7 +141,8 @@ class NoisySensor:
             ):
                 if not broken and abs(offset) <= radius:
                     measured: Any = self._noise(offset, first, second)
-                    if not isinstance(measured, (complex, float, int, np.number)) or measured != measured:
+                    is_number = isinstance(measured, (complex, float, int, np.number))
+                    if not is_number or isinstance(measured, bool) or measured != measured:
                         expected = "a noise should return the measured vector, a complex number in m"
                         raise wrong_answer(expected, measured, self._noise)
                     view.measure(evader, complex(measured), self.covariance_at(complex(measured)))

@@ -222,7 +222,7 @@ class Beliefs(Knowledge):
         gain: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
         if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
             return gain
-        if not isinstance(gain, (float, int, np.number)) or gain != gain:
+        if isinstance(gain, bool) or not isinstance(gain, (float, int, np.number)) or gain != gain:
             raise wrong_answer("a utility should return a gain, a number in s", gain, utility)
         return float(gain)
 
