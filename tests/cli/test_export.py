@@ -74,6 +74,11 @@ def test_a_scenario_is_run_first_and_gives_what_its_recorded_run_gives(recorded,
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
+def test_the_number_of_rows_is_told(recorded, tmp_path):
+    count = len(list(trace_table.rows(list(run_folder.events(recorded)))))
+    assert accepted("export", recorded, tmp_path / "x.csv").stderr == f"wrote {count:,} rows to {tmp_path / 'x.csv'}\n"
+
+
 def test_a_table_may_be_restricted_to_types_of_events(recorded, tmp_path):
     assert KINDS == trace_table.KINDS
     accepted("export", recorded, tmp_path / "x.csv", "--event", "Sampled", "--event", "Captured")

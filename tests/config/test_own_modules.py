@@ -3,13 +3,14 @@
 import importlib
 import json
 import pickle
+import py_compile
 import sys
 from multiprocessing import get_context
 
 import pytest
 
 from desim import load, run, summary, sweep
-from desim.config.own_modules import folder_in_name, module_beside, plain_name
+from desim.config.own_modules import _Finder, folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
 from desim.scenario.toml import dump, read_source, validate
@@ -219,3 +220,12 @@ def test_values_of_the_grid_of_a_base_are_its_own_code(folders):
     (swept,) = configurations(read_source(folders[1] / "over.toml", allow_import=True))
     for model in (swept.scenario.protocol, swept.scenario.network.latency):
         assert folder_in_name(type(model).__module__) == folders[0]
+
+
+def test_a_module_that_is_there_compiled_only_is_found(tmp_path):
+    (tmp_path / "compiled_rule.py").write_text("NUMBER = 7")
+    py_compile.compile(str(tmp_path / "compiled_rule.py"), str(tmp_path / "compiled_rule.pyc"))
+    (tmp_path / "compiled_rule.py").unlink()
+    found = _Finder().find_spec(module_beside("compiled_rule", tmp_path))
+    assert found is not None
+    assert found.origin == str(tmp_path / "compiled_rule.pyc")

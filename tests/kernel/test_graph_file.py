@@ -515,3 +515,11 @@ def test_whole_floats_are_numbers_of_nodes(tmp_path):
     file.write_text("1.0 0.0\n")
     for graph in (Edges(file=str(file)), Edges.of(nx.DiGraph([(1.0, 0.0)]))):
         assert [(edge.src, edge.dst) for edge in graph.edges] == [(1, 0)]
+
+
+def test_a_first_line_with_one_name_is_a_node_without_edges(tmp_path):
+    (tmp_path / "g.txt").write_text("base\n0 1\n")
+    assert read(tmp_path / "g.txt").names == ("base", "0", "1")
+    (tmp_path / "c.txt").write_text("# nothing\n")
+    with pytest.raises(ValueError, match=r"c\.txt is not a graph: it has comments only"):
+        read(tmp_path / "c.txt")

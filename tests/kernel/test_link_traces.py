@@ -281,3 +281,10 @@ def test_a_message_that_is_acknowledged_is_transmitted_again_while_its_latency_i
         trace = LatencyTrace(table=f"t,value\n0,\n{missing},0.1\n", after="hold")
         _, counts = sent(Links(latency=trace, medium=medium), [(0, 0, 1)])
         assert counts.lost_by == expected
+
+
+def test_a_table_names_the_nodes_in_its_order_or_in_that_of_nodes():
+    table = "t,src,dst,value\n0,b,a,0.1\n0,a,b,0.1\n"
+    for nodes, names in ((None, ("b", "a")), (("a", "b"), ("a", "b"))):
+        assert Links(latency=LatencyTrace(table=table, nodes=nodes)).node_names == names
+    assert Links(latency=LatencyTrace(table="t,value\n0,0.1\n")).node_names == ()

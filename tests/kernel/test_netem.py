@@ -278,3 +278,12 @@ def test_a_table_may_have_another_length(tmp_path, length):
     context, rng = LinkContext(0, np.array([1])), np.random.default_rng(0)
     draws = {round(float(with_state(context, rng)[0]), 12) for _ in range(300)}
     assert draws <= {round(float(delay), 12) for delay in delays}
+
+
+def test_reordered_messages_are_as_many_as_the_probability_says():
+    """A quarter of those whose gap is over have no delay; with a gap of 2, a quarter of every second one at most."""
+    for gap, low, high in ((1, 0.25, 0.25), (2, 0.2, 0.2)):
+        model = Netem(delay=0.1, reorder=0.25, gap=gap).start_run(2)
+        rng = np.random.default_rng(1)
+        early = np.mean([model(LinkContext(0, np.array([1])), rng)[0] == 0.0 for _ in range(4000)])
+        assert low - 4 * 0.007 < early < high + 4 * 0.007

@@ -102,3 +102,15 @@ def test_the_comparison_detects_exceptions_that_are_overlooked(broken, monkeypat
     """The control."""
     monkeypatch.setattr(SharedTable, broken, lambda *_: 0)
     assert any(differs(seed, relays=False) for seed in range(HISTORIES))
+
+
+def test_a_late_record_that_is_inserted_does_not_replace_a_newer_one():
+    """Also if both arrive between two readings."""
+    clock = SimpleNamespace(now=0)
+    for when in (None, 1):
+        records = Records(clock, 2, None)
+        for seq in (2, 1):
+            records.insert([1], Record(0, seq, 0, seq))
+            clock.now += 1
+            assert when is None or records.latest_records(1)[0][1].seq == 2
+        assert records.latest_records(1)[0][1].seq == 2

@@ -126,6 +126,18 @@ def test_an_episode_ends_after_so_many_turns_of_each(schedule):
     assert env.result.trace.of(Ended)[0].reason == "stopped"
 
 
+def test_a_pursuer_that_leaves_is_stepped_before_all_others():
+    """As PettingZoo has it: the next agent is the one that has left, until it has been stepped with None."""
+    env = desim.env(small(**{"fault": (Crash(node=1, start=0.3),)}), 4, agents_leave=True)
+    env.reset()
+    while not env.terminations["pursuer_1"]:
+        env.step(1)
+    assert env.agent_selection == "pursuer_1"
+    env.step(None)
+    assert "pursuer_1" not in env.agents
+    assert env.agent_selection in env.agents
+
+
 def test_an_episode_in_which_nobody_decides():
     scenario = small(**{"team.speeds": 0.5})
     env = desim.env(scenario, 1)

@@ -31,7 +31,7 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Decided, Sampled, Started
 from desim.pursuit.motion.capture import RadialTime, intercept_times
 from desim.pursuit.motion.flow import NoFlow
-from desim.pursuit.motion.flow_capture import capture_times_in_flow, expanding_capture_times
+from desim.pursuit.motion.flow_capture import _drifting_capture_times, capture_times_in_flow, expanding_capture_times
 from desim.study.ablation.imperfections import without_flow
 from desim.testing.pursuits import watched
 
@@ -398,3 +398,16 @@ def test_what_no_capture_time_is_known_for_is_refused():
         Scenario(sensing=seen_worst, team=inert)
     assert Environment().is_still
     assert Environment().flow == NoFlow()
+
+
+def test_capture_times_in_a_wind_that_turns_are_the_first_roots():
+    """By a fine search for the first time at which a pursuer reaches the fleeing evader in the moving air."""
+    flow = HarmonicFlow(velocity=(0.3, 0.0), amplitude=(0.0, 0.8), period=3.0)
+    offsets, speeds = np.array([6.0 + 0j, 4.0 - 3j, -5.0 + 1j]), np.array([1.6, 1.8, 2.0])
+    flight = offsets / np.abs(offsets) * 0.5
+    times = _drifting_capture_times(offsets, flight, speeds, 0.1, flow, 0.7)
+    grid = np.arange(0.0, 20.0, 0.001)
+    drift = np.array([flow.displacement(0.7, 0.7 + t) for t in grid.tolist()])
+    for k in range(3):
+        reached = np.abs(offsets[k] + flight[k] * grid - drift) <= speeds[k] * grid + 0.1
+        assert times[k] == pytest.approx(grid[reached.argmax()], abs=0.0011)

@@ -5,6 +5,7 @@ import pytest
 
 import desim
 from desim import Evader, Links, Scenario, Still, Team
+from desim.pursuit.team.observation import evader_block
 from protocols import CBAA, LocalMin, Rounds
 
 STILL = Evader(position=(10.0, 10.0), strategy=Still(), speed=0.0)
@@ -112,3 +113,28 @@ def test_covariances_are_those_of_the_filter():
     assert env.pursuer("pursuer_0").errors()[1] == pytest.approx(
         (seen["evader_1.xx"], seen["evader_1.xy"], seen["evader_1.yy"])
     )
+
+
+def test_an_omniscient_observation_has_the_true_place_and_another_the_estimated_one():
+    scenario = Scenario(horizon=2.0, team=Team(count=3), protocol=LocalMin()).with_(
+        {"sensing.radius": 100.0, "sensing.noise": 0.5, "sensing.estimator": {"kind": "kalman"}}
+    )
+    env = desim.env(scenario, 1)
+    env.reset()
+    for _ in range(6):
+        env.step(0)
+    me = env.pursuer("pursuer_0")
+    truth, estimated = me.global_state.evader(1) - me.position(), me.evader(1) - me.position()
+    assert truth != estimated
+    for omniscient, offset in ((True, truth), (False, estimated)):
+        block = evader_block(me, 1, omniscient=omniscient)
+        assert complex(block.dx, block.dy) == offset
+
+
+def test_a_teammate_that_announces_no_capture_time_claims_none():
+    """With positions announced, the block of a teammate has no claim; with times, it has the time."""
+    for payload, claims in (("state", {0.0}), ("time", None)):
+        env, rows = observed(apart(**{"announce.payload": payload}), 0, near_action=1)
+        claim = env.observation_names.index("pursuer_1.claim")
+        assert claims is None or set(rows[:, 0, claim].tolist()) == claims
+        assert (rows[-1, 0, claim] > 0.0) == (claims is None)

@@ -21,6 +21,7 @@ from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.assumptions import (
     ASSUMPTIONS,
+    announcements_repeated,
     component_heard,
     connected,
     equal_clocks,
@@ -397,3 +398,19 @@ def test_a_dissemination_may_assume_something_too():
     assert not list(violations(four(announce=announce)))
     found = list(violations(four(announce=announce, fault=[Crash(start=0.0, node=0)])))
     assert found == [("announce.dissemination", "tree assumes no_crashes, but pursuers break down")]
+
+
+@pytest.mark.parametrize("trigger", ["change", "never", "heartbeat", "both"])
+def test_announcements_are_repeated_by_heartbeats_only(trigger):
+    reason = announcements_repeated(Scenario(announce=Announcements(trigger=trigger)))
+    assert (reason is None) == (trigger in {"heartbeat", "both"})
+
+
+def test_announcements_that_travel_too_few_hops_do_not_reach_a_component():
+    """Of four on a path, the ends are three hops apart."""
+    for hops, expected in (
+        (2, "some pursuers are 3 hops apart at the start, but announcements travel at most 2"),
+        (3, None),
+    ):
+        scenario = four(nx.path_graph(4), announce=Announcements(dissemination=Flooding(hops=hops)))
+        assert component_heard(scenario) == expected

@@ -27,6 +27,7 @@ from desim.pursuit.team.announcements import Announcements
 from desim.pursuit.team.trust import Accusations, Reputation, Trimmed
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
+from desim.scenario.properties import SAMPLES, property_of, recording
 from desim.scenario.scenario import Capture, Clocks, Motion, Recording
 from desim.study.sweeps.sweep import SweepPlan
 from protocols.cbaa import CBAA
@@ -666,3 +667,15 @@ def test_estimates_that_cannot_be_recorded_are_warned_of():
         ({"sensing": tracked, "record": Recording(estimates=True, trajectory=0.0)}, "these are not"),
     ):
         assert [key for key, text in warned(**{"record": asked} | given) if why in text] == ["record.estimates"]
+
+
+def test_a_property_of_positions_lets_the_scenario_record_them():
+    usual = Scenario(record=Recording(trajectory=0.0))
+    for text, recorded in (
+        ("misassigned never longer than 2", SAMPLES),
+        ("idle never longer than 2", usual.record.trajectory),
+    ):
+        made = recording(usual, [property_of(text)])
+        assert made.record.trajectory == recorded
+    half = usual.with_({"record.trajectory": 0.5})
+    assert recording(half, [property_of("misassigned never longer than 2")]).record.trajectory == 0.5

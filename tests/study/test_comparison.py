@@ -15,8 +15,9 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.results.comparison import Comparison
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import Group
+from desim.study.results.runs import SHOWN, Group
 from desim.study.store.run_table import Row
+from desim.study.sweeps import folder as module
 from desim.study.sweeps.folder import compare
 from tests.command import accepted, refused, strict_json
 from tests.summaries import changed
@@ -169,6 +170,19 @@ def test_the_command_compares_two_folders_and_says_what_differs(tmp_path):
     assert "network.range: 2.0 in" in accepted("compare", *folders).stdout
     accepted("run", file, "-o", tmp_path / "run")
     assert "is a run, and sweeps are compared" in refused("compare", folders[0], tmp_path / "run")
+
+
+def test_the_command_compares_the_metrics_that_it_is_given_or_the_usual_ones(monkeypatch):
+    asked = []
+
+    def compared(first, second, metrics):
+        asked.append(metrics)
+        return compare(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"])
+
+    monkeypatch.setattr(module, "compare", compared)
+    accepted("compare", "a", "b", "-y", "energy")
+    accepted("compare", "a", "b")
+    assert asked == [("energy",), SHOWN]
 
 
 def test_a_notebook_shows_it_with_its_names_escaped():

@@ -512,3 +512,19 @@ def test_the_names_of_a_module_and_of_what_is_in_it_do_not_run_together(monkeypa
         monkeypatch.setitem(sys.modules, module, SimpleNamespace(**{name: home}))
         found.add(stable_hash(home))
     assert len(found) == 2
+
+
+def test_the_files_of_a_class_are_not_those_of_its_objects():
+    """A class that an object holds declares nothing: its `depends_on` is a method or a property of its objects."""
+
+    class Meta(type):
+        """A type of the user's classes."""
+
+    class Reading(metaclass=Meta):
+        @property
+        def depends_on(self):
+            return ("missing.csv",)
+
+    user = UserCode()
+    StablePickler(user).digest(Plain(Reading))
+    assert user.files == {}

@@ -303,3 +303,14 @@ def test_runs_that_are_no_longer_needed_are_cancelled(scenario):
         assert not any(future.cancelled() for future in executor.futures)
     assert len(executor.futures) == 4  # two for each worker
     assert [future.cancelled() for future in executor.futures] == [False, True, True, True]
+
+
+def test_only_a_memory_error_without_a_text_gets_one():
+    for error, args in (
+        (MemoryError(), (OUT_OF_MEMORY,)),
+        (MemoryError("own"), ("own",)),
+        (ValueError(), ()),
+        (ValueError("own"), ("own",)),
+    ):
+        dispatch._explain(error)
+        assert error.args == args

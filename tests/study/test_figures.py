@@ -3,6 +3,8 @@
 from dataclasses import replace
 from itertools import pairwise, product
 from math import inf, isnan
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +12,24 @@ from matplotlib.figure import Figure
 
 from desim.analysis.drawing.plots import save
 from desim.analysis.metrics import summary
+from desim.analysis.statistics import estimate
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.figures import INK, _cell_format, _cell_text, _label_outer, legend, means, multiples, phase
+from desim.study.results.figures import (
+    AS_IT_IS,
+    IDEAL,
+    INK,
+    _cell_format,
+    _cell_text,
+    _label_outer,
+    _mark_flat,
+    draw_waterfall,
+    legend,
+    means,
+    multiples,
+    phase,
+)
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
 from desim.study.store.run_table import Row
@@ -245,6 +261,42 @@ def test_small_panels_over_no_number_have_a_row_per_configuration():
     assert [each.label2.get_visible() or each.label1.get_visible() for each in figure.axes[1].yaxis.majorTicks] == [
         False
     ] * 2
+
+
+def test_panels_of_rows_have_common_rows_and_panels_over_a_number_have_scales_of_their_own():
+    rows = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
+    assert rows.axes[0].get_shared_y_axes().joined(*rows.axes)
+    lines = multiples(result({"x": [1.0, 2.0]}), ["active_time", "switches"])
+    assert not lines.axes[0].get_shared_y_axes().joined(*lines.axes)
+
+
+@pytest.mark.parametrize(("value", "limits"), [(2.0, (-0.1, 2.1)), (-2.0, (-2.1, 0.1)), (0.0, (-0.05, 1.05))])
+def test_the_only_value_of_a_metric_is_drawn_with_0(value, limits):
+    """0 and the value lie within the scale, whatever the sign: with a twentieth beyond at least one of them."""
+    axes = Figure().subplots()
+    _mark_flat(axes, value)
+    low, high = axes.get_ylim()
+    assert low <= min(value, 0.0) <= max(value, 0.0) <= high
+    assert (low, high) == pytest.approx((min(value, 0.0) - 0.05, min(value, 0.0) + 1.05 * (abs(value) or 1.0)))
+    assert list(ticks(axes.yaxis).values()) == [value]
+
+
+def test_a_waterfall_has_a_bar_and_a_name_for_each_step_between_both_ends():
+    """The steps go from the ideal 2 to 3.5; the last bar stands beside the last step."""
+    ideal, loss, near, both, whole = (estimate([v - 0.1, v, v + 0.1]) for v in (2.0, 1.0, 0.25, 0.25, 3.5))
+    cost: Any = SimpleNamespace(
+        ideal=ideal,
+        as_it_is=whole,
+        parts={"loss": SimpleNamespace(mean=loss), "range": SimpleNamespace(mean=near)},
+        interaction=SimpleNamespace(mean=both),
+        more_is="worse",
+    )
+    axes = Figure().subplots()
+    draw_waterfall(axes, cost)
+    assert [bar.get_x() + bar.get_width() / 2 for bar in axes.patches] == pytest.approx([0.0, 4.0, 1.0, 2.0, 3.0])
+    assert [text.get_text() for text in axes.get_xticklabels()] == [IDEAL, "loss", "range", "interaction", AS_IT_IS]
+    assert axes.get_xticks().tolist() == [0, 1, 2, 3, 4]
+    assert [bar.get_y() for bar in axes.patches] == pytest.approx([0.0, 0.0, 2.0, 3.0, 3.25])
 
 
 def test_there_are_no_panels_of_nothing():

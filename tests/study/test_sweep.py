@@ -680,3 +680,11 @@ def test_a_sweep_over_properties_of_the_network_names_the_start(key, start):
     assert (sentence in found.table()) is (sentence in html.unescape(found._repr_html_())) is key.startswith("network.")
     assert found.document()["start"] == (None if key == "announce.start" else start)
     assert (found.start_rule is not None) is key.startswith("network.")
+
+
+@pytest.mark.parametrize("until", [("aktive_time", 0.1), ("active_time", 0.0)])
+def test_no_run_of_a_plan_is_begun_for_a_precision_that_cannot_be_reached(until):
+    began = []
+    with Store() as store, workers_for(1) as workers, pytest.raises(ValueError, match=r"no numeric metric|be positive"):
+        module.carry_out(SweepPlan.of(BASE, GRID, 1), store, workers, until=until, on_start=lambda: began.append(1))
+    assert began == []

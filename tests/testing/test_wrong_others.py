@@ -8,6 +8,7 @@ import pytest
 
 from desim import Crash, Fault
 from desim.config.model import Value
+from desim.kernel.core.units import SECOND
 from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
 from desim.pursuit.team.trust import Judge
 from desim.testing import ContractError, check_exporter, check_fault, check_flow, check_trust
@@ -74,6 +75,10 @@ TRUSTS = [
     (trust(lambda witness: SHARED), "returns the same object for two pursuers"),
     (trust(lambda witness: 3), "should return None, or an object with the methods"),
     (trust(lambda witness: judge(believes=lambda self, record: None)), "should return True or False, got None"),
+    (
+        trust(lambda witness: judge(believes=lambda self, record: 1 // abs(record.stamp - 2 * SECOND) == 0)),
+        r"believes\(record\) with the body .* raises ZeroDivisionError",  # no run lasts so long
+    ),
     (trust(lambda witness: judge(believes=lambda self: True)), r"believes should accept a call with \(record\)"),
     (trust(lambda witness: judge(ignored=lambda self, own, claims: 3)), "should return a collection of pursuers"),
     (trust(lambda witness: judge(ignored=lambda self, own, claims: [9])), "expected pursuers among"),

@@ -1022,3 +1022,13 @@ def test_a_page_that_is_reloaded_keeps_the_server(small, monkeypatch):
         made.page_closed()
         thread.join(30)
         assert not thread.is_alive()
+
+
+def test_the_texts_of_a_scenario_name_its_file_or_one_to_save_it_in():
+    source = read_source(RELAY)
+    for file, name in ((RELAY, str(RELAY)), (None, "relay.toml")):
+        texts = Playground(source, file).texts(["team.count=5"])
+        command = texts["command"].split()
+        assert command[:3] == ["desim", "run", name]
+        assert (command[3:] == ["--set", "team.count=5"]) == (file is not None)
+        assert f"load({name!r}" in texts["python"]

@@ -51,7 +51,10 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         ValueError: if a line is no edge; the message names the file and the line.
     """
     delimiter = _delimiter(text)
-    header, rows = _header_of(file, _rows(file, text, delimiter))
+    lines = _rows(file, text, delimiter)
+    if not lines:
+        raise ValueError(f"{file} is not a graph: it has comments only")
+    header, rows = _header_of(file, lines)
     if rows and all(len(row.cells) == 1 for row in rows):
         place = f"{file}, line {rows[0].line}"
         raise ValueError(f"{place}: {rows[0].cells[0][:40]!r} is no edge, and none follows: write both ends of each")
@@ -269,7 +272,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     Raises:
         ValueError: if the first line may be both.
     """
-    if not rows or len(rows[0].cells) < 2:
+    if len(rows[0].cells) < 2:
         return [], rows
     first, below = rows[0].cells, rows[1:]
     nodes = {cell for row in below for cell in row.cells[:2]}

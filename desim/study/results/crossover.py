@@ -256,7 +256,7 @@ def undecided_parts(x: Sequence[float], differences: Floats, confidence: float) 
         shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
         parts += [(x[k] + low * (x[k + 1] - x[k]), x[k] + high * (x[k + 1] - x[k])) for low, high in shares]
     merged: list[CrossoverInterval] = []
-    for low, high in sorted(parts):
+    for low, high in parts:  # they ascend, as `x` does
         if merged and low <= merged[-1][1] + 1e-12 * (x[-1] - x[0]):
             merged[-1] = merged[-1][0], max(merged[-1][1], high)
         else:
