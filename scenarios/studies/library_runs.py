@@ -5,7 +5,7 @@ start. Its schedule is `rounds`, because these libraries let all agents act at o
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 from types import MappingProxyType
 
@@ -46,6 +46,9 @@ RIVALS: Mapping[str, Rule] = MappingProxyType(
 
 LATELY = 50
 """The episodes over which the cost in training is averaged."""
+
+FRESH = 7
+"""Added to the root seed of a study for that of the comparison. Trainings begin with the root seed, or the next one."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ def show(options: Options, name: str, rule: Policy, curve: Sequence[Progress]) -
     rule.write(options.out / f"{options.name}.weights.json")
     grid = [(label, latency) for label in (name, *RIVALS) for latency in LATENCIES]
     rules = {name: rule, **RIVALS}
-    costs = options.measure([scenario(rules[label], latency) for label, latency in grid], "comparison", cost)
+    fresh = replace(options, seed=options.seed + FRESH)
+    costs = fresh.measure([scenario(rules[label], latency) for label, latency in grid], "comparison", cost)
     cells = [
         Cell(*place, mean.mean, mean.standard_error) for place, mean in zip(grid, map(estimate, costs), strict=True)
     ]

@@ -125,8 +125,7 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
     """Return the protocol that MaskablePPO learns, and its progress.
 
     Args:
-        seed: the seed of the training; the episodes have the seeds of runs 0, 1, ... of the root seed `seed + 1`, none
-            of which is among those of the comparison.
+        seed: the seed of the training; the episodes have the seeds of the runs of the root seed `seed + 1`.
         steps: the number of steps of pursuers.
     """
     torch.set_num_threads(1)
