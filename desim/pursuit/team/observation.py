@@ -6,12 +6,10 @@ each pursuer (`OfPursuer`). The name of a number is that of its block and of its
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import chain
 from math import isnan, nan, tanh
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from desim.kernel.core.records import Record
 from desim.kernel.core.units import seconds
 from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.announcements import Assignment, Located, TimedAssignment, action_in_game
@@ -155,37 +153,39 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
                 me.global_state.profile(), (place - me.position() for place in places), strict=True
             )
         ]
-    records, block = me.latest_records(), partial(_of_teammate, me, me.position(), me.sensed_positions())
-    own = OfPursuer(1.0, 0.0, me.action, 1.0, 0.0, 0.0, 0.0)
-    return [own if j == me.id else block(j, records.get(j)) for j in range(me.team_size)]
+    now, horizon, here, sensed = me.now, me.horizon, me.position(), me.sensed_positions()
+    records, blocks = me.latest_records(), []
+    for j in range(me.team_size):
+        if j == me.id:
+            blocks.append(OfPursuer(1.0, 0.0, me.action, 1.0, 0.0, 0.0, 0.0))
+            continue
+        record, place = records.get(j), None if sensed is None else sensed[j]
+        age, action, claim = 0.0, 0, 0.0
+        if record is not None:
+            body, age = record.body, now - seconds(record.stamp)
+            if not 0.0 <= age <= horizon:  # by clocks that differ
+                age = min(max(age, 0.0), horizon)
+            if type(body) is Assignment:  # as a rule; the questions below take longer
+                action = body.active
+            else:
+                action, place, claim = _announced(me, body, place)
+        offset = 0j if place is None else place - here
+        blocks.append(OfPursuer(record is not None, age, action, place is not None, offset.real, offset.imag, claim))
+    return blocks
 
 
-def _of_teammate(
-    me: Agent, here: complex, sensed: Sequence[complex] | None, teammate: int, record: Record | None
-) -> OfPursuer:
-    """Return what a pursuer knows of a teammate.
+def _announced(me: Agent, body: Any, place: complex | None) -> tuple[int, complex | None, float]:
+    """Return what an announcement says: the action, the position, m, and the capture time, s.
 
     Args:
-        me: the agent of the pursuer.
-        here: its position, m.
-        sensed: (N,) the positions of all pursuers, m; None if they are not sensed.
-        teammate: the id of the teammate.
-        record: its newest announcement that has arrived; None without any.
+        me: the agent of the pursuer that observes.
+        body: the body of the announcement.
+        place: the position, m, if it is sensed; then it counts and not the announced one.
     """
-    place = None if sensed is None else sensed[teammate]
-    age, action, claim = 0.0, 0, 0.0
-    if record is not None:
-        body = record.body
-        age = min(max(me.now - seconds(record.stamp), 0.0), me.horizon)
-        if type(body) is Assignment:  # as a rule; the questions below take longer
-            action = body.active
-        else:
-            action = action_in_game(body, me.evader_count) or 0
-            if place is None and isinstance(body, Located):
-                place = complex(body.x, body.y)
-            claim = min(body.capture_time, me.horizon) if isinstance(body, TimedAssignment) else 0.0
-    offset = 0j if place is None else place - here
-    return OfPursuer(record is not None, age, action, place is not None, offset.real, offset.imag, claim)
+    if place is None and isinstance(body, Located):
+        place = complex(body.x, body.y)
+    claim = min(body.capture_time, me.horizon) if isinstance(body, TimedAssignment) else 0.0
+    return action_in_game(body, me.evader_count) or 0, place, claim
 
 
 def observation(me: Agent, *, omniscient: bool = False) -> list[float]:
