@@ -20,8 +20,9 @@ NO_LINKS: "NDArray[np.intp]" = np.array([], dtype=np.intp)
 class LinkMemory:
     """The numbers of the links of one sender.
 
-    The numbers of the links to the receivers of its last message are at hand, the others are put aside. So a broadcast
-    to the same receivers as the last needs no look-up, which takes a third of its time.
+    The numbers of the links to the receivers of its last broadcast, or of the messages to one node since, are at hand,
+    and the others are put aside. So a broadcast to the same receivers as the last needs no look-up, which takes a third
+    of its time, and a message to one node needs no array.
 
     Args:
         initial: the number of a link that has not been used.
@@ -37,7 +38,9 @@ class LinkMemory:
         self._initial = initial
         # The links used so far, by node; never empty, because `take` rejects an empty array.
         self._nodes, self._value, self._since = np.array([-1]), np.array([initial]), np.array([-np.inf])
-        self._selected, self._one = np.array([0]), 0
+        self._selected = np.array([0])
+        self._ones: dict[int, tuple[float, float]] = {}
+        """By node, the links that messages to one node have used since the last broadcast."""
         self.dst: NDArray[np.intp] | None = None
         self.value: Floats = self._value
         self.since: float | Floats = self._since
@@ -56,22 +59,28 @@ class LinkMemory:
         self.value, self.since = self._value[links], self._since[links]
 
     def one(self, node: int) -> tuple[float, float]:
-        """Put the links at hand aside; return the number of one link, and the time (s) of its last message."""
+        """Return the number of one link, and the time (s) of its last message; put the links of a broadcast aside."""
+        if node in self._ones:
+            return self._ones[node]
         if self.dst is not NO_LINKS:
             self._put_aside()
             self._selected, self.dst = NO_LINKS, NO_LINKS
             self.value, self.since = self._value[:0], self._since[:0]
-        self._one = link = int(self._nodes.searchsorted(node))
+        link = int(self._nodes.searchsorted(node))
         if link == len(self._nodes) or self._nodes.item(link) != node:
             self._add(np.array([node]))
         return self._value.item(link), self._since.item(link)
 
-    def set_one(self, value: float, since: float) -> None:
-        """Set the number of the link that `one` has returned last, and the time (s) of its last message."""
-        self._value[self._one], self._since[self._one] = value, since
+    def set_one(self, node: int, value: float, since: float) -> None:
+        """Set the number of a link that `one` has returned, and the time (s) of its last message."""
+        self._ones[node] = value, since
 
     def _put_aside(self) -> None:
         self._value[self._selected], self._since[self._selected] = self.value, self.since
+        if self._ones:
+            links = self._nodes.searchsorted(list(self._ones))
+            self._value[links], self._since[links] = zip(*self._ones.values(), strict=True)
+            self._ones.clear()
 
     def _add(self, dst: "NDArray[np.intp]") -> None:
         old, value, since = self._nodes, self._value, self._since

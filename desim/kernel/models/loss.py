@@ -141,7 +141,7 @@ class _Bursts:
         if self._in_time:
             chance = self._share + (chance - self._share) * math.exp(self._rate * (since - now))
         bad = rng.random() < chance
-        row.set_one(self._after_bad if bad else self._after_good, now)
+        row.set_one(node, self._after_bad if bad else self._after_good, now)
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
             return bad
         return rng.random() < (self._loss_bad if bad else self._loss_good)
