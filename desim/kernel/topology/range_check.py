@@ -11,7 +11,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
-from desim.kernel.models.reception import Disk, QuasiUnitDisk, ReceptionModel, bound
+from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk, ReceptionModel, bound
 
 
 class RangeCheck:
@@ -69,7 +69,7 @@ class RangeCheck:
 
     def _probability(self, apart: float) -> float:
         """Return the probability of reception at a distance, m."""
-        if type(self._reception) is QuasiUnitDisk:
+        if isinstance(self._reception, QuasiUnitDisk | LogDistance) and self._is_ours:
             return self._reception.one(apart, self._range)
         probability = self._reception(np.array([apart]), self._range)
         if not self._is_ours:

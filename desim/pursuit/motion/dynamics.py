@@ -58,10 +58,12 @@ class Piece(NamedTuple):
         if self.turn_rate:
             angle = self.turn_rate * bent
             place = self.position + velocity * rect(2.0 * sin(angle / 2.0) / self.turn_rate, angle / 2.0)
+            if t > bent:
+                place += velocity * rect(1.0, angle) * (t - bent)
         else:
             place = self.position + velocity * bent + self.acceleration * (0.5 * bent * bent)
-        if t > bent:
-            place += self.course_at(bent).velocity * (t - bent)
+            if t > bent:
+                place += (velocity + self.acceleration * bent) * (t - bent)
         return place + self.drift * t
 
     def course_at(self, t: float) -> Course:
