@@ -29,6 +29,7 @@ from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.geometric import Voronoi
 from protocols.schedules.periodic import Poisson
+from protocols.server import Server
 
 
 def play(protocol, latency=0.0, **changes):
@@ -315,7 +316,7 @@ class Forgetful(dict):
 
 
 @pytest.mark.parametrize("payload", ["state", "course"])
-@pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), BestResponse(schedule=Poisson(rate=5.0))])
+@pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), BestResponse(schedule=Poisson(rate=5.0)), Server()])
 def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkeypatch, payload, protocol):
     """The same trace if the view that pursuers share keeps no motions, where one clock is wrong."""
     scenario = Scenario(

@@ -60,7 +60,8 @@ class View:
 
     Attributes:
         reckonings: by pursuer, the last of its records from which somebody extrapolated, at which time (ns, local
-            clock), and its motion then; used by `desim.pursuit.team.beliefs`.
+            clock; None: any time, because the pursuer stands still), and its motion then; used by
+            `desim.pursuit.team.beliefs`.
     """
 
     unlimited: ClassVar[bool] = True
@@ -73,7 +74,7 @@ class View:
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
-        self.reckonings: dict[int, tuple[Record, int, MotionState]] = {}
+        self.reckonings: dict[int, tuple[Record, int | None, MotionState]] = {}
 
     def sees(self, evader: int) -> bool:
         """Return whether the pursuer sees an evader now."""
@@ -205,14 +206,19 @@ class View:
             reached = start if isnan(there) else MotionState(moved_towards(begin, there, length))
         return self.idle(reached, now - end, ended)
 
+    def stands(self, motion: MotionState) -> bool:
+        """Return whether a pursuer with this motion stays where it is while it is inactive."""
+        state = self.state
+        return state.static or (motion.course is None and state.environment.is_still)
+
     def idle(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
         """Return the motion of a pursuer that was inactive from `age` to `until` (both in ns) ago.
 
         It stands still, or brakes, and the flow carries it.
         """
-        state, course = self.state, motion.course
-        if age == until or state.static or (course is None and state.environment.is_still):
+        if age == until or self.stands(motion):
             return motion
+        state, course = self.state, motion.course
         now, place = state.now, motion.position
         if course is not None:
             piece, duration = state.dynamics(place, course, 0j), seconds(age - until)

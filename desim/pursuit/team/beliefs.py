@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import inf, nan
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -294,7 +295,7 @@ class Beliefs(Knowledge):
         """Return the motions of teammates: extrapolated from their records, or sensed; nan if neither is possible.
 
         Each teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
-        share what they extrapolate from the same record at the same time.
+        share what they extrapolate from the same record at the same time, or at any time if the teammate stands still.
 
         Kept equal to an extrapolation by each pursuer by
         `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
@@ -302,13 +303,16 @@ class Beliefs(Knowledge):
         now, reckonings = self._clock.stamp, self._view.reckonings
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
-            reckoning = reckonings.get(j)
-            if reckoning is not None and reckoning[0] is record and reckoning[1] == now and not orders.get(j):
+            reckoning, ordered = reckonings.get(j), orders.get(j, ())
+            if ordered and not _has_action(ordered) and not record.body.active:
+                ordered = ()  # an order to stay changes nothing
+            if reckoning is not None and reckoning[0] is record and reckoning[1] in (now, None) and not ordered:
                 motions[j] = reckoning[2]
             elif isinstance(record.body, Located):
-                motions[j] = motion = self._reckoned(record, orders.get(j, ()), now)
-                if self._view.unlimited and not orders.get(j):
-                    reckonings[j] = record, now, motion
+                motions[j] = motion = self._reckoned(record, ordered, now)
+                if self._view.unlimited and not ordered:
+                    stands = not record.body.active and self._view.stands(motion)
+                    reckonings[j] = record, None if stands else now, motion
             else:
                 motions[j] = self._view.state.motion(j) if self.senses_others else MotionState(complex(nan, nan))
         return motions
@@ -319,7 +323,7 @@ class Beliefs(Knowledge):
         motion = body.motion
         # The clock of the sender may be ahead of this one.
         since = min(record.stamp, now)
-        if not body.active and not any(action for _, action in ordered):
+        if not body.active and not _has_action(ordered):
             return self._view.idle(motion, now - since)
         # An order from before the announcement begins with it: its earlier effect is in the announced motion.
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
@@ -333,3 +337,8 @@ class Beliefs(Knowledge):
             else:
                 motion = self._view.idle(motion, now - begun, ended)
         return motion
+
+
+def _has_action(ordered: Sequence[tuple[int, int]]) -> bool:
+    """Return whether a teammate has been ordered to chase."""
+    return any(map(itemgetter(1), ordered))
