@@ -365,6 +365,12 @@ def test_a_private_part_would_be_detected(line):
 
 
 POSITIONS = {
+    "desim.kernel.core.events:Broadcast": "t transmission src seq dst arrival created size body",
+    "desim.kernel.core.events:Lost": "t transmission src dst cause",
+    "desim.kernel.core.events:Sent": "t transmission src dst arrival created size body",
+    "desim.kernel.transport.frames:Acknowledgement": "port to_all session expected received",
+    "desim.kernel.transport.frames:Segment": "port to_all session seq base attempt body",
+    "desim.kernel.transport.receiver:Arrived": "seq message attempt",
     "desim.kernel.state.inbox:Message": "src stamp body",
     "desim.kernel.core.records:Record": "src seq stamp body",
     "desim.kernel.state.transmission:Flight": "transmission airtime",

@@ -64,6 +64,8 @@ def checked_size(size: Any) -> int:
     Raises:
         ValueError: if it is not an integer, or not within 0 .. `MAX_SIZE`.
     """
+    if type(size) is int and 0 <= size <= MAX_SIZE:
+        return size
     number = whole(size, "the size of a message, in bytes,")
     if number < 0:
         raise ValueError(f"the size of a message should be at least 0 bytes (got {number})")

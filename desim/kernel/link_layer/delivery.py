@@ -101,7 +101,7 @@ class MessageDelivery:
             unreached = {*causes, *down}
         if isinstance(content, Record):
             self._records.schedule(content, reached, arrival, unreached)
-        else:
+        elif reached:
             self._inboxes.deliver(content, transmission.port, reached, arrival, transmission.number)
 
     def _settled(

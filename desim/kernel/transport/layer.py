@@ -38,6 +38,7 @@ from desim.kernel.transport.sender import CodedSender, Endpoint, ReliableSender,
 
 PORT = ReservedPort("transport frames", __name__)
 """The port at which frames arrive."""
+_new = tuple.__new__  # creates a named tuple in a third of the time
 FIRST_DELIVERY = 1 << 48
 """The number of the first delivery: at one instant, deliveries come after messages without a transport."""
 
@@ -153,7 +154,7 @@ class TransportLayer:
         return self._fault_state is None or not self._fault_state.down(node)
 
     def _send_frame(self, src: int, dst: int | None, stamp: int, frame: TransportFrame, size: int) -> None:
-        self._transmit(src, dst, Message(src, stamp, frame), size, PORT)
+        self._transmit(src, dst, _new(Message, (src, stamp, frame)), size, PORT)
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
         """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
@@ -197,7 +198,8 @@ class TransportLayer:
         for seq, message, attempt in arrived:
             self._deliver(node, flow, seq, message, attempt, transport)
         if isinstance(receiver, ReliableReceiver) and isinstance(transport, Reliable):
-            answer = Acknowledgement(frame.port, frame.to_all, frame.session, receiver.expected, receiver.beyond())
+            received = receiver.expected, receiver.beyond()
+            answer = _new(Acknowledgement, (frame.port, frame.to_all, frame.session, *received))
             self._log.acknowledgements += 1
             self._send_frame(node, src, self._env.now, answer, acknowledgement_size(transport.window))
 

@@ -7,6 +7,7 @@ from desim.kernel.core.clock import Clock, Timer
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import CodedPiece, Segment, Skip
 
+_new = tuple.__new__  # creates a named tuple in a third of the time
 REMEMBERED = 64
 """Number of messages of a flow whose pieces a receiver remembers."""
 
@@ -39,7 +40,7 @@ class ReliableReceiver:
     def receive(self, src: int, stamp: int, frame: Segment | Skip) -> Iterator[Arrived]:
         """Take a frame with its time stamp, ns, and yield the messages to be delivered now, in order."""
         if isinstance(frame, Segment) and frame.seq >= self.expected and frame.seq not in self._beyond:
-            arrived = Arrived(frame.seq, Message(src, stamp, frame.body), frame.attempt)
+            arrived = _new(Arrived, (frame.seq, _new(Message, (src, stamp, frame.body)), frame.attempt))
             self._beyond[frame.seq] = arrived
             if not self._ordered:
                 yield arrived

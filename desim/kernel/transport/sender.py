@@ -27,6 +27,7 @@ from desim.kernel.transport.frames import (
 )
 from desim.kernel.transport.log import MessageFlow, TransportLog
 
+_new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_GROWTH = 100
 """Number of attempts after which a time-out stops growing."""
 
@@ -184,7 +185,11 @@ class ReliableSender:
         first = next(iter(self._entries.values()), None)
         if first is None:
             return NEVER
-        return min([first.expires, *(owed.due for entry in self._sent() for owed in entry.owed.values())])
+        earliest = first.expires
+        for entry in self._sent():
+            for owed in entry.owed.values():
+                earliest = min(earliest, owed.due)
+        return earliest
 
     def _transmit(self, entry: Entry) -> None:
         """Transmit a message for the first time, to all its receivers at once."""
@@ -216,7 +221,9 @@ class ReliableSender:
 
     def _send_segment(self, entry: Entry, dst: int | None, base: int, attempt: int) -> None:
         flow, message = self._flow, entry.message
-        segment = Segment(flow.port, flow.dst is None, self._endpoint.session, entry.seq, base, attempt, message.body)
+        segment = _new(
+            Segment, (flow.port, flow.dst is None, self._endpoint.session, entry.seq, base, attempt, message.body)
+        )
         self._endpoint.transmit(flow.src, dst, message.stamp, segment, entry.size + FRAME)
 
     def _timeout(self, entry: Entry, attempts: int) -> int:

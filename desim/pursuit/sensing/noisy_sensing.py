@@ -118,9 +118,10 @@ class NoisySensor:
         assert not isinstance(self.sensing.estimator, Unfiltered)
         if self._predicted_at != now:
             self._predicted, self._predicted_at = {}, now
-        if id(report) not in self._predicted:
-            self._predicted[id(report)] = report, self.sensing.estimator.predict(_unpacked(report), now)
-        return self._predicted[id(report)][1]
+        key = id(report)  # sooner than a hash of all its numbers
+        if key not in self._predicted:
+            self._predicted[key] = report, self.sensing.estimator.predict(_unpacked(report), now)
+        return self._predicted[key][1]
 
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
         period = nanoseconds(self.sensing.interval)
