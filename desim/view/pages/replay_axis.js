@@ -132,13 +132,13 @@ function drawShadow(c, steps, level) {
   c.stroke();
   c.restore();
 }
-/** The scale of a strip: a dotted line at each of some values, and the value at its left. */
+/** The scale of a strip: a dotted line at each of some values, and the value at its left, within the strip. */
 function drawScale(c, gutter, level, marks) {
   c.font = `10px ${FONT}`; c.textAlign = "right"; c.fillStyle = c.strokeStyle = colour.soft; c.lineWidth = 1;
   c.globalAlpha = .6; c.setLineDash([2, 3]); c.beginPath();
   for (const n of marks) { const y = Math.round(level(n)) + .5; c.moveTo(first(), y); c.lineTo(first() + span(), y); }
   c.stroke(); c.setLineDash([]); c.globalAlpha = 1;
-  for (const n of marks) c.fillText(n.toLocaleString("en"), gutter, level(n) + 4);
+  for (const n of marks) c.fillText(n.toLocaleString("en", n < 1e4 ? {} : { notation: "compact", maximumFractionDigits: 1 }), gutter, level(n) + (n === Math.max(...marks) ? 8 : 1));
 }
 /** A lane for each evader: the number of pursuers on it, capped at 3, until its capture. */
 function drawHunts(c, top) {

@@ -10,7 +10,7 @@ function drawMatrix() {
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.clearRect(0, 0, board.width, board.height);
   const cell = (w - GUTTER) / N, gap = cell > 7 ? 1 : 0, from = focus(), gutter = GUTTER;
-  const [across, downwards] = [N > 10 ? 17 : 10, 11].map(room => [1, 2, 5, 10, 20, 50].find(each => each * cell >= room) || 100);
+  const [across, downwards] = [N > 100 ? 24 : N > 10 ? 17 : 10, 11].map(room => [1, 2, 5, 10, 20, 50].find(each => each * cell >= room) || 100);
   c.font = `${Math.max(Math.min(cell - 3, 11), 10)}px ${FONT}`; c.textAlign = "center"; c.textBaseline = "middle";
   const square = (i, j, inset) => c.rect(gutter + j * cell + inset, gutter + i * cell + inset, cell - 2 * inset - gap, cell - 2 * inset - gap);
   for (let i = 0; i < N; i++) {  // the actual actions in the margins
