@@ -187,6 +187,7 @@ LINES: dict[str, str] = {
     "x, y = me.position()": "its x is .real",
     "me.x": "write me.position().real",
     "me.receive()": "write me.mail()",
+    "me.team_estimate().position": "a TeamEstimate has capture_times, ids, positions, speeds",
     "me.asign(1)": "an Agent has no 'asign': it has action, after()",
     "yield from me.sleep(0.1)": "not `yield from`",
     "await me.sleep(0.1)": "`def` and `yield` in place of `async def` and `await`",

@@ -8,7 +8,8 @@ from typing import cast
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.config.arguments import arguments_of
+from desim.config.arguments import arguments_of, with_article
+from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
 
@@ -64,7 +65,7 @@ class RestartableProcess(simpy.Process):
                 return
             except (Exception, SystemExit) as error:
                 error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
-                if isinstance(error, TypeError | AttributeError) and (advice := _advice(str(error))):
+                if isinstance(error, TypeError | AttributeError) and (advice := _advice(error)):
                     error.add_note(advice)
                 raise
 
@@ -77,8 +78,12 @@ OF_CALL = re.compile(r"(\w+)\.(\w+)\(\) ")
 """Finds in a message of Python the class and the name of a method that was called with wrong arguments."""
 
 
-def _advice(message: str) -> str:
+def _advice(error: TypeError | AttributeError) -> str:
     """Return what to write in a protocol instead of what Python's message is about; "" if that is not known."""
+    message, owner = str(error), getattr(error, "obj", None)
+    if owner is not None and is_ours(type(owner)) and not hasattr(type(owner), "_instead_of"):
+        names = sorted(name for name in set(dir(owner)) - set(dir(tuple)) if not name.startswith("_"))
+        return f"{with_article(type(owner).__name__)} has {', '.join(names)}"
     if OF_METHOD.search(message):
         return "a method of a pursuer is called, me.position() for instance"
     if re.search("'complex'|complex object", message):
