@@ -192,7 +192,10 @@ def html(name):
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
 def test_a_built_tutorial_shows_its_pictures(path):
     text = html(f"tutorials/{path.stem}.html")
-    assert len(re.findall(r'<img[^>]+src="\.\./_images/\w+\.png"', text)) >= 2
+    drawn = re.findall(r"^(?:(?:\w+\.)?plot\(.*|figure)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    assert drawn
+    assert len(re.findall(r'<img[^>]+src="\.\./_images/\w+\.png"', text)) == len(drawn)
+    assert "widget-view" not in text
     assert "StyledFigure" not in text
     assert re.search(rf'href="[^"]+/{path.stem}\.ipynb"', text)
 
