@@ -212,6 +212,8 @@ class Value(BaseModel, metaclass=_ValueType):
         pydantic takes it for the default of the field.
         """
         super().__pydantic_init_subclass__(**options)
+        if cls.__module__.startswith(("desim.", "protocols.")):  # hundreds, at each import
+            return
         for name in cls.model_fields.keys() - annotated(cls):
             kind: type = type(cls.model_fields[name].default)
             if issubclass(kind, ACCESSORS) and cls.model_fields[name].default is not _inherited_default(cls, name):
