@@ -179,7 +179,7 @@ def test_every_command_with_keys_has_the_option():
             yield from every(each) if isinstance(each, click.Group) else [each]
 
     found = [{option for param in each.params for option in param.opts} for each in every(main)]
-    assert len([each for each in found if "--set" in each]) == 10
+    assert len([each for each in found if "--set" in each]) == 11
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 

@@ -263,12 +263,16 @@ def _wall_clocks(item: Any) -> Iterator[str]:
     """
     functions = [getattr(item, "__func__", item)]
     for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
-        functions += [] if is_foreign(base) else [getattr(value, "__func__", value) for value in vars(base).values()]
+        functions += [] if is_foreign(base) else [getattr(value, "__func__", value) for value in [*vars(base).values()]]
     for function in functions:
         if isinstance(function, FunctionType) and not is_foreign(function):
             places = function.__globals__
             yield from (f"time.{name}" for name in _of_time(function.__code__))
-            yield from (f"time.{name}" for name in _globals_of(function.__code__) if places.get(name) in WALL_CLOCKS)
+            yield from (
+                f"time.{name}"
+                for name in _globals_of(function.__code__)
+                if any(places.get(name) is clock for clock in WALL_CLOCKS)
+            )
 
 
 WALL_CLOCKS = (time.sleep, time.time)

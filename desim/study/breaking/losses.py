@@ -17,7 +17,7 @@ from math import inf
 from typing import NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.traits import kind_of
 from desim.kernel.models.faults import MessageFault
 from desim.pursuit.team.announcements import Announcements
@@ -92,6 +92,7 @@ class _Told(NamedTuple):
     sent: int
 
 
+@naming_arguments
 def fatal_losses(
     scenario: Scenario,
     prop: Stated,

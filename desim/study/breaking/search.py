@@ -10,7 +10,7 @@ from math import inf
 from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge, stated, under_protocol
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.kernel.core.seeds import run_seed, stream
 from desim.scenario.properties import CANNOT_FAIL, Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
@@ -140,6 +140,7 @@ def checked_property(prop: Stated, scenario: Scenario) -> Property:
     return made
 
 
+@naming_arguments
 def find_violation(
     scenario: Scenario,
     prop: Stated,
