@@ -192,11 +192,11 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
 
     A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
     """
-    code, own = function.__code__, function.__globals__
+    code, place = function.__code__, function.__globals__
     globals_, names, texts = _globals_of(code), _names_of(code), _texts_of(code)
     by_text = texts | names if names & BY_TEXT else frozenset()
-    yield function.__module__, own, globals_ | (by_text & own.keys())
-    held = [own.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
+    yield function.__module__, place, globals_ | (by_text & place.keys())
+    held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
     held += [sys.modules.get(name) for name in _imports_of(code) | by_text]
     modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
     for module in modules.values():

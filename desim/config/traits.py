@@ -151,11 +151,11 @@ def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: 
         methods: the names of the methods.
         effect: what the flag says, as a clause.
     """
-    own = [name for name in methods if Follows(name).is_outdated(flag, type(value))]
-    if own and getattr(value, flag):
+    overridden = [name for name in methods if Follows(name).is_outdated(flag, type(value))]
+    if overridden and getattr(value, flag):
         raise ValueError(
-            f"{name_of(value)} inherits {flag} = True, so that {effect}, and its own {', '.join(own)} would have no"
-            f" effect: it should have {flag}: ClassVar[bool] = False, too"
+            f"{name_of(value)} inherits {flag} = True, so that {effect}, and its own {', '.join(overridden)} would have"
+            f" no effect: it should have {flag}: ClassVar[bool] = False, too"
         )
 
 
