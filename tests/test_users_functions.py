@@ -76,7 +76,7 @@ WRONG = {
     "utility": [None, True, "much", np.nan, (1.0,), 1j],
     "schedule": [None, 3, [3]],
     "temperature": [None, True, -1.0, np.nan, "cold"],
-    "protocol": [None, 3],
+    "protocol": [None, 3, iter([])],
     "noise": [None, True, (1.0, 2.0), np.nan, "far"],
 }
 """For each family, what its functions should not return."""
@@ -142,6 +142,15 @@ def with_method(name, answer):
             return scenario(sensing=Sensing(noise=theirs(PositionNoise), estimator="kalman"))
     protocol = "best_response" if name == "capture_times" else "sap"
     return scenario(protocol=protocol, team=Team(count=4, speeds=3.0, dynamics=theirs(Acceleration)))
+
+
+def test_times_that_no_run_lasts_are_limited_wherever_they_are_added_up():
+    """A delay of 1e300 s is more than fits into ns; metrics and servers derive times from it."""
+    for links in ({"latency": lambda context, rng: 1e300}, {"processing": {"sender": lambda context, rng: 1e300}}):
+        for protocol in (None, "server"):
+            made = linked(**links)
+            made = made if protocol is None else made.model_copy(update={"protocol": protocol})
+            assert summary(run(made, 1)).messages_delivered == 0
 
 
 METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]

@@ -33,6 +33,7 @@ from desim.analysis.activity import decisions
 from desim.analysis.timeline import Timeline, timeline
 from desim.analysis.trace_index import ended, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
+from desim.config.model import MAX_TIME
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.link_layer.propagation import TYPICAL_SIZE, LinkSampler
 from desim.kernel.models.links import Links
@@ -196,7 +197,7 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
     """
     view = hindsight(result)
     window = settling_window(result) if window is None else window
-    least = nanoseconds(window) if window < np.inf else np.inf
+    least = nanoseconds(window) if window <= MAX_TIME else np.inf
     edges = np.flatnonzero(np.diff(view.relayed, prepend=False, append=False))
     for begin, end in view.times[edges].reshape(-1, 2).tolist():
         if end - begin >= least or end == view.times[-1]:

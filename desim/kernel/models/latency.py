@@ -17,7 +17,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
-from desim.config.model import FirstError, NotEmpty, Speed, Time, Value
+from desim.config.model import MAX_TIME, FirstError, NotEmpty, Speed, Time, Value
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.portable_math import exp
@@ -263,9 +263,12 @@ def mean_latency(model: Latency) -> float | None:
 
 
 def mean_of(model: Latency, seed: int) -> float:
-    """Return the mean latency, s, of a model that does not depend on links, or an estimate by a thousand draws."""
+    """Return the mean latency, s, of a model that does not depend on links, or an estimate by a thousand draws.
+
+    It is limited to `MAX_TIME`, as each latency is.
+    """
     if (mean := mean_latency(model)) is not None:
-        return mean
+        return min(mean, MAX_TIME)
     rng, of_run = stream(seed, "typical processing"), model_of_run(model, 1)
     draws = (as_seconds(of_run(LinkContext(0, np.zeros(1, dtype=np.intp)), rng), model).item() for _ in range(1000))
-    return fsum(draws) / 1000
+    return min(fsum(draws) / 1000, MAX_TIME)
