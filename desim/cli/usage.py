@@ -83,7 +83,7 @@ def _about_option(error: click.NoSuchOption) -> click.NoSuchOption:
     meant = OPTIONS.get(name)
     possible = ([min(options[meant], key=len)] if meant in options else []) or close
     advice = f" Did you mean {possible[0]!r}?" if possible else ""
-    if "--set" in options and meant not in options and (keys := _keys(name)):
+    if "--set" in options and meant is None and (keys := _keys(name)):
         others = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
         advice = f" A key of the scenario is set by --set {keys[0]}=VALUE{others}."
     return click.NoSuchOption(error.option_name, f"No such option {error.option_name!r}.{advice}", ctx=error.ctx)

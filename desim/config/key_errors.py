@@ -4,6 +4,7 @@ A scenario file and a call such as `Team(count=8)` have the same sentences. They
 was set, and how a value is written.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -121,7 +122,10 @@ class Wording:
             replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
             return f"unknown key{replaced or _other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
         if kind == "union_tag_invalid":
-            return f"there is no {context['tag']!r}{suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
+            tag = str(context["tag"])
+            code = f", write '{tag[:-3]}:NAME' for what {tag} defines" if tag.endswith(".py") else ""
+            hint = code or suggestion(tag, kinds)
+            return f"there is no {tag!r}{hint}; allowed: {', '.join(kinds)}"
         if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
             if self.is_call:
                 what = f"a kind, {kinds[0]!r} for instance, a built-in model or an object that can be called"
@@ -149,6 +153,8 @@ class Wording:
             most = kind == "too_long"
             limit = context["max_length" if most else "min_length"]
             return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+        if kind in NUMBERS and RANGE.fullmatch(str(error["input"])):
+            return "should be a number; a range in a grid is written FIRST:LAST:STEP, 0:1:0.1 for instance"
         if kind in NUMBERS and isinstance(error["input"], str):
             return why_no_number(error["input"], {(info and unit_in(info)) or "1"}) or text_of(error)
         return text_of(error)
@@ -163,6 +169,8 @@ class Wording:
 
 
 NUMBERS = {"float_type", "int_type"}
+RANGE = re.compile(r"[\d.]*\d(\.\.+|-)\d[\d.]*")
+"""Matches what other programs take for a range."""
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
