@@ -69,6 +69,7 @@ FORBIDDEN = {
     "desim.kernel.core.trace_file": {"simpy", "networkx"},
     "desim.kernel.core.positions": {"simpy", "networkx"},
     "desim.kernel.topology.spatial_hash": {"simpy", "networkx"},
+    "desim.kernel.core.body_content": {"_slotnames"},
     "desim.kernel.models.implicit_complete": {"simpy"},
     "desim.kernel.core.link_context": {"simpy", "networkx"},
     "desim.kernel.models.latency": {"simpy", "networkx"},
@@ -290,7 +291,6 @@ PRIVATE = {
     "desim.cli.program": {"click.echo.__code__"},
     "desim.config.choice": {"SchemaValidator", "__pydantic_core_schema__"},
     "desim.config.data_files": {"_getframe"},
-    "desim.config.fresh": {"_lru_cache_wrapper"},
     "desim.kernel.core.clock": {"_eid", "_events", "_generator", "_now", "_ok", "_queue", "_value", "simpy.core"},
     "desim.kernel.models.implicit_complete": {"_adj", "_node", "_pred"},
     "desim.simulation.watchdog": {"PyThreadState_SetAsyncExc", "_current_exceptions"},
@@ -298,7 +298,7 @@ PRIVATE = {
 }
 """The modules that use parts of Python and of other packages which are not documented, or may change, and those parts.
 A new version of a package can break these modules only; each has tests that then fail."""
-COMMON = {"_events", "_now", "_ok", "_queue", "_value"}
+COMMON = {"_now", "_ok", "_queue", "_value"}
 """Names in `PRIVATE` that classes of desim have, too. They cannot be told apart, and so are not looked for."""
 OF_PYTHON = {"_replace", "_make", "_fields", "_asdict", "_exit"}
 """Documented names: of named tuples, and of `os`."""

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import _lru_cache_wrapper, lru_cache
+from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
 from itertools import count, repeat
@@ -32,7 +32,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import ADDING, COLLECTIONS, defaults_of, is_foreign, shared_changes
+from desim.config.shared_state import ADDING, CACHED, COLLECTIONS, defaults_of, is_foreign, shared_changes
 from desim.config.traits import OURS, name_of
 
 Model = TypeVar("Model")
@@ -267,7 +267,7 @@ class _Copier(pickle.Pickler):
             return MethodType, (_Kept(value.__func__), value.__self__)
         if kind is MappingProxyType:
             return MappingProxyType, (dict(value),)
-        if kind is _lru_cache_wrapper:
+        if kind is CACHED:
             return _cached, (value.__wrapped__, value.cache_parameters())
         if kind.__module__ == "itertools":  # Python 3.14 cannot copy them, and 3.12 warns of it
             raise TypeError(f"cannot pickle {kind.__qualname__!r} object of itertools")

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dis import get_instructions
-from functools import _lru_cache_wrapper, cached_property, lru_cache, partial, partialmethod, singledispatchmethod
+from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
 from gc import get_referents
 from itertools import pairwise
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
@@ -24,9 +24,11 @@ Read = Callable[[], Any]
 """Reads a variable; None if it has no value."""
 BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
 """What finds a variable of a module by a text."""
+CACHED = type(lru_cache(int))
+"""The type of functions with a cache."""
 CODE = (
     *(FunctionType, MethodType, staticmethod, classmethod, property),
-    *(cached_property, partialmethod, singledispatchmethod, _lru_cache_wrapper),
+    *(cached_property, partialmethod, singledispatchmethod, CACHED),
 )
 """The objects of Python that are functions or have some inside."""
 INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", "dispatcher")
@@ -84,7 +86,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             " may be appended to a list that it does not read"
         )
         warn(text, StateWarning, stacklevel=6)
-    caches = [item for item in objects if isinstance(item, _lru_cache_wrapper)]
+    caches = [item for item in objects if isinstance(item, CACHED)]
     cached = [_cached(item, snapshot) for item in caches]
     generators, imported = _global_generators(), set(sys.modules)
     yield
@@ -215,7 +217,7 @@ def _reached(objects: Iterable[Any]) -> list[Any]:
             if id(definition) in reached or _is_of_package(definition):
                 continue
             reached[id(definition)] = definition
-            if isinstance(definition, _lru_cache_wrapper):
+            if isinstance(definition, CACHED):
                 continue
             if isinstance(definition, FunctionType):
                 held += [_contents(cell) for cell in definition.__closure__ or ()]
@@ -235,7 +237,7 @@ def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
         metaclass: type = type(value)
         yield from (base for base in (*value.__mro__, *metaclass.__mro__) if not is_foreign(base))
     elif isinstance(value, CODE):
-        if isinstance(value, FunctionType | _lru_cache_wrapper):
+        if isinstance(value, FunctionType | CACHED):
             yield value
         for name in INNER:
             yield from _definitions_of(getattr(value, name, None), depth + 1)
