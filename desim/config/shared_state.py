@@ -1,6 +1,7 @@
 """State that a model shares with other runs: what its code changes in classes, functions, collections and globals."""
 
 import random
+import re
 import sys
 import time
 from collections import deque
@@ -197,6 +198,8 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
     code, place = function.__code__, function.__globals__
     globals_, names, texts = _globals_of(code), _names_of(code), _texts_of(code)
     by_text = texts | names if names & BY_TEXT else frozenset()
+    if names & {"exec", "eval"}:
+        by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
     yield function.__module__, place, globals_ | (by_text & place.keys())
     held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
     held += [sys.modules.get(name) for name in _imports_of(code) | by_text]

@@ -481,7 +481,7 @@ CYCLE = itertools.cycle([1j, -1j])
 CHAIN = itertools.chain([1j], itertools.repeat(-1j))
 SLICE = itertools.islice(itertools.count(), 10**6)
 MAPPED = map(float, range(10**6))
-BY_TEXT = BY_MODULE = 0
+BY_TEXT = BY_CODE = BY_MODULE = 0
 IN_PROPERTY, IN_CACHED_PROPERTY, IN_STATIC, DISPATCHED = [0], [0], [0], [0]
 CONTEXT = ContextVar("CONTEXT", default=0)
 THREAD = threading.local()
@@ -610,6 +610,10 @@ def by_text():
     globals()["BY_TEXT"] += 1
 
 
+def by_code():
+    exec("BY_CODE += 1", globals())
+
+
 def by_module():
     sys.modules[__name__].BY_MODULE += 1
 
@@ -673,6 +677,7 @@ HIDDEN = {
     "SLICE": lambda: next(SLICE),
     "MAPPED": lambda: next(MAPPED),
     "BY_TEXT": by_text,
+    "BY_CODE": by_code,
     "BY_MODULE": by_module,
     "state_of_a_user.calls": in_a_module,
     "state_of_a_user.other": by_name_in_a_module,
