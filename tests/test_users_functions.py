@@ -12,10 +12,13 @@ import pytest
 
 from desim import Announcements, Links, Scenario, Sensing, Team, run, summary, sweep
 from desim.kernel.core.clock import Clock
-from desim.kernel.core.events import Lost
+from desim.kernel.core.events import Lost, MessageCounts
 from desim.kernel.models.faults import Jamming, Partition
+from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.reception import Disk
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import Liar
 from desim.pursuit.core.events import Ended
@@ -25,7 +28,7 @@ from desim.pursuit.team.trust import Credulous, Judge
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.pages.replay import replay_page
-from tests.test_overrides import FAMILIES, is_refused, linked, plain, scenario
+from tests.test_overrides import FAMILIES, events, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
 
@@ -76,7 +79,7 @@ WRONG = {
     "utility": [None, True, "much", np.nan, (1.0,), 1j],
     "schedule": [None, 3, [3]],
     "temperature": [None, True, -1.0, np.nan, "cold"],
-    "protocol": [None, 3, iter([])],
+    "protocol": [None, 3],
     "noise": [None, True, (1.0, 2.0), np.nan, "far"],
 }
 """For each family, what its functions should not return."""
@@ -151,6 +154,39 @@ def test_times_that_no_run_lasts_are_limited_wherever_they_are_added_up():
             made = linked(**links)
             made = made if protocol is None else made.model_copy(update={"protocol": protocol})
             assert summary(run(made, 1)).messages_delivered == 0
+
+
+def test_a_protocol_may_return_any_iterator_of_events():
+    """As a generator does, also with an event that has a value."""
+
+    def generated(me):
+        for event in (me.sleep(0.1), me.arrival(), me.sleep(0.1)):
+            yield event
+            me.send(None, 1)
+
+    def mapped(me):
+        return filter(None, listed(me))
+
+    def listed(me):
+        return iter([me.sleep(0.1), me.sleep(0.2)])
+
+    def counted(me):
+        yield from listed(me)
+
+    assert run(scenario(protocol=generated), 1).trace.of(MessageCounts)[0].sent > 0
+    assert events(scenario(protocol=mapped)) == events(scenario(protocol=counted))
+
+
+def test_the_arguments_of_an_optional_method_are_checked_with_the_model():
+    for kind, name, key in (
+        (Bitrate, "airtime", "medium"),
+        (Lognormal, "draw", "latency"),
+        (Disk, "bound", "reception"),
+    ):
+        theirs = type(kind)("Theirs", (kind,), {"__module__": "theirs", name: lambda self, a, b, c: 1.0})
+        model = theirs(bitrate=1e6) if kind is Bitrate else theirs()
+        with pytest.raises(ValueError, match=f"{key}: {name} should accept a call with"):
+            linked(**{key: model, "range": 5.0})
 
 
 METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]

@@ -205,6 +205,10 @@ class OneOf:
         for name, takes in self.needed_calls.items():
             check_method(value, name, takes)
         self.traits.check(value)
+        methods = {} if is_ours(type(value)) else self.traits.calls()
+        for name in attributes(value, methods):
+            if getattr(value, name) is not None:
+                check_method(value, name, methods[name])
 
     def _function(self, value: Any) -> Any:
         """Return what is called of a model: the model itself, or a method of it; None if it has none."""

@@ -14,7 +14,8 @@ such a method, but not the trait, then lacks the trait, because the inherited on
 see `Follows`. The other way round, a class that overrides only a fast way is refused: see `Traits.twins`.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
@@ -24,7 +25,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeGuard, TypeVar
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from desim.config.error_texts import text_of
-from desim.config.model import Value, annotated
+from desim.config.model import Value, annotated, fields_of
 
 Model = TypeVar("Model")
 SHORTEST = 5
@@ -126,6 +127,11 @@ class Traits(Value):
         return _outdated(cls, model)
 
     @classmethod
+    def calls(cls) -> Mapping[str, Sequence[str]]:
+        """Return the names of the arguments of each trait that is a method, as its description begins with them."""
+        return _calls(cls)
+
+    @classmethod
     def names(cls) -> Iterator[str]:
         """Yield the names of the traits that are not parameters."""
         for name, field in cls.model_fields.items():
@@ -140,6 +146,14 @@ class Traits(Value):
         except ValidationError:
             return False
         return True
+
+
+@lru_cache(maxsize=64)
+def _calls(traits: type[Traits]) -> Mapping[str, Sequence[str]]:
+    begun = {
+        name: re.match(rf"`{name}\(([\w, ]*)\)`", field.description or "") for name, field in fields_of(traits).items()
+    }
+    return {name: tuple(filter(None, match[1].split(", "))) for name, match in begun.items() if match}
 
 
 def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:

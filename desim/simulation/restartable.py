@@ -1,7 +1,7 @@
 """Processes of pursuers that survive crashes of their robots."""
 
 import re
-from collections.abc import Generator
+from collections.abc import Iterator
 from inspect import iscoroutine
 from typing import cast
 
@@ -109,6 +109,6 @@ def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
         coroutine.close()
         why = f"{PROCESS} should have `def` and `yield` in place of `async def` and `await`"
         raise wrong_answer(why, behaviour, protocol)
-    if not isinstance(behaviour, Generator):
+    if not isinstance(behaviour, Iterator):
         raise wrong_answer(f"{PROCESS} should be a generator that yields the events it waits for", behaviour, protocol)
-    return behaviour
+    return behaviour if hasattr(behaviour, "send") else (event for event in behaviour)  # as of a list
