@@ -8,7 +8,7 @@ A set is refused by any field that is a list. A text that no file can hold is re
 half of a surrogate pair, such as names with undecodable bytes on a command line have.
 """
 
-from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
+from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, ValuesView
 from decimal import Decimal
 from itertools import chain
 from math import isinf
@@ -47,8 +47,6 @@ def as_python(value: Any) -> Any:
         return value if _is_plain(value) else _items(value)
     if kind is dict:
         return {as_python(key) if type(key) is str else key: as_python(item) for key, item in value.items()}
-    if kind is set or kind is frozenset:
-        return _Unordered(value)
     if callable(value):  # a model of a user, which may be a list, too
         return value
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES:
@@ -59,7 +57,9 @@ def as_python(value: Any) -> Any:
         return _Quantity(value)
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
-    return _items(value) if isinstance(value, LISTS) and not isinstance(value, TEXTS) else value
+    if isinstance(value, LISTS):
+        return value if isinstance(value, TEXTS) else _items(value)
+    return _Unordered(value) if isinstance(value, Set) else value
 
 
 class _Quantity:

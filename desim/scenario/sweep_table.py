@@ -1,6 +1,6 @@
 """The table `sweep` of a scenario: a grid over keys of the scenario, and the number and the seeds of the runs."""
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
@@ -31,8 +31,6 @@ def _flat(grid: Any, above: str = "") -> Any:
 
 
 def _in_order(values: Any) -> Any:
-    if isinstance(values, Set):
-        raise ValueError("should be a list: a set has no order")
     if isinstance(values, str) and ":" in values:
         return range_of(values) or values
     return values
