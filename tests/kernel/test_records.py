@@ -104,13 +104,15 @@ def test_the_comparison_detects_exceptions_that_are_overlooked(broken, monkeypat
     assert any(differs(seed, relays=False) for seed in range(HISTORIES))
 
 
-def test_a_late_record_that_is_inserted_does_not_replace_a_newer_one():
+@pytest.mark.parametrize("way", ["insert", "receive"])
+def test_a_late_record_that_is_stored_does_not_replace_a_newer_one(way):
     """Also if both arrive between two readings."""
-    clock = SimpleNamespace(now=0)
-    for when in (None, 1):
+    for reads in (False, True):
+        clock = SimpleNamespace(now=0)
         records = Records(clock, 2, None)
         for seq in (2, 1):
-            records.insert([1], Record(0, seq, 0, seq))
+            record = Record(0, seq, 0, seq)
+            records.insert([1], record) if way == "insert" else records.receive([1], [clock.now], [record])
             clock.now += 1
-            assert when is None or records.latest_records(1)[0][1].seq == 2
+            assert not reads or records.latest_records(1)[0][1].seq == 2
         assert records.latest_records(1)[0][1].seq == 2
