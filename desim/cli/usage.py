@@ -68,7 +68,7 @@ def advised(error: click.UsageError) -> click.UsageError:
     """Return an error whose message says what to type instead; the error itself if that is not known."""
     if isinstance(error, click.NoSuchOption):
         return _about_option(error)
-    if isinstance(error, click.BadParameter) and error.param is not None:
+    if type(error) is click.BadParameter and error.param is not None:
         message = _about_value(error.message, error.param)
         return click.BadParameter(message, error.ctx, error.param, error.param_hint)
     return error

@@ -44,6 +44,7 @@ RULES = '''\
 """A rule of one's own, which takes its time and goes wrong with some seeds."""
 
 import time
+from threading import Event
 
 from my_trouble import trouble
 from protocols.rule import Rule
@@ -59,7 +60,7 @@ class Coin(Rule):
     def actions(self, me):
         """Pause and go wrong at the first turn of the first pursuer, s of wall time."""
         if me.id == 0:
-            time.sleep(self.pause)
+            Event().wait(self.pause)  # a rule that calls time.sleep is warned of
             if me.rng.bit_generator.seed_seq.entropy in self.bad:
                 trouble(self.how)
         while True:

@@ -66,7 +66,7 @@ def test_a_control_has_the_bounds_unit_help_and_kinds_of_its_key():
     assert {"sap", "cbba", "local_min"} <= set(found["protocol"].options)
     assert (found["motion.static"].form, found["motion.static"].value) == ("flag", "false")
     assert (found["capture.test"].form, found["capture.test"].options) == ("choice", ("segment", "sample"))
-    assert found["announce.belief_timeout"].options == ("auto",)
+    assert found["announce.belief_timeout"].options == ("auto", "affordable")
     assert found["prune"].value == '"inf"'
     assert found["fault"].value == "[]"
     assert found["team.box"].value == "[0.0, 20.0]"

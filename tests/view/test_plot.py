@@ -237,7 +237,7 @@ def test_a_sweep_that_cannot_be_drawn_is_reported(swept, words, says):
 
 
 def test_the_command_that_drew_names_the_one_that_plots():
-    assert "No such command 'draw'. Did you mean 'plot'?" in refused("draw", "film", "x")
+    assert "No such command 'draw'. Did you mean 'desim plot'?" in refused("draw", "film", "x")
 
 
 # Axes of a figure of several.
