@@ -64,27 +64,19 @@ def bases() -> dict[str, Scenario]:
 
 def table(broken: Sequence[Broken], cases: int) -> str:
     """Return the results as text."""
-    rows: list[tuple[str, ...]] = [("protocol", "cases", "idle (s)", "seed", "others", "smallest scenario")]
+    rows: list[tuple[str, ...]] = [("protocol", "smallest scenario", "case", "seed", "idle (s)", "others")]
     for one in broken:
         violation = one.search.violation
         if violation is None:
-            rows.append((one.name, f"{one.search.runs}", "", "", "", f"none; least margin {one.search.closest:.2f} s"))
+            rows.append((one.name, f"none in {one.search.runs}; least margin {one.search.closest:.2f} s", *[""] * 4))
             continue
-        others = sum(not verdict.holds for verdict in one.protocols.values() if isinstance(verdict, Judgement))
+        others = sum(not verdict.holds for verdict in one.protocols.values() if isinstance(verdict, Judgement)) - 1
+        idle = f"{violation.verdict.measure:.1f}"
         rows.append(
-            (
-                one.name,
-                f"{violation.searched}",
-                f"{violation.verdict.measure:.1f}",
-                f"{violation.seed}",
-                f"{others - 1}",
-                case_text(violation.case),
-            )
+            (one.name, case_text(violation.case), f"{violation.searched}", f"{violation.seed}", idle, f"{others}")
         )
-    return (
-        f'"{PROPERTY}", at most {cases} cases each; others: protocols that violate it in the same scenario, too\n'
-        + aligned(rows, right_from=1).replace("  \n", "\n")
-    )
+    about = f'"{PROPERTY}", at most {cases} cases each; others: protocols that violate it in the same scenario, too'
+    return f"{about}\n{aligned(rows, right_from=2)}"
 
 
 def picture(broken: Sequence[Broken]) -> "Figure":
@@ -98,9 +90,11 @@ def picture(broken: Sequence[Broken]) -> "Figure":
     values = np.array([[_excess(one.protocols.get(kind)) for one in violated] for kind in rows])
     with plots.styled(figsize=(plots.COLUMN * 1.6, 0.6 + 0.2 * len(rows)), font=7.0) as figure:
         axes = figure.add_subplot()
-        shown = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=20.0, aspect="auto")
+        shown = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=8.0, aspect="auto")
         axes.set_yticks(range(len(rows)), rows)
-        axes.set_xticks(range(len(violated)), [one.name for one in violated], rotation=60, ha="right")
+        axes.set_xticks(
+            range(len(violated)), [one.name for one in violated], rotation=60, ha="right", rotation_mode="anchor"
+        )
         axes.set(xlabel="smallest scenario that breaks ...", ylabel="protocol in it")
         axes.tick_params(length=0)
         figure.colorbar(shown, ax=axes, label="idle beyond centralised (s)")

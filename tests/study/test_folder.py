@@ -83,9 +83,7 @@ def test_a_folder_without_one_result_is_described(tmp_path, make, says):
 
 def test_a_file_that_is_no_result_is_refused(tmp_path):
     (tmp_path / "f.toml").touch()
-    with pytest.raises(
-        ValueError, match=r"f\.toml: is not a result.*desim sweep .*and load\(.*reads it"
-    ):
+    with pytest.raises(ValueError, match=r"f\.toml: is not a result.*desim sweep .*and load\(.*reads it"):
         desim.open(tmp_path / "f.toml")
     with pytest.raises(OSError, match="absent"):
         desim.open(tmp_path / "absent")
