@@ -450,6 +450,18 @@ def test_the_default_belief_timeout_counts_the_rounds_of_a_tdma_if_they_are_long
     assert last_trusted(announce, network=slow) == pytest.approx(3 * 0.3 + 2 * (0.25 + 0.04), abs=0.0011)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("horizon", "until"),
+    [(10.0, 1.1), (7.2, 0.7), (6.0, 1.1)],
+    ids=["time enough", "just enough after a heartbeat", "too late"],
+)
+def test_a_pursuer_waits_no_longer_than_it_can_afford(horizon, until):
+    """It needs 4.9 s to capture; auto is 3 T + 2 L = 1.1 s, and one heartbeat and a round trip take 0.7 s."""
+    announce = {"trigger": "heartbeat", "heartbeat": 0.2, "belief_timeout": "affordable"}
+    assert last_trusted(announce, horizon=horizon) == pytest.approx(until, abs=0.0011)
+
+
 @pytest.mark.parametrize(("announce", "memory"), [({"belief_timeout": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])
 def test_a_record_counts_up_to_the_belief_timeout_and_not_a_nanosecond_longer(announce, memory):
     """It was announced at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
