@@ -35,6 +35,7 @@ def test_a_violation_is_a_scenario_that_shows_it(folder):
     assert {path.name for path in found.iterdir()} >= {"break.json", "break.txt", "cases.jsonl", "smallest.html"}
     text = (found / "smallest.toml").read_text()
     assert text.startswith('# cbaa violates "idle at most 2 in total against centralised" here: margin -')
+    assert '"covered: idle at most 2 in total against centralised",' in text  # the text, as a person writes it
     smallest = load(found / "smallest.toml")
     verdict = judge(smallest.properties[0], run(smallest))
     document = strict_json((found / "break.json").read_text())["violation"]

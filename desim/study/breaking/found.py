@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import tomli_w
@@ -39,7 +38,9 @@ def with_comment(scenario: Scenario, prop: Property, seed: int, lines: Iterable[
     """Return a scenario with a property and a seed as the text of a file that begins with a comment."""
     margin = f"margin:{prop.label}"
     plain = scenario.with_({"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]})
-    return "".join(f"# {line}\n" for line in lines) + "\n" + brief(plain, properties=[prop.text])
+    stated = f"{prop.name}: {prop.text}" if prop.name else prop.text
+    comment = "".join(f"# {' '.join(line.splitlines())}\n" for line in lines)
+    return f"{comment}\n{brief(plain, properties=[stated])}"
 
 
 def _flat(changes: Mapping[str, Any]) -> str:
@@ -98,8 +99,3 @@ def search_text(search: Search, prop: Property) -> str:
     lines += [f"  {search.seen[sentence]:>5}  {sentence}" for sentence in SIGHTINGS]
     lines += [f"  {count:>5}  with {name}" for name, count in sorted(search.featured.items())]
     return "\n".join([*lines, *(f"warning: {text}" for text in search.warnings(prop))])
-
-
-def kept(folder: Path) -> list[Path]:
-    """Return the scenario files of a folder of found cases, sorted by name."""
-    return sorted(folder.glob("*.toml"))
