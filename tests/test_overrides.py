@@ -76,6 +76,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "LatencyTrace": {"table": TABLE},
     "LossTrace": {"table": TABLE},
     "SignalTrace": {"table": TABLE},
+    "MessageFault": {"messages": (1,)},
     "Netem": {"correlation": 0.5},
     "Bitrate": {"bitrate": 1e5},
     "VoronoiVertex": {"arena": (0.0, 20.0)},
@@ -675,8 +676,10 @@ ELSEWHERE = {
     **dict.fromkeys(
         (f"{kind}.without_serial_decisions" for kind in ("SharedSeed", "_WithToken", "LocalMutex")), "explain"
     ),
-    **dict.fromkeys(("Crash.sketch", "Partition.sketch", "Jamming.sketch", "Window.sketch"), "drawings"),
-    **dict.fromkeys(("Crash.label", "Window.label"), "drawings"),
+    **dict.fromkeys(
+        ("Crash.sketch", "Partition.sketch", "Jamming.sketch", "MessageFault.sketch", "Window.sketch"), "drawings"
+    ),
+    **dict.fromkeys(("Crash.label", "Window.label", "MessageFault.label", "NewsFault.label"), "drawings"),
     **dict.fromkeys((f"{kind}.drops" for kind in ("ByzantineFault", "Selective")), "forwarding"),
     **dict.fromkeys((f"{kind}.accuses" for kind in ("ByzantineFault", "Slander")), "trust of accusations"),
 }

@@ -98,7 +98,7 @@ def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about a flow without an effect, and about a guidance that does not allow for it."""
     environment = scenario.environment
     measured: Sequence[Any] = getattr(environment.flow, "velocities", ())
-    if isinstance(environment.flow, RecordedFlow) and len(measured) > 1 and measured[1][0] > SLOW * scenario.horizon:
+    if inherits(environment.flow, RecordedFlow) and len(measured) > 1 and measured[1][0] > SLOW * scenario.horizon:
         yield "environment.flow.velocities", only_first("measurement", measured[1][0], scenario.horizon)
     if environment.is_still and environment.on != "all":
         yield "environment.on", "it has no effect without a flow"

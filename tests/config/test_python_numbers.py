@@ -48,6 +48,7 @@ FLOATS = (np.float16, np.float32, np.float64, np.longdouble)
 ALONE_WRONG = {
     *(
         "bias",
+        "chaser",
         "dimensions",
         "duty_cycle",
         "frequencies",

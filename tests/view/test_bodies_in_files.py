@@ -29,6 +29,10 @@ WAYS = {
 }
 
 
+pytestmark = pytest.mark.filterwarnings("ignore::desim.config.shared_state.StateWarning")
+"""Some bodies keep what they have computed once, so that the collection of all is another one after the first run."""
+
+
 def sending(me):
     """Send each body in each way."""
     if me.id == 0:

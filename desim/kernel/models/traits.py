@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
-from typing import Annotated, Any
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,10 +136,13 @@ class InterferenceTraits(Traits):
 
 
 class ReceptionTraits(Traits):
-    """The optional method of a reception model, in addition to `__call__`."""
+    """The optional methods of a reception model, in addition to `__call__`."""
 
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"one": ("__call__",)})
     bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
+    one: Annotated[Callable[[float, float], float] | None, Follows("__call__")] = None
+    """`one(distance, range)` returns the probability at one distance, m, faster than `__call__`; None: `__call__`."""
 
 
 class FaultTraits(Traits):

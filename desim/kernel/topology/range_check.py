@@ -8,10 +8,12 @@ import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Bools, Floats, Integers
+from desim.config.python_numbers import real
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
-from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk, ReceptionModel, bound
+from desim.kernel.models.reception import Disk, ReceptionModel, bound
+from desim.kernel.models.traits import ReceptionTraits
 
 
 class RangeCheck:
@@ -33,6 +35,7 @@ class RangeCheck:
         self._reception, self._range, self._per_link = reception or Disk(), range, per_link
         self._seed, self._size = seed, size
         self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
+        self._one = ReceptionTraits.of(self._reception).one
         self._drawn: dict[int, Floats] = {}
         """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
 
@@ -69,8 +72,8 @@ class RangeCheck:
 
     def _probability(self, apart: float) -> float:
         """Return the probability of reception at a distance, m."""
-        if isinstance(self._reception, QuasiUnitDisk | LogDistance) and self._is_ours:
-            return self._reception.one(apart, self._range)
+        if self._one is not None:
+            return real(self._one(apart, self._range), "a probability of reception")
         probability = self._reception(np.array([apart]), self._range)
         if not self._is_ours:
             probability = np.broadcast_to(_probabilities(probability, 1, self._reception), 1)

@@ -20,6 +20,7 @@ from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.traits import kind_of
 from desim.kernel.models.faults import MessageFault
+from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
@@ -160,7 +161,7 @@ def hides_old_news(scenario: Scenario, prop: Property) -> bool:
         and announce.dissemination == plain.dissemination
         and announce.trust == plain.trust
         and scenario.network.order == "overtaking"
-        and not any(getattr(evader.strategy, "listens", False) for evader in scenario.evaders)
+        and not any(StrategyTraits.of(evader.strategy).listens for evader in scenario.evaders)
         and not about_messages
     )
 
