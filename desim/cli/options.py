@@ -352,11 +352,11 @@ def working(jobs: int, cluster: str | None, store: "Store", runs: int) -> Iterat
     from desim.study.workers.workers import workers_for
 
     try:
-        made = workers_for(jobs if cluster is None else cluster, runs)
-    except ValueError:
-        fail(f"{cluster}: no scheduler answers: an address is for instance tcp://192.168.0.5:8786")
-    try:
-        with made as workers:
+        try:
+            connected = workers_for(jobs if cluster is None else cluster, runs)
+        except ValueError:
+            fail(f"{cluster}: no scheduler answers: an address is for instance tcp://192.168.0.5:8786")
+        with connected as workers:
             yield workers
     except KeyboardInterrupt as error:
         error.add_note(f"{len(store)} runs are in {store.path}; the same command resumes")

@@ -332,8 +332,8 @@ class MessageFault(Fault):
         def delays(_src: int, receivers: Sequence[int], _body: Any) -> Mapping[int, float]:
             nonlocal first
             numbers, first = range(first, first + len(receivers)), first + len(receivers)
-            meant = {number for number in self.messages if number in numbers}
-            return {node: self.delay for node, number in zip(receivers, numbers, strict=True) if number in meant}
+            numbered = zip(receivers, numbers, strict=True)
+            return {node: self.delay for node, number in numbered if number in self.messages}
 
         return site.intercept(delays)
 

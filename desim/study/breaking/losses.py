@@ -10,7 +10,6 @@ of S, and S is tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
@@ -26,8 +25,7 @@ from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
 from desim.study.breaking.copies import MessageCopy, copies, looks, read_in_time
-from desim.study.breaking.search import GENERATION, checked_property
-from desim.study.workers.dispatch import drive
+from desim.study.breaking.search import GENERATION, checked_property, in_order
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
 
@@ -224,13 +222,7 @@ def _told(
         BaseException: what a run raised.
     """
     tasks = [(_losing(scenario, numbers, delay), seed) for numbers in choices]
-    told: dict[int, _Told] = {}
-    with closing(drive(tasks, workers, partial(_tell, prop, prune))) as outcomes:
-        for place, outcome in outcomes:
-            if outcome.status != "ok":
-                raise outcome.error or RuntimeError(outcome.traceback)
-            told[place] = outcome.value
-    return [told[place] for place in range(len(tasks))]
+    return in_order(tasks, workers, partial(_tell, prop, prune))
 
 
 def _losing(scenario: Scenario, numbers: tuple[int, ...], delay: float) -> Scenario:

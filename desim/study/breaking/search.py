@@ -19,7 +19,7 @@ from desim.study.breaking.case_log import CaseLog
 from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed_or_none, drawn, of_grid
 from desim.study.breaking.shrinking import SHRINKING, Tried, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
-from desim.study.workers.dispatch import drive
+from desim.study.workers.dispatch import Measurement, Task, drive
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
 
@@ -248,15 +248,26 @@ def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: Ca
                 told[k] = CaseRun(*entry)
     missing = [k for k in range(len(cases)) if k not in told]
     tasks = [(recording(cases[k].scenario, [prop]).with_({"record.messages": True}), cases[k].seed) for k in missing]
-    with closing(drive(tasks, workers, partial(_sighted, prop))) as outcomes:
-        for place, outcome in outcomes:
-            if outcome.status != "ok":
-                raise outcome.error or RuntimeError(outcome.traceback)
-            told[missing[place]] = outcome.value
+    told |= dict(zip(missing, in_order(tasks, workers, partial(_sighted, prop)), strict=True))
     if log is not None:
         for k in missing:
             log.add(cases[k].case, cases[k].seed, *told[k])
     return [told[k] for k in range(len(cases))]
+
+
+def in_order(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Any]:
+    """Return the measurement of each run, in the order of the tasks.
+
+    Raises:
+        BaseException: what a run raised.
+    """
+    values: list[Any] = [None] * len(tasks)
+    with closing(drive(tasks, workers, measure)) as outcomes:
+        for place, outcome in outcomes:
+            if outcome.status != "ok":
+                raise outcome.error or RuntimeError(outcome.traceback)
+            values[place] = outcome.value
+    return values
 
 
 def _smallest(scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int) -> Violation:

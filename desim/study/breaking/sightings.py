@@ -4,6 +4,7 @@ The idea is that of "sometimes" assertions, which tell whether a test has reache
 """
 
 from collections.abc import Callable, Mapping
+from math import inf
 from types import MappingProxyType
 
 from desim.analysis.activity import handovers, idle_time, relays
@@ -20,7 +21,7 @@ def _faults(result: Result) -> list[tuple[int, float, object]]:
     """Return the begin and the end of each fault, ns, and the fault."""
     ends = [(event.t, event.fault) for event in result.trace.of(FaultEnded)]
     return [
-        (event.t, next((t for t, fault in ends if fault == event.fault and t >= event.t), float("inf")), event.fault)
+        (event.t, next((t for t, fault in ends if fault == event.fault and t >= event.t), inf), event.fault)
         for event in result.trace.of(FaultStarted)
     ]
 
