@@ -17,10 +17,13 @@ Prediction: if a round trip lasts m periods, the reports do not yet show the eff
     lost time is added to its capture time phi. With constant latency and no loss the server acts as an omniscient
     planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at the instants of
     the reports.
-Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
-    each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
-    extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
+Assumes: links in both directions between the host and every other pursuer, and without `takeover` no crashes. While the
+    host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders, too,
+    and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
     differences between the clocks cause errors of the predicted positions.
+Takeover: with `takeover`, a pursuer that has had no order for 3 periods and a round trip reports to the next pursuer by
+    id, and the one whose turn it is becomes the server. All obey the first server in turn, counted from the host, that is
+    not silent, and a server follows another one before it; so the host is the server again as soon as it is up. Each side of a partition has a server of its own.
 Messages: a first report of each pursuer but the host; per period, N - 1 reports of 72 bytes and N - 1 orders of 24
     bytes plus 8 for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
@@ -30,15 +33,17 @@ Robust to loss: yes. Reports and orders are repeated every period, and an order 
     arrive for 3 periods and a round trip, the server decides without them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from math import inf
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import simpy
 from pydantic import Field
 
 from desim.config.model import Period, Value
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.state.inbox import Message
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded
 from desim.pursuit.team.beliefs import Orders
@@ -65,7 +70,6 @@ class TeamOrder(NamedTuple):
 class Server(Value):
     """A server on one pursuer receives the states of all pursuers and assigns at most one of them to each evader."""
 
-    assumes: ClassVar[tuple[str, ...]] = ("host_in_range", "no_crashes")
     announces: ClassVar[bool] = False
     """Reports take the place of announcements."""
     reckons: ClassVar[bool] = True
@@ -80,31 +84,54 @@ class Server(Value):
 
     If in doubt, use 0.1 for speeds of about 1 m/s.
     """
+    takeover: bool = False
+    """Whether another pursuer becomes the server when no order has come for 3 periods and a round trip.
+
+    If in doubt, use true where pursuers may crash.
+    """
+
+    @property
+    def assumes(self) -> tuple[str, ...]:
+        """The assumptions that a scenario may violate."""
+        return ("host_in_range",) if self.takeover else ("host_in_range", "no_crashes")
 
     def __call__(self, me: Agent) -> Process:
         """Run the server on the host; report and obey on the other pursuers."""
-        yield from self._lead(me) if me.id == self.host else self._follow(me)
+        server = self.host
+        while True:
+            server = yield from self._lead(me) if me.id == server else self._follow(me, server)
 
-    def _follow(self, me: Agent) -> Process:
-        """Report at every tick, and obey the newest order received."""
+    def _follow(self, me: Agent, server: int) -> Generator[simpy.Event, Any, int]:
+        """Report at every tick, obey the newest order received, and return when its turn as the server has come."""
         newest = -1
+        last_order = me.now
+        timeout = self._timeout(me)
         for tick in self._ticks(me):
             alarm = me.at(tick)
             while not alarm.processed:
                 yield me.arrival(PORT) | alarm
-                for message in me.mail(PORT):
-                    if message.body.number >= newest:
-                        newest = message.body.number
-                        apply_order(me, message.body)
-            me.send(self.host, Forwarded((me.record(me.located()),)), PORT)
+                for src, order in orders_among(me.mail(PORT)):
+                    if self._turn(me, src) < self._turn(me, server) or me.now > last_order + timeout:
+                        server, newest = src, -1
+                    if src == server and order.number >= newest:
+                        newest, last_order = order.number, me.now
+                        apply_order(me, order)
+            if self.takeover and me.now > last_order + timeout:
+                server, last_order = (server + 1) % me.team_size, me.now
+                if server == me.id:
+                    break
+            me.send(server, Forwarded((me.record(me.located()),)), PORT)
+        return server
 
-    def _lead(self, me: Agent) -> Process:
-        """Decide when reports have arrived, obey the decision, and send it to the others."""
+    def _lead(self, me: Agent) -> Generator[simpy.Event, Any, int]:
+        """Decide when reports have arrived, obey the decision, and send it to the others.
+
+        Return the pursuer to follow, if an order of one comes whose turn as the server is before its own.
+        """
         current = TeamOrder(-1, ())
         orders: dict[int, list[tuple[int, int]]] = {}
-        delay = me.latency + me.airtime(me.located())
-        report_period = max(self.period, me.interval(me.located()))
-        report_timeout = 3.0 * report_period + 2.0 * delay if me.team_size > 1 else 0.0
+        delay = self._delay(me)
+        report_timeout = self._timeout(me) if me.team_size > 1 else 0.0
         last_report = me.now
         for tick in self._ticks(me):
             alarm = me.at(tick)
@@ -113,7 +140,14 @@ class Server(Value):
                 yield me.arrival(PORT) | alarm
                 yield me.after_decisions()  # all reports of this instant have arrived
                 due = alarm.processed
-                reports = [record for message in me.mail(PORT) for record in message.body.records]
+                mail = me.mail(PORT)
+                for src, order in orders_among(mail):
+                    if self._turn(me, src) < self._turn(me, me.id):
+                        apply_order(me, order)
+                        return src
+                reports = [
+                    record for message in mail if isinstance(message.body, Forwarded) for record in message.body.records
+                ]
                 me.merge_records(reports)
                 for src, _, sent, _ in reports:
                     orders[src] = since(sent, orders.get(src, []))
@@ -133,6 +167,19 @@ class Server(Value):
                     for j, ordered in orders.items():
                         if not ordered or ordered[-1][1] != current.action(j):
                             ordered.append((nanoseconds(me.now + delay), current.action(j)))
+        return me.id
+
+    def _turn(self, me: Agent, pursuer: int) -> int:
+        """Return how many pursuers are to be the server before a pursuer is."""
+        return (pursuer - self.host) % me.team_size
+
+    def _delay(self, me: Agent) -> float:
+        """Return the nominal delay of an order from sending to effect, s."""
+        return me.latency + me.airtime(me.located())
+
+    def _timeout(self, me: Agent) -> float:
+        """Return the time, s, after which silence means that no more is to come: two reports in a row may be lost."""
+        return 3.0 * max(self.period, me.interval(me.located())) + 2.0 * self._delay(me)
 
     def _ticks(self, me: Agent) -> Iterator[float]:
         """Yield the times to report or to repeat the order, s: now, and then every period with a random phase."""
@@ -164,6 +211,11 @@ class Server(Value):
         rows = [[times.get(j, inf) for j in ids] for times in phi]
         chasers = {evader: ids[row] for row, evader in matching(rows, me.time_left()).items()}
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
+
+
+def orders_among(messages: Iterable[Message]) -> list[tuple[int, TeamOrder]]:
+    """Return the orders among the messages, as (sender, order)."""
+    return [(message.src, message.body) for message in messages if isinstance(message.body, TeamOrder)]
 
 
 def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:

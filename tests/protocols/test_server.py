@@ -484,3 +484,57 @@ def test_orders_go_to_the_best_of_the_pursuers_that_are_trusted_for_each_evader(
 def test_a_server_with_trust_and_several_evaders_decides_to_the_end(seed):
     given = {"team": Team(count=8), "evader": Evader(count=2), "announce": {"trust": "trimmed"}}
     assert orders(run(Scenario(protocol=Server(), horizon=4.0, record=Recording(messages=True), **given), seed))
+
+
+def static_with_crash(protocol, node, end, **given):
+    """Return a static game of six with a latency of .1 s, in which a pursuer is down from 1 s on."""
+    return static(protocol, latency=0.1, horizon=6.0, fault=[Crash(node=node, start=1.0, end=end)], **given)
+
+
+@pytest.mark.parametrize(("takeover", "chasers"), [(True, [1]), (False, [])])
+def test_the_next_pursuer_takes_over_from_a_host_that_is_down(takeover, chasers):
+    """Pursuer 0 is the host and the nearest. Without a server the others keep their orders: to stay."""
+    final = profile(run(static_with_crash(Server(takeover=takeover), 0, 9.0)))
+    assert [j for j, active in enumerate(final) if active] == chasers
+
+
+def test_a_takeover_lasts_three_periods_two_round_trips_and_a_tick_at_most():
+    """The last order left before 1 s; silence lasts 3 periods and a round trip, found at the next tick; the new server has
+    its first report a period and a latency later, and chases itself.
+    """
+    result = run(static_with_crash(Server(takeover=True), 0, 9.0))
+    (start,) = (t for t, j, active in changes(result) if j == 1 and active)
+    assert 1.0 + 0.3 < start / SECOND <= 1.0 + 0.1 + 0.3 + 0.2 + 0.1 + 0.1 + 0.1
+
+
+def test_a_host_that_is_up_again_is_the_server_again():
+    """Its first order, though older than those of pursuer 1, makes all obey it, and pursuer 1 as well."""
+    result = run(static_with_crash(Server(takeover=True), 0, 3.0))
+    assert profile(result) == (True, *[False] * 5)
+    servers = [(event.t, event.src) for event in result.trace.of(Sent) if isinstance(event.body, TeamOrder)]
+    assert {src for t, src in servers if 2 * SECOND < t < 3 * SECOND} == {1}
+    assert {src for t, src in servers if t > 3.3 * SECOND} == {0}
+
+
+def test_each_side_of_a_partition_has_a_server():
+    """Those cut off from the host find the next of their own side, whoever of it is down or on the other side."""
+    cut = Partition(groups=[[0, 1, 2], [3, 4, 5]], start=1.0, end=9.0)
+    result = run(static(Server(takeover=True), latency=0.1, horizon=6.0, fault=[cut]))
+    assert profile(result) == (True, False, False, True, False, False)
+
+
+@pytest.mark.slow
+def test_lost_orders_do_not_depose_the_host():
+    """A pursuer that lost three orders in a row may be the server until it hears the host: in a share of the time of about
+    .4^3, and nobody else obeys it.
+    """
+    result = run(static(Server(takeover=True), latency=0.02, loss=0.4, horizon=20.0))
+    orders = [event.src for event in result.trace.of(Sent) if isinstance(event.body, TeamOrder)]
+    assert {j for t, j, _ in changes(result) if t > SECOND} <= {1}
+    assert 0.85 * len(orders) < orders.count(0) < len(orders)
+
+
+def test_a_server_with_takeover_does_not_assume_that_nobody_crashes():
+    crash = [Crash(node=0, start=1.0, end=2.0)]
+    assert any("no crashes" in text or "crash" in text for _, text in violations(static(Server(), fault=crash)))
+    assert not list(violations(static(Server(takeover=True), fault=crash)))
