@@ -16,7 +16,7 @@ OURS = ("desim", "protocols", "scenarios", "tests")
 FLOORS = [
     {"desim.config"},
     {"desim.kernel.core"},
-    {"desim.kernel.measured", "desim.pursuit.core"},
+    {"desim.kernel.measured", "desim.kernel.walls", "desim.pursuit.core"},
     {"desim.kernel.graph_files", "desim.pursuit.game", "desim.pursuit.mobility", "desim.pursuit.motion"},
     {"desim.kernel.models"},
     {"desim.kernel.tc", "desim.kernel.topology", "desim.pursuit.evaders"},

@@ -33,6 +33,7 @@ from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
 from desim.kernel.models.graphs import names_of
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import airtime_of
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
 from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits
 from desim.pursuit.motion.dynamics import Dynamics, Simple
@@ -174,6 +175,8 @@ class Scenario(Value):
     capture: Capture = Capture()
     motion: Motion = Motion()
     environment: Environment = Environment()
+    wall: tuple[Wall, ...] = ()
+    """Walls, which block radio, sight and motion."""
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
     """Negotiation protocol of the pursuers; `desim protocols` lists the kinds."""
     announce: Announcements = Field(default_factory=Announcements)

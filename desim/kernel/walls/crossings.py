@@ -1,0 +1,219 @@
+"""Which straight lines cross walls: the geometry that radio, sight and motion share.
+
+Rays and walls are segments of the plane. A point that lies exactly on the line of a segment counts as left of it. So a
+ray through the common corner of two walls, one on each side, crosses exactly one of them, and no ray slips through
+where walls meet. A ray that only grazes a corner crosses both walls there, or none. Rays are ordered by their ends, so
+that a ray and its reverse cross the same walls.
+
+Players may touch walls. With a `margin`, only those walls are crossed that separate the ends of the ray by more than
+this distance, and that the ray separates likewise.
+"""
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Integers
+
+
+class Shape(NamedTuple):
+    """One line or polygon of a wall."""
+
+    corners: Floats
+    """(k, 2) m; a polygon does not repeat its first corner."""
+    closed: bool
+    """Whether it is a polygon, which is solid."""
+
+    @property
+    def edges(self) -> tuple[Floats, Floats]:
+        """The (s, 2) starts and the (s, 2) ends of its edges, m."""
+        if self.closed:
+            return self.corners, np.roll(self.corners, -1, axis=0)
+        return self.corners[:-1], self.corners[1:]
+
+
+class Segments(NamedTuple):
+    """The s edges of several shapes."""
+
+    starts: Floats
+    """(s, 2) m"""
+    ends: Floats
+    """(s, 2) m"""
+    owners: Integers
+    """(s,) for each edge, the index of its owner."""
+
+    def __bool__(self) -> bool:
+        """Return whether there are any."""
+        return len(self.owners) > 0
+
+
+def segments_of(shapes: Iterable[tuple[int, Shape]]) -> Segments:
+    """Return the edges of some shapes, each with the index of its owner."""
+    starts, ends, owners = [np.empty((0, 2))], [np.empty((0, 2))], list[int]()
+    for owner, shape in shapes:
+        begins, finishes = shape.edges
+        starts.append(begins)
+        ends.append(finishes)
+        owners += [owner] * len(begins)
+    return Segments(np.vstack(starts), np.vstack(ends), np.array(owners, dtype=np.intp))
+
+
+def crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 0.0) -> Bools:
+    """Return which of m rays cross which of s walls, (m, s).
+
+    Args:
+        starts: (m, 2) or (1, 2) one end of each ray, m.
+        ends: (m, 2) or (1, 2) the other ends, m.
+        segments: the walls.
+        margin: 0 for rays of radio and sight; for paths that may touch walls, the distance, m, up to which they do.
+    """
+    if not margin:
+        starts, ends = _ordered(starts, ends)
+    before, after, begin, end = _sides(starts, ends, segments)
+    if not margin:
+        crossed: Bools = ((before >= 0.0) != (after >= 0.0)) & ((begin >= 0.0) != (end >= 0.0))
+        return crossed
+    rays, walls = ends - starts, segments.ends - segments.starts
+    along_ray = margin * np.hypot(rays[:, 0], rays[:, 1])[:, np.newaxis]
+    along_wall = margin * np.hypot(walls[:, 0], walls[:, 1])
+    return _apart(before, after, along_ray) & _apart(begin, end, along_wall)
+
+
+def first_crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 0.0) -> tuple[Floats, Integers]:
+    """Return where each of m rays first crosses a wall: (m,) shares of the way, and (m,) indices of the segments.
+
+    The share is inf, and the index -1, where no wall is crossed. The arguments are those of `crossings`.
+    """
+    crossed = crossings(starts, ends, segments, margin)
+    if not crossed.any():
+        return np.full(len(crossed), np.inf), np.full(len(crossed), -1, dtype=np.intp)
+    _, _, begin, end = _sides(starts, ends, segments)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.where(crossed, begin / (begin - end), np.inf)
+    nearest = shares.argmin(axis=1)
+    first = shares[np.arange(len(shares)), nearest]
+    return first, np.where(np.isfinite(first), nearest, -1)
+
+
+def _ordered(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return the ends of each ray in the order of their coordinates, so that its direction does not matter."""
+    later = (starts[:, 0] > ends[:, 0]) | ((starts[:, 0] == ends[:, 0]) & (starts[:, 1] > ends[:, 1]))
+    if not later.any():
+        return starts, ends
+    swapped = later[:, np.newaxis]
+    return np.where(swapped, ends, starts), np.where(swapped, starts, ends)
+
+
+def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return on which side, positive on the left, the ends of walls lie of rays, and those of rays of walls, (m, s).
+
+    Each is the distance from the line times the length of the segment on it, m^2.
+    """
+    x, y = starts[:, 0, np.newaxis], starts[:, 1, np.newaxis]
+    dx, dy = ends[:, 0, np.newaxis] - x, ends[:, 1, np.newaxis] - y
+    (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
+    wx, wy = bx - ax, by - ay
+    begin = wx * (y - ay) - wy * (x - ax)
+    end = wx * (ends[:, 1, np.newaxis] - ay) - wy * (ends[:, 0, np.newaxis] - ax)
+    return dx * (ay - y) - dy * (ax - x), dx * (by - y) - dy * (bx - x), begin, end
+
+
+def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
+    """Return where two numbers have different signs, and both are larger than a bound."""
+    apart: Bools = (np.signbit(first) != np.signbit(second)) & (np.minimum(abs(first), abs(second)) > least)
+    return apart
+
+
+def inside(points: Floats, shapes: Sequence[Shape]) -> Bools:
+    """Return which of (m, 2) points, m, are inside the polygons of one wall, (m,): those in a hole are not.
+
+    The rings of the wall must not cross each other. A point on the boundary may count as inside or not.
+    """
+    segments = segments_of((0, shape) for shape in shapes if shape.closed)
+    (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
+    x, y = points[:, 0, np.newaxis], points[:, 1, np.newaxis]
+    spans = (ay > y) != (by > y)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        right = x < ax + (y - ay) * (bx - ax) / (by - ay)
+    odd: Bools = np.count_nonzero(spans & right, axis=1) % 2 == 1
+    return odd
+
+
+def gaps(points: Floats, segments: Segments) -> Floats:
+    """Return the distances of (m, 2) points from the nearest of the walls, (m,) m; inf if there are none."""
+    if not segments:
+        return np.full(len(points), np.inf)
+    walls = segments.ends - segments.starts
+    offsets = points[:, np.newaxis] - segments.starts
+    lengths = np.add.reduce(walls * walls, axis=1)
+    shares = np.clip(np.add.reduce(offsets * walls, axis=2) / lengths, 0.0, 1.0)
+    away = offsets - shares[..., np.newaxis] * walls
+    nearest: Floats = np.hypot(away[..., 0], away[..., 1]).min(axis=1)
+    return nearest
+
+
+class Contact(NamedTuple):
+    """Two edges of polygons that touch."""
+
+    first: int
+    """The index of the polygon of the one."""
+    second: int
+    """The index of the polygon of the other."""
+    ends: list[list[float]]
+    """The start and the end of the one, and those of the other, [x, y] m."""
+
+
+ROWS = 256
+"""Number of edges that are compared with all others at once."""
+
+
+def first_contact(shapes: Iterable[tuple[int, Shape]]) -> Contact | None:
+    """Return two edges of polygons, each with an index, that touch or cross; None if there are none.
+
+    Edges that follow each other in a polygon touch only if the second goes back on the first.
+    """
+    edges = segments_of(shapes)
+    starts, ends, owners = edges
+    follows = np.zeros(len(owners), dtype=np.intp)
+    for owner in np.unique(owners):
+        ring = np.flatnonzero(owners == owner)
+        follows[ring] = np.roll(ring, -1)
+    for begin in range(0, len(owners), ROWS):
+        rows = slice(begin, begin + ROWS)
+        touched = _touching(Segments(starts[rows], ends[rows], owners[rows]), edges)
+        at = np.arange(begin, begin + len(touched))[:, np.newaxis]
+        touched &= (
+            (follows[rows, np.newaxis] != np.arange(len(owners))) & (follows != at) & (at < np.arange(len(owners)))
+        )
+        pairs = np.argwhere(touched)
+        if len(pairs):
+            return _contact(edges, begin + int(pairs[0, 0]), int(pairs[0, 1]))
+    before, after = ends - starts, (ends - starts)[follows]
+    folds = (before[:, 0] * after[:, 1] == before[:, 1] * after[:, 0]) & (np.add.reduce(before * after, axis=1) < 0.0)
+    back = np.flatnonzero(folds)
+    return _contact(edges, int(back[0]), int(follows[back[0]])) if len(back) else None
+
+
+def _contact(edges: Segments, first: int, second: int) -> Contact:
+    ends = [end[k].tolist() for k in (first, second) for end in (edges.starts, edges.ends)]
+    return Contact(int(edges.owners[first]), int(edges.owners[second]), ends)
+
+
+def _touching(first: Segments, second: Segments) -> Bools:
+    """Return which of k edges touch or cross which of s others, (k, s)."""
+    before, after, begin, end = _sides(first.starts, first.ends, second)
+    separated = (before * after > 0.0) | (begin * end > 0.0)
+    low, high = np.minimum(first.starts, first.ends), np.maximum(first.starts, first.ends)
+    lower, upper = np.minimum(second.starts, second.ends), np.maximum(second.starts, second.ends)
+    # The boxes decide where both edges are on one line.
+    near = ((low[:, np.newaxis] <= upper) & (lower <= high[:, np.newaxis])).all(axis=2)
+    touched: Bools = near & ~separated
+    return touched
+
+
+def repeated_corner(corners: Sequence[tuple[float, float]], *, closed: bool) -> int | None:
+    """Return the index of a corner that equals the one before it; None if there is none."""
+    ring = [*corners, corners[0]] if closed else corners
+    return next((k for k, (before, after) in enumerate(pairwise(ring), 1) if before == after), None)

@@ -1,0 +1,159 @@
+"""The walls of a scenario: `[[wall]]`, what each blocks, and the segments that block radio, sight or motion."""
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from math import inf
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, ValidationInfo, model_validator
+
+from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, NotEmpty, Positive, Value
+from desim.config.trust import resolve_path
+from desim.kernel.walls.crossings import Segments, Shape, first_contact, repeated_corner, segments_of
+from desim.kernel.walls.materials import Material, slab_loss
+from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, wkt_outlines
+
+Corner = tuple[Coordinate, Coordinate]
+"""The position [x, y] of a corner, m."""
+What = Literal["radio", "sight", "motion"]
+"""What a wall may block."""
+FORMS = ("line", "polygon", "wkt", "svg", "file")
+"""The keys one of which describes the shapes of a wall."""
+
+
+def _each_once(blocks: tuple[What, ...]) -> tuple[What, ...]:
+    if len(set(blocks)) < len(blocks):
+        raise ValueError("should have each name once")
+    return blocks
+
+
+class Wall(Value):
+    """A wall: lines or solid polygons that block radio, sight or motion.
+
+    Exactly one of `line`, `polygon`, `wkt`, `svg` and `file` describes its shapes.
+    """
+
+    line: Annotated[tuple[Corner, ...], FirstError()] | None = None
+    """Corners [x, y] of a line, m; a line has no thickness, and both of its sides can be reached."""
+    polygon: Annotated[tuple[Corner, ...], FirstError()] | None = None
+    """Corners [x, y] of a polygon, m; its inside is solid. The last corner is joined to the first."""
+    wkt: str | None = None
+    """Shapes as WKT: LINESTRING, POLYGON, MULTILINESTRING, MULTIPOLYGON or GEOMETRYCOLLECTION."""
+    svg: str | None = None
+    """Shapes as the data of an SVG path, with the commands M, L, H, V and Z; a closed part is a polygon. The y axis of
+    SVG points down, so y changes its sign."""
+    file: str | None = None
+    """Path of a file, relative to the scenario file: WKT, SVG with elements `path`, or corners x y in lines, with empty
+    lines between shapes. The file is read once, when the wall is created."""
+    scale: Length = 1.0
+    """Factor by which all coordinates are multiplied, to have them in m."""
+    offset: Corner = (0.0, 0.0)
+    """Displacement [x, y] that is added after scaling, m."""
+    blocks: Annotated[tuple[What, ...], NotEmpty(), AfterValidator(_each_once)] = ("radio", "sight", "motion")
+    """What the wall blocks: radio, sight of evaders and of pursuers, motion."""
+    loss: Limit = inf
+    """Loss of radio at each crossing of a line or of an edge of a polygon, dB; inf: nothing is received through it. The
+    straight line from sender to receiver is counted. A solid polygon is entered and left, so it counts twice."""
+    material: Material | None = None
+    """Instead of a loss: a material of ITU-R P.2040-3, of which the wall is a slab of some thickness."""
+    thickness: Length = 0.1
+    """Thickness of the slab, m; only with a material. Its shape remains that of the line."""
+    frequency: Positive = 2.4e9
+    """Frequency of the radio, Hz; only with a material.
+
+    If in doubt, 2.4e9 for Wi-Fi, 868e6 or 915e6 for LoRa.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        """Replace a file by the text in it."""
+        if not isinstance(data, dict):
+            return data
+        forms = [key for key in FORMS if data.get(key) is not None]
+        if len(forms) != 1:
+            has = f" (has {' and '.join(forms)})" if forms else ""
+            raise ValueError(f"should have exactly one of {', '.join(FORMS)}{has}")
+        if data.get("material") is not None and data.get("loss", inf) not in {inf, "Infinity"}:
+            raise ValueError("should have a loss or a material, not both")
+        if forms != ["file"]:
+            return data
+        key, text = file_text(resolve_path(data["file"], info))
+        return {name: value for name, value in data.items() if name != "file"} | {key: text}
+
+    @model_validator(mode="after")
+    def _is_valid(self) -> Self:
+        for k, outline in enumerate(self._outlines):
+            _check(outline, f"shape {k}: " if len(self._outlines) > 1 else "")
+        self._check_rings()
+        if self.material is not None:
+            slab_loss(self.material, self.thickness, self.frequency)
+        return self
+
+    @property
+    def unused_fields(self) -> dict[str, str]:
+        """The fields of a slab without a material, and all fields of radio if the wall does not block it."""
+        if "radio" not in self.blocks:
+            return dict.fromkeys(("loss", "material", "thickness", "frequency"), f"blocks {list(self.blocks)}")
+        return dict.fromkeys(("thickness", "frequency"), "no material") if self.material is None else {}
+
+    @cached_property
+    def _outlines(self) -> list[Outline]:
+        """The shapes as they are written."""
+        if self.line is not None:
+            return [Outline(self.line, closed=False)]
+        if self.polygon is not None:
+            return [Outline(self.polygon, closed=True)]
+        return wkt_outlines(self.wkt) if self.wkt is not None else svg_outlines(self.svg or "")
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes, in m; a hole of a polygon is a polygon of its own."""
+        offset = np.array(self.offset)
+        return tuple(Shape(np.array(corners) * self.scale + offset, closed) for corners, closed in self._outlines)
+
+    @cached_property
+    def decibels(self) -> float:
+        """The loss of radio at each crossing, dB; 0 if the wall does not block radio."""
+        if "radio" not in self.blocks:
+            return 0.0
+        return self.loss if self.material is None else slab_loss(self.material, self.thickness, self.frequency)
+
+    def _check_rings(self) -> None:
+        """Raise ValueError if a polygon touches itself, or another one of this wall."""
+        contact = first_contact((k, shape) for k, shape in enumerate(self.shapes) if shape.closed)
+        if contact is None:
+            return
+        a, b, c, d = (f"[{x:g}, {y:g}]" for x, y in contact.ends)
+        where = f"the edge from {a} to {b} meets that from {c} to {d}"
+        if contact.first != contact.second:
+            which = f"polygons {contact.first} and {contact.second} touch each other"
+            raise ValueError(f"{which}: {where}; give each a wall of its own")
+        raise ValueError(f"a polygon should not cross or touch itself: {where}")
+
+
+def _check(outline: Outline, which: str) -> None:
+    """Raise ValueError if an outline has too few corners, or equal ones."""
+    corners, closed = outline
+    form, least = ("polygon", 3) if closed else ("line", 2)
+    if len(corners) < least:
+        raise ValueError(f"{which}a {form} should have at least {least} corners (has {len(corners)})")
+    for x, y in corners:
+        if not max(abs(x), abs(y)) <= MAX_COORDINATE:
+            raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
+    if (k := repeated_corner(corners, closed=closed)) is not None:
+        x, y = corners[k % len(corners)]
+        first = " (a polygon does not repeat its first corner)" if k == len(corners) else ""
+        raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice{first}")
+
+
+def blocking(walls: Sequence[Wall], what: What) -> Segments:
+    """Return the edges of the walls that block something; their owners are the indices of the walls."""
+    return segments_of(_shapes(walls, what))
+
+
+def _shapes(walls: Sequence[Wall], what: What) -> Iterable[tuple[int, Shape]]:
+    for index, wall in enumerate(walls):
+        if what in wall.blocks:
+            yield from ((index, shape) for shape in wall.shapes)
