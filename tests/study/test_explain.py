@@ -37,7 +37,7 @@ from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read_source, validate
 from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
-from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, Cost, Saving
+from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.results.figures import draw_waterfall, waterfall
 from desim.study.store.file import StoreError
@@ -231,8 +231,12 @@ TWO = LATE.model_copy(update={"network": Links(latency=Constant(value=0.4), loss
 
 
 def explanation_of(**times):
-    """Return the cost of two imperfections whose active times, s, are given by variant: a list, run by run."""
-    named = {AS_IT_IS: "as_it_is", IDEAL: "ideal"}
+    """Return the cost of two imperfections whose active times, s, are given by variant: a list, run by run.
+
+    The imperfections are those of the network, so that a perfect network is the ideal one.
+    """
+    named = {AS_IT_IS: "as_it_is", IDEAL: "ideal", PERFECT: "ideal", SILENT: "silent"}
+    times = {"silent": times["as_it_is"]} | times
     variants = Variants.of(TWO, len(times["ideal"]))
     with Store() as store, workers_for(1) as workers:
         variants.plan.register(store)
@@ -260,7 +264,9 @@ def test_additive_costs_do_not_interact():
 
 def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
     """One saves 1 s, the other costs 2 s, both together save 5 s, in every run; of 10 and 12 s, 5 and 7 s are left."""
-    found = explanation_of(as_it_is=[10.0, 12.0], latency=[9.0, 11.0], loss=[12.0, 14.0], ideal=[5.0, 7.0])
+    found = explanation_of(
+        as_it_is=[10.0, 12.0], latency=[9.0, 11.0], loss=[12.0, 14.0], ideal=[5.0, 7.0], silent=[20.0, 21.0]
+    )
     cost = found.costs["active_time"]
     assert cost.interaction == Saving(Estimate(6.0, 0.0, 2), 2)
     assert cost.interacts
@@ -271,20 +277,58 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
     assert means == {"as_it_is": 11.0, "ideal": 6.0, "together": 5.0, "interaction": 6.0}
     assert found.table() == (
         "small: the cost of each imperfection, 2 runs of equal seeds; +- is half a 95 % t interval\n"
-        "                       sum of active times, s   capture time, or horizon, s\n"
-        "as it is                     11.000 +- 12.706  0.100 in all, others < 65.8%\n"
-        "  latency       +1.000 in all, others < 65.8%                0 in every run\n"
-        "  loss          -2.000 in all, others < 65.8%                0 in every run\n"
-        "  interaction   +6.000 in all, others < 65.8%                0 in every run\n"
-        "  all together  +5.000 in all, others < 65.8%                0 in every run\n"
-        "ideal                         6.000 +- 12.706  0.100 in all, others < 65.8%\n"
+        "                           sum of active times, s   capture time, or horizon, s\n"
+        "as it is                         11.000 +- 12.706  0.100 in all, others < 65.8%\n"
+        "  latency           +1.000 in all, others < 65.8%                0 in every run\n"
+        "  loss              -2.000 in all, others < 65.8%                0 in every run\n"
+        "  interaction       +6.000 in all, others < 65.8%                0 in every run\n"
+        "  all together      +5.000 in all, others < 65.8%                0 in every run\n"
+        "ideal                             6.000 +- 12.706  0.100 in all, others < 65.8%\n"
+        "perfect network                   6.000 +- 12.706  0.100 in all, others < 65.8%\n"
+        "no messages at all                20.500 +- 6.353  0.100 in all, others < 65.8%\n"
+        "  difference                     +14.500 +- 6.353                0 in every run\n"
         "+ is worse: active time, end time\n"
         "absent: contention, duplicates, transport, range limit, faults, lies, serial decisions, unknown start,"
         " stale knowledge, limited sight, noise, inertia, flow\n"
+        "the network cannot matter in end time: a perfect network and no messages at all are equal in every run; up to"
+        " 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)\n"
         "the effects interact, beyond the 99.5 % interval (99 % over 2 metrics): in active time the parts add up to"
         " -1.000 s, and all together cost +5.000 s"
     )
+
+
+def test_bounds_that_cannot_be_told_apart_say_that_the_network_hardly_matters():
+    """9 and 10 s on a perfect network, 10 and 10.5 s without messages: 0.75 +- 12.706 x 0.25."""
+    times = {"as_it_is": [9.0, 9.0], "latency": [8.0, 8.0], "loss": [8.0, 8.0], "ideal": [9.0, 10.0]}
+    found = explanation_of(**times, silent=[10.0, 10.5])
+    bounds = found.costs["active_time"].bounds
+    assert bounds.difference.mean.mean == 0.75
+    assert bounds.standard_errors == pytest.approx(3.0)
+    note = "the network hardly matters in active time: a perfect network and no messages at all cannot be told apart"
+    assert f"{note} (+-3.177 s)" in found.remarks()
+    far = explanation_of(**times, silent=[20.0, 21.0])
+    assert far.costs["active_time"].bounds.standard_errors == np.inf
+    assert not any("matter" in remark and "active time" in remark for remark in far.remarks())
+    assert Explanation.of(json.loads(json.dumps(found.document()))) == found
+
+
+def test_an_explanation_without_bounds_is_read_and_shown_without_them():
+    found = explanation_of(as_it_is=[9.0, 9.0], latency=[8.0, 7.0], loss=[8.0, 8.0], ideal=[7.5, 7.5])
+    document = found.document()
+    for cost in document["costs"].values():
+        del cost["bounds"]
+    assert "perfect network" not in Explanation.of(document).table()
+
+
+@pytest.mark.slow
+def test_messages_matter_to_a_rule_that_needs_them_only():
+    """A planner that knows all is the control; one run of each is enough, for it holds in every run."""
+    (bounds,) = [explain(LATE, 3).costs["active_time"].bounds]
+    assert bounds.difference.differing == 3
+    planned = explain(LATE.with_({"protocol": "centralised"}), 3)
+    assert planned.costs["active_time"].bounds.difference == Saving(Estimate(0.0, 0.0, 3), 0)
+    assert "the network cannot matter in active time" in planned.table()
 
 
 TIMES = st.lists(st.tuples(*[st.floats(0.0, 1e3)] * 4), min_size=2, max_size=5)
@@ -407,7 +451,7 @@ def test_parts_that_cannot_be_told_from_0_are_named_with_the_smallest_effect_tha
     assert cost.undetected == {"latency": pytest.approx(6.353, abs=1e-3)}
     assert [part.excludes_0() for part in cost.parts.values()] == [False, True]
     assert (cost.unchanging, found.costs["end_time"].unchanging) == ((), ("latency", "loss"))
-    assert found.remarks()[2:] == [
+    assert found.remarks()[3:] == [
         "not distinguishable from 0 in active time: latency (+-6.353 s)",
         "with 2 runs, an effect as large as its +- is found in half of all studies, a smaller effect less often",
         "0 in every run in end time: latency, loss; up to 65.8 % of all seeds may differ (95 % Wilson interval)",
@@ -463,15 +507,16 @@ def _nothing_ran():
 
 @pytest.mark.slow
 def test_variants_that_are_the_same_are_run_once(tmp_path):
-    """Without latency is without all: 2 variants; and of none there is nothing to do the next time."""
+    """Without latency is without all, and a perfect network: 3 variants, with the one without messages; and of none
+    there is nothing to do the next time."""
     scenario = LATE.model_copy(update={"protocol": counted})
     found = explain(scenario, 3, store=tmp_path / "s.sqlite")
-    assert sorted(RAN) == [0.0] * 3 + [0.4] * 3
+    assert sorted(RAN) == [0.0] * 3 + [0.4] * 6
     assert explain(scenario, 3, store=tmp_path / "s.sqlite") == found
-    assert len(RAN) == 6
+    assert len(RAN) == 9
     RAN.clear()
     explain(GOOD.model_copy(update={"protocol": counted}), 3)
-    assert RAN == [0.0] * 3
+    assert RAN == [0.0] * 6
 
 
 @pytest.mark.slow
@@ -665,13 +710,16 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     """Of 9.5 s, 4.5 s are left; latency makes it 3 s more, and loss 2 s more; by hand, as in the test above."""
-    found = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    found = explanation_of(
+        as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0], silent=[19.0, 21.0]
+    )
     axes, _ = waterfall(found).axes
     assert [label.get_text() for label in axes.get_xticklabels()] == [
-        "ideal", "latency", "loss", "interaction", "as it is"
+        "ideal", "latency", "loss", "interaction", "as it is", "perfect network", "no messages at all"
     ]  # fmt: skip
-    bars = {round(bar.get_x() + bar.get_width() / 2): (bar.get_y(), bar.get_height()) for bar in axes.patches}
-    assert bars == {0: (0.0, 4.5), 1: (4.5, 3.0), 2: (7.5, 2.0), 3: (9.5, 0.0), 4: (0.0, 9.5)}
+    bars = {round(bar.get_x() + bar.get_width() / 2, 1): (bar.get_y(), bar.get_height()) for bar in axes.patches}
+    steps = {0: (0.0, 4.5), 1: (4.5, 3.0), 2: (7.5, 2.0), 3: (9.5, 0.0), 4: (0.0, 9.5)}
+    assert bars == steps | {5.5: (0.0, 4.5), 6.5: (0.0, 20.0)}
 
 
 def test_what_makes_a_metric_worse_is_red_in_a_picture():
@@ -692,16 +740,16 @@ def test_the_last_step_of_a_picture_ends_where_the_scenario_is(whole):
     assert len(figure.axes) == len(EXPLAINED)
     for axes in figure.axes:
         names = [label.get_text() for label in axes.get_xticklabels()]
-        assert names == ["ideal", *IMPERFECTIONS, "interaction", "as it is"]
+        assert names == ["ideal", *IMPERFECTIONS, "interaction", "as it is", "perfect network", "no messages at all"]
         tops = {round(bar.get_x() + bar.get_width() / 2): bar.get_y() + bar.get_height() for bar in axes.patches}
-        assert tops[len(names) - 2] == pytest.approx(tops[len(names) - 1])
+        assert tops[len(names) - 4] == pytest.approx(tops[len(names) - 3])
 
 
 def test_an_explanation_is_drawn_on_given_axes():
     explained = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
     ax = Figure().add_subplot()
     assert explained.plot("end_time", ax=ax) is ax.figure
-    assert len(ax.patches) == 5
+    assert len(ax.patches) == 7
     assert ax.get_ylabel() == "capture time, or horizon (s)"
     with pytest.raises(ValueError, match="ax is one panel, and there are 2"):
         explained.plot(ax=ax)
@@ -783,7 +831,8 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert (folder / "explain.txt").read_text() == table
     names = [line.strip().split("  ")[0] for line in table.partition("\n+ is worse")[0].splitlines()[2:]]
     assert names == [
-        "as it is", "latency", "faults", "serial decisions", "unknown start", "interaction", "all together", "ideal"
+        "as it is", "latency", "faults", "serial decisions", "unknown start", "interaction", "all together", "ideal",
+        "perfect network", "no messages at all", "difference"
     ]  # fmt: skip
     document = json.loads((folder / "explain.json").read_text())
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
@@ -839,7 +888,7 @@ def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file
     assert result.exit_code == 3
     assert result.stdout == ""
     # as it is, without latency, without faults, with a known start, without all three
-    told = "no seed completed in all variants; first failure: RuntimeError: for good\n10 runs are in out/late/explain/"
+    told = "no seed completed in all variants; first failure: RuntimeError: for good\n12 runs are in out/late/explain/"
     assert told in result.stderr
     assert not (file.parent / "out/late/explain/explain.txt").exists()
 

@@ -29,6 +29,7 @@ from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Kalman
 from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.targeted_faults import ChaserCut, NewsFault
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from desim.scenario.sweep_table import Sweep
@@ -42,6 +43,8 @@ from desim.study.ablation.imperfections import (
     without_range,
     without_serial_decisions,
     without_staleness,
+    with_perfect_network,
+    without_messages,
     without_transport,
 )
 from desim.study.store.properties import flat
@@ -333,6 +336,29 @@ def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
     assert unideal(after)[1:] == (0, 0) or (contended and unideal(after)[1] == 0)
     assert unideal(after)[0] == 0 or contended
     assert (unideal(before)[0] > 0) is (contended or "latency" in THERE[path.stem])
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_on_a_perfect_network_all_arrives_at_once_and_without_messages_nothing(path):
+    """Also where nodes contend. All else is kept: the players, what they announce, and whose robots break down."""
+    scenario = load(path, ["horizon=0.3", "record.messages=true"])
+    perfect, silent = with_perfect_network(scenario), without_messages(scenario)
+    robots_down = any("no_crashes" in getattr(fault, "breaks", ()) for fault in perfect.fault)
+    assert unideal(run(perfect)) == (0, 0, 0) or robots_down
+    (tally,) = run(silent).trace.of(MessageCounts)
+    assert tally.delivered == 0
+    assert {key.partition(".")[0] for key in changes(scenario, perfect)} <= {"network", "fault", "announce"}
+    assert {key.partition(".")[0] for key in changes(scenario, silent)} <= {"network", "announce"}
+    same = {"dissemination": scenario.announce.dissemination}
+    assert perfect.announce.model_copy(update=same) == silent.announce.model_copy(update=same) == scenario.announce
+
+
+def test_a_perfect_network_keeps_broken_robots_lies_and_clocks():
+    radio, plan = Crash(node=1, start=0.5, scope="radio"), RandomFaults(kinds=("partition", "jamming"))
+    faults = (*WORST.fault, radio, RandomCrashes(scope="radio"), plan, ChaserCut(start=1.0), NewsFault())
+    crash, _, _, skew, crashes, mixed, lie = WORST.fault
+    assert with_perfect_network(WORST.with_({"fault": faults})).fault == (crash, skew, crashes, mixed, lie)
 
 
 @pytest.mark.parametrize("processing", [Processing(sender=0.05), Processing(receiver=0.05)])

@@ -174,6 +174,11 @@ class Fault(Window):
     breaks: ClassVar[frozenset[str]] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks."""
 
+    @property
+    def messages_only(self) -> bool:
+        """Whether it only loses or delays messages, and no robot breaks down."""
+        return True
+
     def begin(self, site: FaultSite) -> Undo:
         """Begin the fault at its start time; return the function that ends it."""
         raise NotImplementedError
@@ -208,6 +213,11 @@ class Crash(Fault):
     """Whether the node keeps its beliefs; if not, it recovers without any, and a crashed robot restarts its process."""
 
     breaks: ClassVar[frozenset[str]] = frozenset({"no_crashes"})
+
+    @property
+    def messages_only(self) -> bool:
+        """Whether only the radio is down."""
+        return self.scope == "radio"
 
     def begin(self, site: FaultSite) -> Undo:
         """Take the node down."""
@@ -525,6 +535,11 @@ class RandomCrashes(Value):
 
     breaks: ClassVar[frozenset[str]] = Crash.breaks
 
+    @property
+    def messages_only(self) -> bool:
+        """Whether only radios are down."""
+        return self.scope == "radio"
+
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
         """Yield, node by node, the crashes that start before the horizon, s."""
         for node, node_rng in enumerate(rng.spawn(size)):
@@ -587,6 +602,11 @@ class RandomFaults(Value):
     def breaks(self) -> frozenset[str]:
         """The assumptions that the kinds of faults break."""
         return frozenset[str]().union(*(_class_of(kind).breaks for kind in self.kinds))
+
+    @property
+    def messages_only(self) -> bool:
+        """Whether no robot breaks down: no kind is a crash, which may be one of a robot."""
+        return not any(issubclass(_class_of(kind), Crash) for kind in self.kinds)
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that start before `end` and the horizon, s, ordered by start time."""

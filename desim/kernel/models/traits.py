@@ -154,3 +154,5 @@ class FaultTraits(Traits):
     """`named()` returns the nodes that it names, by key; an error about a node that does not exist names the key."""
     breaks: frozenset[str] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
+    messages_only: bool = False
+    """Whether it only loses or delays messages, so that a perfect network is without it; a `Fault` does by default."""

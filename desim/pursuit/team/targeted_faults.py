@@ -54,6 +54,11 @@ class ChaserCrash(TargetedFault):
 
     breaks: ClassVar[frozenset[str]] = Crash.breaks
 
+    @property
+    def messages_only(self) -> bool:
+        """Whether only the radio is down."""
+        return self.scope == "radio"
+
     def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
         """Return a crash of each."""
         return [

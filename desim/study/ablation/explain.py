@@ -5,6 +5,9 @@ an imperfection is the paired difference between the scenario as it is and the s
 add up to the difference that all imperfections make together, the imperfections interact. For example, if either of two
 imperfections is enough to delay a capture, removing one alone saves nothing.
 
+Two more variants bound what the network can do: a perfect network, and no messages at all. All else is as it is, so if
+they do not differ, the network cannot matter in this scenario.
+
 An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
 (`INTERACTION_RISK` in `desim.study.results.explanation`).
 """
@@ -23,9 +26,18 @@ from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import seed_of
 from desim.scenario.scenario import Scenario
-from desim.study.ablation.imperfections import IMPERFECTIONS
+from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
 from desim.study.plan.configurations import Configuration, without_metrics
-from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, Cost, Saving
+from desim.study.results.costs import (
+    AS_IT_IS,
+    IDEAL,
+    INTERACTION_RISK,
+    PERFECT,
+    SILENT,
+    Bounds,
+    Cost,
+    Saving,
+)
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -77,7 +89,7 @@ def explain(
 
 @dataclass(frozen=True)
 class Variants:
-    """The variants of a scenario (as it is, without each imperfection, without all) and the plan of their runs."""
+    """The variants of a scenario (as it is, without each imperfection, without all, the bounds) and their plan."""
 
     plan: SweepPlan
     configurations: Mapping[str, Configuration]
@@ -96,7 +108,8 @@ class Variants:
         added, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
-        named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
+        bounds = {PERFECT: with_perfect_network(scenario), SILENT: without_messages(scenario)}
+        named = {AS_IT_IS: scenario, **removed, IDEAL: ideal, **bounds}
         configurations = {name: Configuration({"without": name}, variant) for name, variant in named.items()}
         distinct: dict[str, Configuration] = {}
         for configuration in configurations.values():
@@ -170,7 +183,7 @@ def _cost(
     """
     shared_seeds = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in rows.values())]
     values = {name: [float(by_seed[k].value(metric)) for k in shared_seeds] for name, by_seed in rows.items()}
-    as_it_is = values.pop(AS_IT_IS)
+    as_it_is, bounds = values.pop(AS_IT_IS), Bounds.of(values.pop(PERFECT), values.pop(SILENT))
     saved = {name: [a - b for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
@@ -184,4 +197,5 @@ def _cost(
         Saving.of(interaction),
         more_is(metric, dict(added)),
         confidence,
+        bounds,
     )

@@ -5,6 +5,7 @@ of pursuers that take no turns.
 """
 
 from collections.abc import Callable, Mapping
+from functools import reduce
 from math import inf
 from types import MappingProxyType
 from typing import Any, TypeGuard
@@ -19,6 +20,7 @@ from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited, contends
 from desim.kernel.models.reception import Disk
+from desim.kernel.models.traits import FaultTraits
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.pursuit.byzantine.lies import is_lie
 from desim.pursuit.motion.dynamics import Simple
@@ -196,6 +198,34 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
     }
 )
 """The name of each imperfection, and the function that removes it."""
+
+
+PERFECT_NETWORK = (
+    without_contention,
+    without_latency,
+    without_loss,
+    without_duplicates,
+    without_transport,
+    without_range,
+)
+"""What is removed of a network in which everything arrives at once; without contention, no airtime remains."""
+
+
+def with_perfect_network(scenario: Scenario) -> Scenario:
+    """Return the scenario in which every message arrives at once at all neighbours in the graph.
+
+    Network faults are removed, too: partitions, jamming, and crashes of radios. All else is kept: broken robots, lies,
+    wrong clocks, noise, and what pursuers announce and when. A plan that draws crashes beside other faults is kept.
+    """
+    network = reduce(lambda so_far, remove: remove(so_far), PERFECT_NETWORK, scenario)
+    kept = tuple(fault for fault in network.fault if not FaultTraits.of(fault).messages_only)
+    return network if kept == network.fault else network.model_copy(update={"fault": kept})
+
+
+def without_messages(scenario: Scenario) -> Scenario:
+    """Return the scenario in which every message is lost. It is sent once, and takes as much of the channel."""
+    silent = without_transport(without_loss(scenario))
+    return _with_network(silent, loss=Bernoulli(p=1.0))
 
 
 def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Literal, Protocol, Self
 
 from desim.analysis.statistics import Estimate, mean
@@ -18,6 +19,8 @@ differences in two metrics it is 1.9 % (s.e. 0.1 %) with 100 runs, and 3.7 % wit
 too narrow: by them, an interaction would be declared in one of 20 metrics that have none.
 """
 AS_IT_IS, IDEAL = "as it is", "ideal"
+PERFECT, SILENT = "perfect network", "no messages at all"
+"""The bounds of what a network can do: every message arrives at once, or none ever arrives; all else is equal."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,38 @@ class Saving:
 
 
 @dataclass(frozen=True)
+class Bounds:
+    """A metric between the bounds of a network: every message arrives at once, or none ever arrives."""
+
+    perfect: Estimate
+    silent: Estimate
+    difference: Saving
+    """The metric without messages minus the metric with a perfect network, of runs paired by seed."""
+
+    @classmethod
+    def of(cls, perfect: list[float], silent: list[float]) -> Self:
+        """Return the bounds, given the metric in each run of both, paired by seed."""
+        difference = [late - early for late, early in zip(silent, perfect, strict=True)]
+        return cls(mean(perfect), mean(silent), Saving.of(difference))
+
+    @property
+    def standard_errors(self) -> float:
+        """The distance of the bounds in standard errors; inf if it is the same, not 0, for all seeds."""
+        if not self.difference.differing:
+            return 0.0
+        error = self.difference.mean.standard_error
+        return abs(self.difference.mean.mean) / error if error else inf
+
+    def document(self) -> dict[str, Any]:
+        """Return the bounds as JSON-compatible values."""
+        return {
+            "perfect_network": as_json(self.perfect),
+            "no_messages": as_json(self.silent),
+            "difference": self.difference.document(),
+        }
+
+
+@dataclass(frozen=True)
 class Cost:
     """The cost of the imperfections of a scenario in one metric."""
 
@@ -71,6 +106,8 @@ class Cost:
     """Whether more of the metric is better or worse, and so whether a positive cost is good or bad; None if unknown."""
     confidence: float = 1.0 - INTERACTION_RISK
     """The confidence of the interval by which an interaction is judged; see `INTERACTION_RISK`."""
+    bounds: Bounds | None = None
+    """The metric between the bounds of the network; None if they were not run."""
 
     @classmethod
     def of(cls, made: Mapping[str, Any]) -> Self:
@@ -78,6 +115,11 @@ class Cost:
 
         def saving(part: Mapping[str, Any]) -> Saving:
             return Saving(from_json(part), int(part["differing"]))
+
+        def bounds_of(part: Mapping[str, Any]) -> Bounds:
+            return Bounds(
+                from_json(part["perfect_network"]), from_json(part["no_messages"]), saving(part["difference"])
+            )
 
         return cls(
             str(made["label"]),
@@ -89,13 +131,15 @@ class Cost:
             saving(made["interaction"]),
             made["more_is"],
             float(made["confidence"]),
+            None if (bounds := made.get("bounds")) is None else bounds_of(bounds),
         )
 
     @property
     def digits(self) -> int:
         """The number of decimals of the cost in a table."""
         savings = (*self.parts.values(), self.together, self.interaction)
-        return digits_of([self.as_it_is, self.ideal, *(saving.mean for saving in savings)])
+        bounds = [] if self.bounds is None else [self.bounds.perfect, self.bounds.silent, self.bounds.difference.mean]
+        return digits_of([self.as_it_is, self.ideal, *(saving.mean for saving in savings), *bounds])
 
     @property
     def interacts(self) -> bool:

@@ -16,7 +16,7 @@ from desim.analysis.table_formats import TableFormat, formatted
 from desim.analysis.tables import aligned, as_json, number, with_half_width
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
-from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, Saving
+from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
 
 if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Axes, Figure, Style
@@ -31,7 +31,8 @@ EXPLAINED: Mapping[str, str] = MappingProxyType(
 class Explanation:
     """The cost of each imperfection of a scenario; see `desim.study.ablation.explain`.
 
-    A *variant* is the scenario as it is, without one imperfection, or without all of them.
+    A *variant* is the scenario as it is, without one imperfection, without all of them, with a perfect network, or
+    without messages.
     """
 
     name: str
@@ -129,12 +130,19 @@ class Explanation:
             add("  interaction", [cost.interaction for cost in costs])
         add("  all together", [cost.together for cost in costs])
         add(IDEAL, [cost.ideal for cost in costs])
+        bounds = [cost.bounds for cost in costs if cost.bounds is not None]
+        if len(bounds) == len(costs):
+            add(PERFECT, [bound.perfect for bound in bounds])
+            add(SILENT, [bound.silent for bound in bounds])
+            add("  difference", [bound.difference for bound in bounds])
         return rows
 
     def remarks(self) -> list[str]:
-        """Return notes on signs, absent imperfections, effects not detected or 0, interactions and failed seeds."""
+        """Return notes on signs, absences, bounds, effects not detected or 0, interactions and failed seeds."""
         remarks = [self._signs()]
         remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
+        for metric, cost in self.costs.items():
+            remarks += [] if cost.bounds is None else _network(words(metric), cost.bounds, cost.unit)
         unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
         if unseen:
             unseen.append(
@@ -184,10 +192,27 @@ class Explanation:
                 "interacts": cost.interacts,
                 "confidence": cost.confidence,
                 "more_is": cost.more_is,
+                "bounds": None if cost.bounds is None else cost.bounds.document(),
             }
             for metric, cost in self.costs.items()
         }
         return {"name": self.name, "runs": self.runs, "failed": self.failed, "absent": self.absent, "costs": costs}
+
+
+def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
+    """Yield a note if the network cannot matter in a metric, or its bounds cannot be told apart."""
+    difference = bounds.difference
+    if not difference.mean.count:
+        return
+    if not difference.differing:
+        most = 100 * wilson(0, difference.mean.count)[1]
+        yield (
+            f"the network cannot matter in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
+            f" {most:.1f} % of all seeds may differ (95 % Wilson interval)"
+        )
+    elif difference.mean.count > 1 and not difference.excludes_0():
+        width = f"+-{number(difference.mean.half_width)} {unit}".rstrip()
+        yield f"the network hardly matters in {metric}: a {PERFECT} and {SILENT} cannot be told apart ({width})"
 
 
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:

@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from desim.analysis.drawing.palette import BLUE, GREEN, GREY, MARKERS, ORANGE, SERIES, VERMILION
+from desim.analysis.drawing.palette import BLUE, GREEN, GREY, MARKERS, ORANGE, SERIES, SKY, VERMILION
 from desim.analysis.drawing.plots import (
     NARROW,
     Axes,
@@ -31,7 +31,7 @@ from desim.config.key_index import unit_of_key
 from desim.config.trust import escaped
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
-from desim.study.results.costs import AS_IT_IS, IDEAL, Cost, CostByMetric
+from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.runs import SHOWN, Group, SweepRuns, is_number, labels_of_values, text
 
 APART = 0.012
@@ -669,7 +669,7 @@ def waterfall(
 
 
 def draw_waterfall(axes: Axes, cost: Cost) -> None:
-    """Draw the waterfall chart of one metric on given axes.
+    """Draw the waterfall chart of one metric on given axes, and beside it the bounds of the network.
 
     An imperfection is red if it makes the metric worse, green if it makes it better, and orange if `cost.more_is` is
     None. The interaction is grey.
@@ -689,9 +689,14 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         _mark(axes, at, level, step.mean, "+.2f")
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
-    axes.set_xticks(
-        range(len(names)), list(map(_literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor"
-    )
+    places = list(range(len(names)))
+    if cost.bounds is not None:
+        for at, name, bound in ((last + 1.5, PERFECT, cost.bounds.perfect), (last + 2.5, SILENT, cost.bounds.silent)):
+            axes.bar(at, bound.mean, color=SKY, width=0.6)
+            _mark(axes, at, 0.0, bound, ".2f")
+            places.append(at)
+            names.append(name)
+    axes.set_xticks(places, list(map(_literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
     axes.margins(y=0.08)
 
 
