@@ -37,7 +37,7 @@ from desim.scenario.scenario import Motion, Recording
 from desim.scenario.toml import read_source, validate
 from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
-from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
+from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.results.figures import draw_waterfall, waterfall
 from desim.study.store.file import StoreError

@@ -35,16 +35,16 @@ from desim.scenario.scenario import Motion, Recording
 from desim.scenario.sweep_table import Sweep
 from desim.study.ablation.imperfections import (
     IMPERFECTIONS,
+    with_perfect_network,
     without_contention,
     without_faults,
     without_latency,
     without_lies,
     without_loss,
+    without_messages,
     without_range,
     without_serial_decisions,
     without_staleness,
-    with_perfect_network,
-    without_messages,
     without_transport,
 )
 from desim.study.store.properties import flat

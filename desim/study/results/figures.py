@@ -689,18 +689,21 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         _mark(axes, at, level, step.mean, "+.2f")
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
-    places = list(range(len(names)))
+    places: list[float] = [*range(len(names))]
     if cost.bounds is not None:
-        for at, name, bound in ((last + 1.5, PERFECT, cost.bounds.perfect), (last + 2.5, SILENT, cost.bounds.silent)):
-            axes.bar(at, bound.mean, color=SKY, width=0.6)
-            _mark(axes, at, 0.0, bound, ".2f")
-            places.append(at)
+        for place, name, bound in (
+            (last + 1.5, PERFECT, cost.bounds.perfect),
+            (last + 2.5, SILENT, cost.bounds.silent),
+        ):
+            axes.bar(place, bound.mean, color=SKY, width=0.6)
+            _mark(axes, place, 0.0, bound, ".2f")
+            places.append(place)
             names.append(name)
     axes.set_xticks(places, list(map(_literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
     axes.margins(y=0.08)
 
 
-def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
+def _mark(axes: Axes, at: float, base: float, estimate: Estimate, form: str) -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + estimate.mean
     axes.errorbar(at, end, estimate.half_width, color="black", elinewidth=0.8, capsize=2)
