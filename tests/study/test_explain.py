@@ -717,9 +717,9 @@ def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     assert [label.get_text() for label in axes.get_xticklabels()] == [
         "ideal", "latency", "loss", "interaction", "as it is", "perfect network", "no messages at all"
     ]  # fmt: skip
-    bars = {round(bar.get_x() + bar.get_width() / 2, 1): (bar.get_y(), bar.get_height()) for bar in axes.patches}
+    bars = {round(bar.get_x() + bar.get_width() / 2): (bar.get_y(), bar.get_height()) for bar in axes.patches}
     steps = {0: (0.0, 4.5), 1: (4.5, 3.0), 2: (7.5, 2.0), 3: (9.5, 0.0), 4: (0.0, 9.5)}
-    assert bars == steps | {5.5: (0.0, 4.5), 6.5: (0.0, 20.0)}
+    assert bars == steps | {6: (0.0, 4.5), 7: (0.0, 20.0)}
 
 
 def test_what_makes_a_metric_worse_is_red_in_a_picture():

@@ -689,7 +689,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         _mark(axes, at, level, step.mean, "+.2f")
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
-    places: list[float] = [*range(len(names))]
+    places = list(range(len(names)))
     if cost.bounds is not None:
         for place, name, bound in (
             (last + 1.5, PERFECT, cost.bounds.perfect),
@@ -703,7 +703,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     axes.margins(y=0.08)
 
 
-def _mark(axes: Axes, at: float, base: float, estimate: Estimate, form: str) -> None:
+def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + estimate.mean
     axes.errorbar(at, end, estimate.half_width, color="black", elinewidth=0.8, capsize=2)
