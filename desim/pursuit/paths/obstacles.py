@@ -1,0 +1,254 @@
+"""Obstacles: the walls that block motion, and the straight lines that they leave free.
+
+A line may touch a corner and slide along a wall, but never cross one. All tests have the tolerance of
+`desim.pursuit.paths.corners.TOUCH`.
+"""
+
+from collections.abc import Sequence
+from math import atan2
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Points
+from desim.kernel.walls.crossings import Segments, Shape, gaps
+from desim.pursuit.core.state import coordinates, lengths
+from desim.pursuit.paths.corners import BOTH, Arrangement, Side, is_within
+
+SLIDES = 3
+"""Number of walls along which a player slides in one motion step before it stops."""
+
+
+class Obstacles:
+    """The walls that block motion.
+
+    Args:
+        walls: the lines and polygons of each wall; a polygon inside another one of the same wall is a hole in it.
+
+    Attributes:
+        clearance: the distance, m, that players keep from walls.
+        bends: (C,) the corners at which a shortest path can bend, m.
+    """
+
+    def __init__(self, walls: Sequence[Sequence[Shape]]):
+        self._walls, self._plan = walls, Arrangement(walls)
+        self._touch, self.clearance = self._plan.touch, self._plan.clearance
+        self._places = self._plan.places
+        self._begin, self._end = np.array(sorted(self._plan.pieces), dtype=np.intp).reshape(-1, 2).T
+        begin, end = self._places[self._begin], self._places[self._end]
+        self._segments = Segments(coordinates(begin), coordinates(end), np.zeros(len(begin), dtype=np.intp))
+        self._x, self._y, self._size = begin.real, begin.imag, lengths(end - begin)
+        self._along_x, self._along_y = (end - begin).real / self._size, (end - begin).imag / self._size
+        solid = [self._plan.pieces[begin, end] for begin, end in sorted(self._plan.pieces)]
+        self._solid = np.array([[side in sides for sides in solid] for side in ("right", "left")], dtype=bool)
+        """(2, E) whether the inside of a wall is to the right, and to the left, of each piece."""
+        at = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
+        self._bend_at = np.array(at, dtype=np.intp)
+        self.bends: Points = self._places[self._bend_at]
+        blocked = [self._plan.corners[k].bend or () for k in at]
+        self._first, self._second = (
+            np.array([self._direction(k, rays[side].end) for k, rays in zip(at, blocked, strict=True)], dtype=complex)
+            for side in (0, 1)
+        )
+        """(C,) the directions between which it is not free, counter-clockwise, of length 1."""
+        outward = [self._plan.corners[k].outward() or 0.0 for k in at]
+        self.turns: Points = self.bends + self.clearance * np.array([complex(np.cos(a), np.sin(a)) for a in outward])
+        """(C,) where a player turns that goes around a corner, m."""
+        self._sides_of_bends = self._sides(self.bends)
+
+    def _direction(self, begin: int, end: int) -> complex:
+        along = complex(self._places[end] - self._places[begin])
+        return along / abs(along)
+
+    def are_free(self, places: Points) -> Bools:
+        """Return which of (k,) places, m, a player may have: not inside a wall, and not closer than the clearance."""
+        points = coordinates(places)
+        free: Bools = gaps(points, self._segments) >= self.clearance
+        for wall in self._walls:
+            free &= ~is_within(points, wall)
+        return free
+
+    def clear(self, source: complex, targets: Points) -> Bools:
+        """Return to which of (k,) targets (m) the straight line from a source (m) is free, (k,)."""
+        return self._clear(source, targets, self._sides(targets), None)
+
+    def bends_in_sight(self, source: complex, *, taut: bool = True) -> tuple[np.ndarray, Floats]:
+        """Return the corners to which the straight line from a source (m) is free, and their distances, m.
+
+        Args:
+            source: the source, m.
+            taut: whether only corners at which a shortest path from the source can bend count.
+
+        Returns:
+            ((c,) indices of `bends`, (c,) distances, m).
+        """
+        x, y = source.real - self.bends.real, source.imag - self.bends.imag  # from the corner to the source
+        after = self._first.real * y - self._first.imag * x
+        before = x * self._second.imag - y * self._second.real
+        touch = self._touch
+        wanted = (after <= touch) | (before <= touch)
+        if taut:
+            wanted &= (after >= -touch) | (before >= -touch)
+        at = wanted.nonzero()[0]
+        if not len(at):
+            return at, np.zeros(0)
+        clear = self._clear(source, self.bends[at], self._sides_of_bends[at], self._bend_at[at])
+        at = at[clear]
+        return at, np.hypot(x[at], y[at])
+
+    def slide(self, place: complex, way: complex) -> complex:
+        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way.
+
+        At each wall the part of the way across it is lost. A player stops where walls leave it no way.
+        """
+        for _ in range(SLIDES):
+            wall = self._wall_ahead(place, way)
+            if wall is None:
+                return way
+            along = complex(self._along_x[wall], self._along_y[wall])
+            across = along * 1j
+            offset = place - complex(self._x[wall], self._y[wall])
+            distance, rate = _dot(offset, across), _dot(way, across)
+            if distance < 0.0:
+                across, distance, rate = -across, -distance, -rate
+            way -= across * (rate + max(distance - self.clearance, 0.0))
+        return 0j if self._wall_ahead(place, way) is not None else way
+
+    def free_place(self, place: complex) -> complex:
+        """Return a place itself if a player may have it, else a close one that it may have, m."""
+        if self.are_free(np.array([place]))[0]:
+            return place
+        x, y = place.real - self._x, place.imag - self._y
+        share = np.clip(x * self._along_x + y * self._along_y, 0.0, self._size)
+        near = self._x + share * self._along_x + 1j * (self._y + share * self._along_y)
+        across = 2.0 * self.clearance * (self._along_y - 1j * self._along_x)
+        candidates = np.concatenate([near + across, near - across, self.turns])
+        candidates = candidates[self.are_free(candidates)]
+        return complex(candidates[lengths(candidates - place).argmin()]) if len(candidates) else place
+
+    def _wall_ahead(self, place: complex, way: complex) -> int | None:
+        """Return the first piece of a wall that a way from a place comes closer to than the clearance, or None."""
+        x, y = place.real - self._x, place.imag - self._y
+        distance = self._along_x * y - self._along_y * x
+        rate = self._along_x * way.imag - self._along_y * way.real
+        rate = np.where(distance < 0.0, -rate, rate)
+        gap = np.maximum(abs(distance) - self.clearance, 0.0)
+        meets = gap + rate < -self._touch
+        if not meets.any():
+            return None
+        share = np.where(meets, gap / np.where(meets, -rate, 1.0), 2.0)
+        at = self._along_x * (x + share * way.real) + self._along_y * (y + share * way.imag)
+        share[(at < -self.clearance) | (at > self._size + self.clearance)] = 2.0
+        first = int(share.argmin())
+        return first if share[first] <= 1.0 else None
+
+    def _sides(self, places: Points) -> np.ndarray:
+        """Return on which side of each piece (k,) places are, (k, E): 1 left, -1 right, 0 on its line."""
+        x, y = places.real[:, None] - self._x, places.imag[:, None] - self._y
+        return _signs(self._along_x * y - self._along_y * x, self._touch)
+
+    def _clear(self, source: complex, targets: Points, sides: np.ndarray, at: np.ndarray | None) -> Bools:
+        """Return to which of (k,) targets the straight line from a source is free.
+
+        Args:
+            source: the source, m.
+            targets: (k,) the targets, m.
+            sides: (k, E) see `_sides`.
+            at: (k,) the numbers of the corners that are the targets; None: they are any places.
+        """
+        x, y = targets.real - source.real, targets.imag - source.imag
+        corner_x, corner_y = self._places.real - source.real, self._places.imag - source.imag
+        length = np.hypot(x, y)
+        across = np.outer(x, corner_y) - np.outer(y, corner_x)  # times the length
+        turns = _signs(across, self._touch * length[:, None])
+        own = self._sides(np.array([source]))[0]
+        crossed = (own * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
+        clear: Bools = ~crossed.any(axis=1)
+        if not own.all():
+            clear &= ~self._enters(source, own, sides)
+        on = turns == 0
+        if at is not None:
+            on[np.arange(len(at)), at] = False
+        elif not sides.all():
+            clear &= ~self._leaves(targets, own, sides)
+        if on.any():
+            along = np.outer(x, corner_x) + np.outer(y, corner_y)
+            reach = self._touch * length[:, None]
+            on &= (along >= -reach) & (along <= (length**2)[:, None] + reach)
+            for k in (on.any(axis=1) & clear).nonzero()[0].tolist():
+                passed = on[k].nonzero()[0]
+                order = passed[along[k, passed].argsort()].tolist()
+                clear[k] = self._passes(source, complex(targets[k]), order, None if at is None else int(at[k]))
+        if at is not None and (neighbours := self._neighbours_of(source, corner_x, corner_y)):
+            for k in clear.nonzero()[0].tolist():
+                if int(at[k]) in neighbours and not on[k].any():
+                    clear[k] = self._passes(source, complex(targets[k]), [], int(at[k]))
+        return clear
+
+    def _enters(self, source: complex, own: np.ndarray, sides: np.ndarray) -> Bools:
+        """Return which lines from a source on the side of a solid wall go into the wall, (k,)."""
+        on = (own == 0) & self._beside(np.array([source]))[0]
+        into = (sides > 0) & self._solid[1] | (sides < 0) & self._solid[0]
+        return np.asarray((into & on).any(axis=1))
+
+    def _leaves(self, targets: Points, own: np.ndarray, sides: np.ndarray) -> Bools:
+        """Return which lines come out of a solid wall at a target on its side, (k,)."""
+        on = (sides == 0) & self._beside(targets)
+        out = (own > 0) & self._solid[1] | (own < 0) & self._solid[0]
+        return np.asarray((on & out).any(axis=1))
+
+    def _beside(self, places: Points) -> Bools:
+        """Return between the ends of which pieces (k,) places are, (k, E)."""
+        x, y = places.real[:, None] - self._x, places.imag[:, None] - self._y
+        along = x * self._along_x + y * self._along_y
+        return np.asarray((along > self._touch) & (along < self._size - self._touch))
+
+    def _neighbours_of(self, source: complex, x: Floats, y: Floats) -> set[int]:
+        """Return the corners at the other ends of the pieces that begin at a source."""
+        here = self._corner_at(x, y)
+        return set() if here is None else {ray.end for ray in self._plan.corners[here].rays}
+
+    def _corner_at(self, x: Floats, y: Floats) -> int | None:
+        """Return the corner with an offset (x, y) of 0, or None."""
+        at = ((abs(x) <= self._touch) & (abs(y) <= self._touch)).nonzero()[0]
+        return int(at[0]) if len(at) else None
+
+    def _passes(self, source: complex, target: complex, passed: list[int], end: int | None) -> bool:
+        """Return whether a line that touches corners, and crosses no wall elsewhere, is free.
+
+        Args:
+            source: its start, m.
+            target: its end, m.
+            passed: the corners that it touches, in order; those at its start and at its end may be among them.
+            end: the corner at its end.
+        """
+        way = target - source
+        direction = atan2(way.imag, way.real)
+        corners, before, sides = self._plan.corners, None, BOTH
+        for corner in passed if end is None else [*passed, end]:
+            place = complex(self._places[corner])
+            along: frozenset[Side] | None = None
+            if before is not None:
+                along = self._plan.sides_of_piece(before, corner)
+            sides = BOTH if along is None else sides & along
+            if abs(place - source) <= self._touch:
+                sides &= corners[corner].sides_along(direction)
+            elif abs(place - target) <= self._touch:
+                sides &= {_OPPOSITE[side] for side in corners[corner].sides_along(direction + np.pi)}
+            else:
+                sides &= corners[corner].sides_past(direction)
+            if not sides:
+                return False
+            before = corner
+        return True
+
+
+_OPPOSITE: dict[Side, Side] = {"left": "right", "right": "left"}
+
+
+def _signs(values: Floats, touch: float | Floats) -> np.ndarray:
+    """Return the sign of each number, as small integers; 0 if its magnitude is at most a tolerance."""
+    return (values > touch).view(np.int8) - (values < -touch).view(np.int8)
+
+
+def _dot(a: complex, b: complex) -> float:
+    return a.real * b.real + a.imag * b.imag

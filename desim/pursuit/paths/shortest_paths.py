@@ -1,0 +1,114 @@
+"""Shortest paths among walls by a visibility graph.
+
+A shortest path is a chain of straight pieces that bends at corners of walls only (Lozano-Perez & Wesley 1979). The
+distances between corners are computed once; a query looks for the corners in sight of both ends.
+"""
+
+from collections.abc import Callable
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Floats, Integers, Points
+from desim.pursuit.core.state import lengths
+from desim.pursuit.paths.obstacles import Obstacles
+
+MAX_KEPT = 4096
+"""Maximum number of places of which the corners in sight are kept."""
+
+
+class Sight(NamedTuple):
+    """The corners in sight of a place."""
+
+    bends: Integers
+    """(c,) their indices."""
+    distances: Floats
+    """(c,) their distances, m."""
+    beyond: Floats
+    """(C,) the distance of each corner along the shortest path through one of them, m."""
+
+
+class ShortestPaths:
+    """The shortest paths among some obstacles.
+
+    Args:
+        obstacles: the walls that block motion.
+    """
+
+    def __init__(self, obstacles: Obstacles):
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import dijkstra
+
+        self.obstacles = obstacles
+        count = len(obstacles.bends)
+        rows, columns, distances = list[int](), list[int](), list[float]()
+        for k, bend in enumerate(obstacles.bends.tolist()):
+            seen, apart = obstacles.bends_in_sight(bend)
+            pairs = [(j, d) for j, d in zip(seen.tolist(), apart.tolist(), strict=True) if j > k]
+            rows += [k] * len(pairs)
+            columns += [j for j, _ in pairs]
+            distances += [d for _, d in pairs]
+        graph = csr_array((distances, (rows, columns)), shape=(count, count))
+        self._apart: Floats
+        self._apart, self._before = (
+            dijkstra(graph, directed=False, return_predecessors=True) if count else (np.zeros((0, 0)),) * 2
+        )
+        """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
+        self._sights: dict[complex, Sight] = {}
+
+    def distance(self, source: complex, target: complex) -> float:
+        """Return the length of the shortest path between two places, m; inf if there is no path."""
+        return float(self.distances(target, np.array([source]))[0])
+
+    def distances(self, target: complex, sources: Points) -> Floats:
+        """Return the lengths of the shortest paths from (k,) sources to a target, (k,) m; inf without a path."""
+        apart = lengths(target - sources)
+        for k in (~self.obstacles.clear(target, sources)).nonzero()[0].tolist():
+            apart[k] = self._through(complex(sources[k]), target)[0]
+        return apart
+
+    def path(self, source: complex, target: complex) -> list[complex]:
+        """Return the places, m, between which the shortest path is straight, from source to target; [] without one."""
+        if self.obstacles.clear(source, np.array([target]))[0]:
+            return [source, target]
+        distance, first, last = self._through(source, target)
+        if distance == inf:
+            return []
+        bends = [last]
+        while bends[-1] != first:
+            bends.append(int(self._before[first, bends[-1]]))
+        return [source, *(complex(self.obstacles.bends[k]) for k in reversed(bends)), target]
+
+    def first_bend(self, source: complex, target: complex) -> int | None:
+        """Return the corner at which the shortest path bends first; None if it is straight, or there is none."""
+        if self.obstacles.clear(source, np.array([target]))[0]:
+            return None
+        distance, first, _ = self._through(source, target)
+        return first if distance < inf else None
+
+    def last_bend(self, source: complex, target: complex) -> int | None:
+        """Return the corner at which the shortest path bends last; None if it is straight, or there is none."""
+        return self.first_bend(target, source)
+
+    def _through(self, source: complex, target: complex) -> tuple[float, int, int]:
+        """Return the length of the shortest path over corners, m, and the first and the last of these."""
+        here, there = self.sight(source), self.sight(target)
+        if not len(here.bends) or not len(there.bends):
+            return inf, -1, -1
+        total = here.distances + there.beyond[here.bends]
+        best = int(total.argmin())
+        first = int(here.bends[best])
+        last = int(there.bends[(self._apart[first, there.bends] + there.distances).argmin()])
+        return float(total[best]), first, last
+
+    def sight(self, place: complex) -> Sight:
+        """Return the corners in sight of a place; the last places are kept."""
+        sight = self._sights.get(place)
+        if sight is None:
+            bends, distances = self.obstacles.bends_in_sight(place)
+            beyond = (self._apart[:, bends] + distances).min(axis=1) if len(bends) else np.full(len(self._apart), inf)
+            sight = self._sights[place] = Sight(bends, distances, beyond)
+            if len(self._sights) > MAX_KEPT:
+                del self._sights[next(iter(self._sights))]
+        return sight
