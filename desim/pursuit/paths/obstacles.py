@@ -165,7 +165,7 @@ class Obstacles:
         clear: Bools = ~crossed.any(axis=1)
         if not own.all():
             clear &= ~self._enters(source, own, sides)
-        on = turns == 0
+        on = (turns == 0) & (length > self._touch)[:, None]
         if at is not None:
             on[np.arange(len(at)), at] = False
         elif not sides.all():
