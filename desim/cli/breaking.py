@@ -25,6 +25,7 @@ from desim.cli.options import (
     storing,
     write,
 )
+from desim.cli.usage import options_given
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
 
 VIOLATED = 4
 """Exit code if a violation was found."""
+OF_CASES = ("runs", "features", "guided", "budget", "grid")
+"""The options that only a search among random cases has."""
+OF_LOSSES = ("delay", "seeds")
+"""The options that only a search among lost messages has."""
 BEFORE = 0.1
 """Begin of the space-time diagram before the moment of the violation, s."""
 
@@ -98,14 +103,10 @@ def break_(
 
     Faults and other imperfections are added to the scenario at random; -g adds further keys.
     """
-    from math import inf
+    from desim.study.breaking.search import checked_property
 
-    from desim.study.breaking.case_log import FILE as CASES
-    from desim.study.breaking.case_log import CaseLog
-    from desim.study.breaking.losses import fatal_losses
-    from desim.study.breaking.search import checked_property, find_violation
-    from desim.study.workers.batch import seeds_from
-
+    for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
+        raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
     _, scenario = source_of(file, overrides, grid=grid)
     folder = folder_for(scenario, None) / "break" if out is None else out
     make_folder(folder)
@@ -116,31 +117,67 @@ def break_(
             _run_kept(keep, scenario, prop)
         with storing(folder):
             if losses is not None:
-                root = scenario.seed if seed is None else seed
-                table = fatal_losses(
-                    scenario,
-                    prop,
-                    most=losses,
-                    seeds=[root] if seeds == 1 else seeds_from(root, seeds),
-                    delay=inf if delay is None else delay,
-                    jobs=jobs,
-                )
+                table = _losses_table(scenario, prop, losses, seed, seeds, delay, jobs)
                 _end_with_losses(table, scenario, prop, folder, as_json=as_json)
-            search = find_violation(
-                scenario,
-                prop,
-                runs=runs,
-                seed=seed,
-                vary={setting.partition("=")[0]: scenario.sweep.grid[setting.partition("=")[0]] for setting in grid},
-                features=list(features) or None,
-                guided=guided,
-                jobs=jobs,
-                budget=inf if budget is None else budget,
-                log=CaseLog(folder / CASES, scenario, prop),
-            )
+            search = _case_search(scenario, prop, runs, seed, grid, features, budget, folder, jobs, guided=guided)
             _end_with_search(search, prop, folder, keep, as_json=as_json)
     except ValueError as error:
         fail(str(error))
+
+
+def _losses_table(
+    scenario: "Scenario",
+    prop: "Property",
+    most: int,
+    seed: int | None,
+    seeds: int,
+    delay: float | None,
+    jobs: int,
+) -> "LossTable":
+    """Return which of all choices of lost messages are fatal."""
+    from math import inf
+
+    from desim.study.breaking.losses import fatal_losses
+    from desim.study.workers.batch import seeds_from
+
+    root = scenario.seed if seed is None else seed
+    several = [root] if seeds == 1 else seeds_from(root, seeds)
+    return fatal_losses(scenario, prop, most=most, seeds=several, delay=inf if delay is None else delay, jobs=jobs)
+
+
+def _case_search(
+    scenario: "Scenario",
+    prop: "Property",
+    runs: int,
+    seed: int | None,
+    grid: tuple[str, ...],
+    features: tuple[str, ...],
+    budget: float | None,
+    folder: Path,
+    jobs: int,
+    *,
+    guided: bool,
+) -> "Search":
+    """Return what a search among random cases has found; it goes on from the cases in the folder."""
+    from math import inf
+
+    from desim.study.breaking.case_log import FILE as CASES
+    from desim.study.breaking.case_log import CaseLog
+    from desim.study.breaking.search import find_violation
+
+    keys = [setting.partition("=")[0] for setting in grid]
+    return find_violation(
+        scenario,
+        prop,
+        runs=runs,
+        seed=seed,
+        vary={key: scenario.sweep.grid[key] for key in keys},
+        features=list(features) or None,
+        guided=guided,
+        jobs=jobs,
+        budget=inf if budget is None else budget,
+        log=CaseLog(folder / CASES, scenario, prop),
+    )
 
 
 def _stated(text: str | None, scenario: "Scenario") -> "Property | str":

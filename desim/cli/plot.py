@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, limited, making
 from desim.cli.recorded import SOURCE, is_recorded, labels_of, results_of
+from desim.cli.usage import options_given
 from desim.config.file_names import PICTURE_SUFFIXES, files
 
 if TYPE_CHECKING:
@@ -200,13 +200,12 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
 
 def _check_options(kind: str) -> None:
     """Raise a usage error if the command line has an option that this kind of picture lacks."""
-    context = click.get_current_context()
     everything = {**OF_RUNS, **OF_SWEEPS}
-    names = {parameter.name: parameter.opts[-1] for parameter in context.command.params}
-    for name in dict.fromkeys(option for options in everything.values() for option in options):
-        if name not in everything[kind] and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+    of_any = dict.fromkeys(name for options in everything.values() for name in options)
+    for name, option in options_given(of_any).items():
+        if name not in everything[kind]:
             fitting = " and ".join(kind_name for kind_name, options in everything.items() if name in options)
-            raise click.UsageError(f"{names[name]} is an option of {fitting}; this picture is of the kind {kind}")
+            raise click.UsageError(f"{option} is an option of {fitting}; this picture is of the kind {kind}")
 
 
 def picture_paths(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:

@@ -1,10 +1,11 @@
 """The messages about wrong words on the command line: what to type instead, for all commands and studies."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 import click
+from click.core import ParameterSource
 
 from desim.config.suggestion import close_to
 
@@ -114,3 +115,10 @@ def _about_value(message: str, param: click.Parameter) -> str:
         close = close_to(value, [str(choice) for choice in param.type.choices])
         return f"{message} Did you mean {close[0]!r}?" if close else message
     return message
+
+
+def options_given(names: Collection[str]) -> dict[str, str]:
+    """Return those of some parameters that the command line has, and how it writes each, such as {"runs": "--runs"}."""
+    context = click.get_current_context()
+    options = {parameter.name: parameter.opts[-1] for parameter in context.command.params if parameter.name}
+    return {name: options[name] for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}

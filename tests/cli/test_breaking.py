@@ -86,7 +86,7 @@ def test_losses_are_tried_one_by_one(folder):
     margins = [fatal["verdict"]["margin"] for fatal in document["fatal"]]
     assert judge(smallest.properties[0], run(smallest)).margin == min(margins) < 0.0
     late = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--delay", 0.001, "-s", 1, "-o", "late")
-    assert late.stdout.startswith("no violation with at most 1 lost message (")
+    assert late.stdout.startswith("no violation with at most 1 message late by 0.001 s (")
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,9 @@ def test_losses_are_tried_one_by_one(folder):
         (["--feature", "lag"], "there is no feature 'lag'"),
         (["-g", "network.loss=0.1,1.5"], "network.loss"),
         (["-g", "network.los=0.1"], "network.los"),
+        (["--losses", 1, "--budget", 5], "--budget is only used without --losses"),
+        (["--losses", 1, "--guided"], "--guided is only used without --losses"),
+        (["--delay", 0.5], "--delay is only used with --losses"),
     ],
 )
 def test_bad_use_is_told(folder, options, why):

@@ -499,8 +499,8 @@ def test_the_next_pursuer_takes_over_from_a_host_that_is_down(takeover, chasers)
 
 
 def test_a_takeover_lasts_three_periods_two_round_trips_and_a_tick_at_most():
-    """The last order left before 1 s; silence lasts 3 periods and a round trip, found at the next tick; the new server has
-    its first report a period and a latency later, and chases itself.
+    """The last order left before 1 s. Silence lasts 3 periods and a round trip, and is found at the next tick. The new
+    server has its first report a period and a latency later, and chases itself.
     """
     result = run(static_with_crash(Server(takeover=True), 0, 9.0))
     (start,) = (t for t, j, active in changes(result) if j == 1 and active)
@@ -525,8 +525,8 @@ def test_each_side_of_a_partition_has_a_server():
 
 @pytest.mark.slow
 def test_lost_orders_do_not_depose_the_host():
-    """A pursuer that lost three orders in a row may be the server until it hears the host: in a share of the time of about
-    .4^3, and nobody else obeys it.
+    """A pursuer that lost three orders in a row may be the server until it hears the host, for a share of the time of
+    about .4^3, and nobody else obeys it.
     """
     result = run(static(Server(takeover=True), latency=0.02, loss=0.4, horizon=20.0))
     orders = [event.src for event in result.trace.of(Sent) if isinstance(event.body, TeamOrder)]

@@ -53,6 +53,7 @@ class LossTable:
     Attributes:
         most: k.
         seeds: the seeds.
+        delay: the time by which the messages arrived late, s; inf: they were lost.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
         skipped: the number of choices that were not run, as one of their messages does not matter.
@@ -62,6 +63,7 @@ class LossTable:
 
     most: int
     seeds: tuple[int, ...]
+    delay: float = inf
     fatal: list[FatalLosses] = field(default_factory=list)
     runs: int = 0
     skipped: int = 0
@@ -71,15 +73,17 @@ class LossTable:
     def text(self) -> str:
         """Return the table as text."""
         seeds = f"seed{'s' if len(self.seeds) > 1 else ''} {', '.join(map(str, self.seeds))}"
-        lost = f"at most {self.most} lost message{'s' if self.most > 1 else ''}"
+        fate = "lost" if self.delay == inf else f"late by {self.delay:g} s"
+        noun = f"message{'s' if self.most > 1 else ''}"
+        choices = f"at most {self.most} " + (f"lost {noun}" if self.delay == inf else f"{noun} {fate}")
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for seed, messages, verdict in self.fatal:
-            lines.append(f"seed {seed}: margin {verdict.margin:.3g} if these are lost:")
+            lines.append(f"seed {seed}: margin {verdict.margin:.3g} if these are {fate}:")
             lines += [f"  {copy}" for copy in messages]
         if not lines:
-            lines.append(f"no violation with {lost} ({self.runs:,} runs, {seeds})")
+            lines.append(f"no violation with {choices} ({self.runs:,} runs, {seeds})")
         else:
-            lines.append(f"{lost}: {self.runs:,} runs, {seeds}")
+            lines.append(f"{choices}: {self.runs:,} runs, {seeds}")
         return "\n".join(lines)
 
 
@@ -129,7 +133,7 @@ def fatal_losses(
     if most < 1:
         raise ValueError(f"most should be at least 1 (got {most})")
     prop = checked_property(prop, scenario)
-    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds))
+    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), delay)
     skips = prune and hides_old_news(scenario, prop)
     observed = recording(scenario, [prop]).with_({"record.messages": True})
     with workers_for(jobs, GENERATION) as workers, progress(0, "losses", "run") as bar:
