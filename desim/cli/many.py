@@ -17,6 +17,7 @@ from desim.cli.options import (
     ALLOW_IMPORT,
     CLUSTER,
     COUNT,
+    DESIGN,
     FAILED,
     FILE,
     GRID,
@@ -77,6 +78,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.command()
 @FILE
 @GRID
+@DESIGN
 @click.option(
     "-n",
     "--runs",
@@ -108,6 +110,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 def sweep(
     file: Path,
     grid: tuple[str, ...],
+    design: str | None,
     runs: int | None,
     seed: int | None,
     jobs: int,
@@ -138,7 +141,7 @@ def sweep(
     if until and ":" in until[0]:
         chosen_metric, width = until
         metrics, until = tuple(dict.fromkeys((*metrics, chosen_metric))), (chosen_metric.rpartition(":")[2], width)
-    source, scenario = source_of(file, overrides, metrics, grid)
+    source, scenario = source_of(file, overrides, metrics, grid, design)
     shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
@@ -311,7 +314,7 @@ def _write_summary(
         from desim.analysis.drawing.plots import save
         from desim.study.results.figures import file_name
 
-        paths = save(everything.plot(metrics[0]), folder / file_name("means", metrics[0]))
+        paths = save(everything.plot(metrics[0]), folder / file_name(everything.usual_kind, metrics[0]))
         names += [path.name for path in paths]
     part, whole = len(result.groups), len(everything.groups)
     of_all = (

@@ -67,7 +67,13 @@ GRID = click.option(
     callback=_one_word_each,
     shell_complete=completion.keys,
     help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated. A"
-    " range FIRST:LAST:STEP, such as 0:1:0.1, stands for its numbers, the last included.",
+    " range FIRST:LAST:STEP, such as 0:1:0.1, stands for its numbers, the last included, and log:FIRST:LAST:COUNT for"
+    " numbers with equal ratios. LOW:HIGH and log:LOW:HIGH are ranges without steps.",
+)
+DESIGN = click.option(
+    "--design",
+    metavar="METHOD:SIZE",
+    help="Choose SIZE points of the ranges LOW:HIGH of the grid: sobol:64, latin_hypercube:64 or random:64.",
 )
 SEED = click.option(
     "-s",
@@ -186,9 +192,13 @@ def limited(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def source_of(
-    file: Path, overrides: tuple[str, ...], metrics: tuple[str, ...] = (), grid: tuple[str, ...] = ()
+    file: Path,
+    overrides: tuple[str, ...],
+    metrics: tuple[str, ...] = (),
+    grid: tuple[str, ...] = (),
+    design: str | None = None,
 ) -> "tuple[Source, Scenario]":
-    """Return the source of a scenario file and its scenario, both with the metrics of --metric and the keys of --grid.
+    """Return the source of a scenario file and its scenario, with the values of --metric, --grid and --design.
 
     Print warnings, and end the program if the scenario is invalid; see `valid`.
     """
@@ -199,12 +209,31 @@ def source_of(
         source = read_source(file, overrides, allow_import=is_import_allowed())
         for setting in grid:
             source.vary(setting)
+        if design is not None:
+            _set_design(source, design)
         add_metrics(source, metrics)
     except ScenarioError as error:
         fail(str(error))
     except OSError as error:
         fail(f"{file}: cannot be read: {error.strerror}{_instead_of(file)}")
     return source, valid(source)
+
+
+def _set_design(source: "Source", text: str) -> None:
+    """Set the method and the size of `sweep.design`; the other keys of the design remain.
+
+    Raises:
+        ScenarioError: if the text is not METHOD:SIZE.
+    """
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.sweep_table import design_of
+
+    present = source.at(["sweep", "design"])
+    try:
+        table = design_of(text)
+    except ValueError as error:
+        raise ScenarioError(f"--design {text}: {error}") from None
+    source.set("sweep.design", (present if isinstance(present, dict) else {}) | table, f"--design {text}")
 
 
 def _instead_of(file: Path) -> str:

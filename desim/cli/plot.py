@@ -25,8 +25,12 @@ OF_RUNS: Mapping[str, Sequence[str]] = {
 OF_SWEEPS: Mapping[str, Sequence[str]] = {
     "means": ["y", "x", "by", "against", "labels", "xlabel", "ylabel", "size"],
     "phase": ["y", "xlabel", "ylabel", "size"],
+    "scatter": ["y", "size"],
+    "contour": ["y", "size"],
 }
-"""The kinds of pictures of a sweep, with the options of each kind; the first kind is the default."""
+"""The kinds of pictures of a sweep, with the options of each kind; `SweepResult.usual_kind` is the default."""
+OF_MEANS = ("x", "by", "against", "labels", "xlabel", "ylabel")
+"""The options that ask for means, whatever the usual kind."""
 SUFFIXES = {"film": [".gif", ".mp4"], "perfetto": [".json"]}
 """The file suffixes of the kinds of pictures that are not diagrams."""
 NAMES = {"perfetto": "trace.perfetto"}
@@ -53,7 +57,8 @@ class Ids(click.ParamType[tuple[int, ...]]):
     type=click.Choice([*OF_RUNS, *OF_SWEEPS]),
     help="Of a run: trajectory (default), the paths of all players; spacetime, a line per pursuer and an arrow per"
     " message; film, a GIF or an MP4; perfetto, a timeline for https://ui.perfetto.dev. Of a sweep: means (default), a"
-    " metric over a key; phase, a heat map of a metric over two keys.",
+    " metric over a key; phase, a heat map of a metric over two keys; scatter (default of a design), a metric at each"
+    " point over each key; contour, bands of a metric over two keys.",
 )
 @click.option(
     "-o",
@@ -66,8 +71,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
 @click.option(
     "--size",
     metavar="WIDTH[xHEIGHT]",
-    help="Size of a trajectory, spacetime, means or phase in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm; of a film also in"
-    " px, e.g. 1920x1080px.",
+    help="Size of a diagram in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm; of a film also in px, e.g. 1920x1080px.",
 )
 @click.option("-y", "--y", metavar="METRIC", help="Of a sweep: the metric on the ordinate; default: active_time.")
 @click.option("-x", "--x", metavar="KEY", help="The key on the abscissa; default: the first with several numbers.")
@@ -150,7 +154,10 @@ def _draw(
     if kind is not None and kind not in kinds:
         one, other = ("run", "sweep") if kinds is OF_RUNS else ("sweep", "run")
         fail(f"--kind {kind} draws a {other}, and {source} is a {one}: choose {' or '.join(kinds)}")
-    chosen = kind or next(iter(kinds))
+    context = click.get_current_context()
+    of_means = any(context.get_parameter_source(name) is ParameterSource.COMMANDLINE for name in OF_MEANS)
+    usual = next(iter(kinds)) if isinstance(result, Result) or of_means else result.usual_kind
+    chosen = kind or usual
     _check_options(chosen)
     chosen_options = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
     if isinstance(result, Result):

@@ -46,6 +46,10 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _unused_warnings(scenario)
     unbreakable = (k for k, prop in enumerate(scenario.properties) if not prop.can_fail(scenario))
     yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
+    if scenario.sweep.design is not None and not scenario.sweep.design.is_balanced:
+        size = scenario.sweep.design.size
+        near = f"{1 << size.bit_length() - 1} or {1 << size.bit_length()}"
+        yield "sweep.design.size", f"{size} points of a Sobol sequence are less even than a power of 2, such as {near}"
 
 
 def _memory_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from desim.scenario.toml_lines import MAX_PARTS, deep_key, tables_of
-from desim.scenario.value_ranges import range_of
+from desim.scenario.value_ranges import interval_of, range_of
 
 
 def key_and_value(text: str) -> tuple[str, Any]:
@@ -17,8 +17,10 @@ def key_and_value(text: str) -> tuple[str, Any]:
     return _split(text, "KEY=VALUE, for instance network.latency.value=0.05", _parsed)
 
 
-def key_and_values(text: str) -> tuple[str, list[Any]]:
+def key_and_values(text: str) -> tuple[str, list[Any] | str]:
     """Return the dotted key and the values of "key.key=value,value,..."; a value may be a range, see `range_of`.
+
+    A range without steps, "key.key=LOW:HIGH", stays a text.
 
     Raises:
         ValueError: if the text does not have this form, or a value is empty or not TOML that can be read.
@@ -26,7 +28,7 @@ def key_and_values(text: str) -> tuple[str, list[Any]]:
     return _split(
         text,
         "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1 or network.latency.value=0:1:0.1",
-        _parsed_list,
+        lambda values: _parsed_list(values) if interval_of(values) is None else values,
     )
 
 

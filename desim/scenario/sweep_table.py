@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 from desim.config.choice import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.model import Value
 from desim.config.trust import is_trusted
-from desim.scenario.value_ranges import range_of
+from desim.scenario.value_ranges import KeyRange, interval_of, is_range, range_of
 
 
 def _flat(grid: Any, above: str = "") -> Any:
@@ -32,12 +32,56 @@ def _flat(grid: Any, above: str = "") -> Any:
 
 def _in_order(values: Any) -> Any:
     if isinstance(values, str) and ":" in values:
-        return range_of(values) or values
-    return values
+        interval = interval_of(values)
+        return (interval,) if interval is not None else range_of(values) or values
+    return (values,) if isinstance(values, KeyRange) else values
 
 
 Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_in_order)]
-"""The values of one key of a grid."""
+"""The values of one key of a grid; of a range without steps, one `KeyRange`."""
+
+
+def design_of(value: Any) -> Any:
+    """Return the design that a text such as "sobol:64" stands for; any other value unchanged.
+
+    Raises:
+        ValueError: if the size in the text is no number.
+    """
+    if not isinstance(value, str):
+        return value
+    method, colon, size = value.partition(":")
+    if colon and not size.strip().isdecimal():
+        raise ValueError(f"should be METHOD:SIZE, sobol:64 for instance (got {value!r})")
+    return {"method": method.strip()} | ({"size": int(size)} if colon else {})
+
+
+class Design(Value):
+    """Points at which the ranges of a grid are tried, in place of all combinations; "sobol:64" is a short form."""
+
+    method: Literal["sobol", "latin_hypercube", "random"] = "sobol"
+    """How points are chosen. sobol: a scrambled Sobol sequence, the most even; latin_hypercube: as many equal parts of
+    each range as points, one point in each; random: independent points.
+
+    A greater `size` continues a Sobol sequence and random points, so that stored runs remain part of the sweep; a Latin
+    hypercube of another size has other points.
+
+    If in doubt, use sobol with a power of two.
+    """
+    size: Annotated[int, Field(ge=2, le=100_000, strict=True)] = 64
+    """Number of points.
+
+    If in doubt, use 64 for two or three keys, and twice as many for each further one that matters.
+    """
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0
+    """Seed of the points; the seeds of runs do not depend on it."""
+    drawn: tuple[str, ...] = ()
+    """Keys of the grid with a list whose values are drawn, too, each with the same probability; every point is combined
+    with all values of the other lists."""
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether the number of points suits the method: that of a Sobol sequence should be a power of 2."""
+        return self.method != "sobol" or not self.size & (self.size - 1)
 
 
 class Sweep(Value):
@@ -56,7 +100,10 @@ class Sweep(Value):
     configurations are compared on equal seeds; independent: every run has its own seed."""
     grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
     """Dotted keys of the scenario as in --set, each with the list of its values, or with a range "FIRST:LAST:STEP" of
-    numbers, such as "0:1:0.1", the last included; every combination is a configuration."""
+    numbers, such as "0:1:0.1", the last included, or "log:FIRST:LAST:COUNT" with equal ratios; every combination is a
+    configuration. "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
+    design: Annotated[Design, BeforeValidator(design_of)] | None = None
+    """The points of the ranges of the grid, such as "sobol:64"; without ranges there is none."""
 
     @field_validator("grid")
     @classmethod
@@ -70,11 +117,11 @@ class Sweep(Value):
         return grid
 
     @field_serializer("grid")
-    def _serialized(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
-        return {key: _as_json(values) for key, values in grid.items()}
+    def _serialized(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any] | str]:
+        return {key: str(values[0]) if is_range(values) else _as_json(values) for key, values in grid.items()}
 
     def __hash__(self) -> int:  # the values of a key may be tables, which have no hash
-        return hash((self.reps, self.seeds, tuple(self.grid)))
+        return hash((self.reps, self.seeds, tuple(self.grid), self.design))
 
 
 def _kinds_in(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from desim import Scenario, sweep
 from desim.scenario.override_texts import key_and_values
 from desim.scenario.sweep_table import Sweep
-from desim.scenario.value_ranges import MAX_VALUES, range_of
+from desim.scenario.value_ranges import MAX_VALUES, KeyRange, interval_of, range_of
 
 
 @pytest.mark.parametrize(
@@ -56,3 +56,74 @@ def test_a_range_is_one_in_an_option_a_file_and_a_script():
     assert Sweep(grid={"network.latency.value": "0:0.3:0.1"}).grid == {"network.latency.value": tuple(numbers)}
     swept = sweep(Scenario(horizon=0.01), {"team.count": "2:3:1"}, reps=1)
     assert swept.values("team.count") == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("log:1e-3:1:7", [0.001, 0.00316228, 0.01, 0.0316228, 0.1, 0.316228, 1.0]),
+        ("log:8:1:4", [8.0, 4.0, 2.0, 1.0]),
+        (" LOG: 1 : 1e2 : 3 ", [1.0, 10.0, 100.0]),
+    ],
+)
+def test_a_logarithmic_range_has_equal_ratios_and_exact_ends(text, numbers):
+    assert range_of(text) == numbers
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("log:0:1:5", "begin and end above 0"),
+        ("log:1:2:1", "two different numbers"),
+        ("log:1:1:3", "two different numbers"),
+        ("log:1:2:100001", "has 100,001 values"),
+    ],
+)
+def test_a_logarithmic_range_without_ratios_is_refused(text, why):
+    with pytest.raises(ValueError, match=why):
+        range_of(text)
+
+
+@pytest.mark.parametrize("text", ["0:1:0.1", "module:name", "log:1", "", "1", "log:a:b"])
+def test_other_texts_are_no_ranges_without_steps(text):
+    assert interval_of(text) is None
+
+
+@pytest.mark.parametrize("text", ["1:0", "1:1", "log:0:1", "log:-1:1"])
+def test_a_range_without_steps_that_is_none_is_refused(text):
+    with pytest.raises(ValueError, match="the range"):
+        interval_of(text)
+
+
+@given(
+    low=st.floats(1e-6, 1e3),
+    ratio=st.floats(1.001, 1e6),
+    share=st.floats(0.0, 1.0),
+    is_log=st.booleans(),
+)
+def test_a_number_of_a_range_lies_in_it_and_is_the_one_that_is_shown(low, ratio, share, is_log):
+    interval = KeyRange(low, low * ratio, is_log)
+    number = interval.at(share)
+    assert interval.low <= number <= interval.high
+    assert number in (interval.low, interval.high) or number == float(f"{number:.6g}")
+    assert (interval.at(0.0), interval.at(1.0)) == (interval.low, interval.high)
+    middle = (low * low * ratio) ** 0.5 if is_log else low * (1 + ratio) / 2
+    assert interval.at(0.5) == pytest.approx(middle, rel=1e-5)
+
+
+def test_whole_numbers_of_a_range_are_equally_probable():
+    whole = KeyRange(2.0, 5.0, is_whole=True)
+    numbers = [whole.at((k + 0.5) / 4000) for k in range(4000)]
+    assert {number: numbers.count(number) for number in (2, 3, 4, 5)} == dict.fromkeys((2, 3, 4, 5), 1000)
+    assert (whole.at(0.0), whole.at(1.0)) == (2, 5)
+    assert all(isinstance(number, int) for number in numbers)
+
+
+def test_a_range_without_steps_is_one_in_an_option_a_file_and_a_script():
+    assert key_and_values("network.loss.p=0:0.5") == ("network.loss.p", "0:0.5")
+    for grid in ({"network.loss.p": "log:0.1:0.5"}, {"network.loss.p": KeyRange(0.1, 0.5, True)}):
+        sweep_table = Sweep(grid=grid, design="sobol:8")
+        assert sweep_table.grid == {"network.loss.p": (KeyRange(0.1, 0.5, True),)}
+        written = sweep_table.model_dump(mode="json")
+        assert written["grid"] == {"network.loss.p": "log:0.1:0.5"}
+        assert Sweep(**written) == sweep_table

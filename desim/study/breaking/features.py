@@ -9,6 +9,7 @@ import numpy as np
 from desim.config.errors import problems_of
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
+from desim.scenario.value_ranges import ends, is_range, setting_at
 
 NewValues = dict[str, Any]
 """New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
@@ -73,17 +74,19 @@ FEATURES: Mapping[str, Draw] = MappingProxyType(
 
 
 def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[str, Draw]:
-    """Return features of a user: each key takes one of its values.
+    """Return features of a user: each key takes one of its values, or a number of its range.
 
     Raises:
         ScenarioError: if the scenario takes none of the values of a key.
     """
 
     def draw_of(key: str, values: Sequence[Any]) -> Draw:
+        if is_range(values):
+            return lambda rng, _: {key: setting_at(values, rng.random())}
         return lambda rng, _: {key: values[int(rng.integers(len(values)))]}
 
     for key, values in grid.items():
-        for value in values:
+        for value in ends(values):
             try:
                 scenario.with_({key: value})
             except ScenarioError as error:

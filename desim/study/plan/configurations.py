@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
 from math import prod
@@ -12,11 +12,15 @@ from pydantic import BaseModel
 
 from desim.config.data_files import in_short
 from desim.config.errors import Problem
+from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
+from desim.scenario.sweep_table import Design
 from desim.scenario.toml import validate
+from desim.scenario.value_ranges import ends, is_range
 from desim.study.plan.config_hash import UNSWEPT, Identity, identify
+from desim.study.plan.designs import design_settings, drawn_keys
 
 SweepGrid = Mapping[str, Sequence[Any]]
 """Dotted keys of a scenario, and the values that each takes."""
@@ -57,29 +61,108 @@ class Configuration:
         return in_words(self.settings)
 
 
-def configurations(source: Source, grid: SweepGrid | None = None) -> list[Configuration]:
+def configurations(
+    source: Source, grid: SweepGrid | None = None, design: Design | str | None = None
+) -> list[Configuration]:
     """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
+
+    Of a grid with ranges they are the points of a design, each with all combinations of the values of the other keys.
 
     Raises:
         ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
-            two are the same or have the same name, or an object in one has no stable hash.
+            two are the same or have the same name, an object in one has no stable hash, or the grid has ranges and no
+            design, or a design and no ranges.
     """
-    if grid is not None:
-        source = _with_grid(source, grid)
-    grid = validate(source).sweep.grid
+    if grid is not None or design is not None:
+        source = _with_grid(source, grid, design)
+    sweep = validate(source).sweep
+    grid = checked_ranges(source, sweep.grid)
+    _check_design(source, grid, sweep.design)
+    drawn = drawn_keys(grid, sweep.design) if sweep.design else []
+    size = prod(len(values) for key, values in grid.items() if key not in drawn)
+    if (size := size * (sweep.design.size if sweep.design else 1)) > MAX_CONFIGURATIONS:
+        most = f"{MAX_CONFIGURATIONS:,} configurations"
+        raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
+    if sweep.design is not None:
+        return valid_configurations(source, grid, design_settings(grid, sweep.design))
+    combinations = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
+    return valid_configurations(source, grid, combinations)
+
+
+def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
+    """Return a grid whose ranges know whether they are of whole numbers.
+
+    Raises:
+        ScenarioError: if the grid is empty, or a key does not take an end of its range.
+    """
     if not grid:
         why = (
             "should have at least one key of the scenario, and a list of values for it,"
             ' "network.latency.value" = [0.0, 0.1] for instance'
         )
         raise ScenarioError(_about_grid(source, why))
-    if (size := prod(map(len, grid.values()))) > MAX_CONFIGURATIONS:
-        most = f"{MAX_CONFIGURATIONS:,} configurations"
-        raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
+    first = {key: ends(values)[0] for key, values in grid.items()}
+    checked, problems = dict(grid), list[Problem]()
+    for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):
+        if {interval.low % 1.0, interval.high % 1.0} == {0.0}:
+            whole = replace(interval, is_whole=True)
+            takes_parts = not _problems_of_key(source, first | {key: interval.low + 0.5}, key)
+            interval = interval if takes_parts else whole
+            checked[key] = (interval,)
+        first[key] = interval.at(0.0)
+        for end in ends(checked[key]):
+            problems += _problems_of_key(source, first | {key: end}, key)
+    if problems:
+        raise ScenarioError(*dict.fromkeys(problems))
+    return checked
+
+
+def _problems_of_key(source: Source, settings: Settings, key: str) -> list[Problem]:
+    """Return what is wrong with the value of one key in some settings."""
+    try:
+        _scenario_with(source, settings)
+    except ScenarioError as error:
+        return [
+            problem
+            for problem in error.problems
+            if _swept_above(problem.key, [key]) or problem.reason.startswith(f"{key}: ")
+        ]
+    return []
+
+
+def _check_design(source: Source, grid: SweepGrid, design: Design | None) -> None:
+    """Raise ScenarioError if a grid has ranges and there is no design, or a design has nothing to draw."""
+    ranges = [key for key, values in grid.items() if is_range(values)]
+    if design is None and ranges:
+        why = (
+            f"{grid[ranges[0]][0]} is a range without steps, from which a design chooses:"
+            ' give `sweep.design`, "sobol:64" for instance, or a step'
+        )
+        raise ScenarioError(_about_grid(source, why, ranges[0]))
+    if design is None:
+        return
+    place = ("sweep", "design")
+    if lacking := [key for key in design.drawn if key not in grid]:
+        why = f"the grid has no key {lacking[0]}{did_you_mean(lacking[0], grid)}"
+        raise ScenarioError(Problem(why, "sweep.design.drawn", source.where((*place, "drawn")), source.line(place)))
+    if not drawn_keys(grid, design):
+        why = (
+            'has nothing to choose: the grid should have a range, "network.loss.p" = "0:0.5" for instance, or `drawn`'
+            " should name a key"
+        )
+        raise ScenarioError(Problem(why, "sweep.design", source.where(place), source.line(place)))
+
+
+def valid_configurations(source: Source, grid: SweepGrid, chosen_settings: Iterable[Settings]) -> list[Configuration]:
+    """Return the configurations with some settings of the keys of a grid, in order.
+
+    Raises:
+        ScenarioError: if settings are invalid (the message lists them), two configurations are the same or have the
+            same name, or an object in one has no stable hash.
+    """
     chosen: list[Configuration] = []
     errors: dict[Problem, list[Settings]] = {}
-    for values in product(*grid.values()):
-        settings = dict(zip(grid, values, strict=True))
+    for settings in chosen_settings:
         try:
             chosen.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
@@ -137,11 +220,18 @@ def _swept_above(key: str, settings: Iterable[str]) -> str | None:
     return next((setting for setting in settings if f"{key}.".startswith(f"{setting}.")), None)
 
 
-def _with_grid(source: Source, grid: SweepGrid) -> Source:
-    """Return a copy of a source whose table `sweep` contains a grid only."""
+def _with_grid(source: Source, grid: SweepGrid | None, design: Design | str | None) -> Source:
+    """Return a copy of a source whose table `sweep` contains only a grid and its design; None: the source's own grid.
+
+    The design of a source belongs to its own grid.
+    """
     changed = source.copy()
-    changed.tables["sweep"] = {"grid": grid}
-    changed.origins["sweep", "grid"] = "the grid"
+    if grid is not None:
+        changed.tables["sweep"] = {"grid": grid}
+        changed.origins["sweep", "grid"] = "the grid"
+    if design is not None:
+        changed.tables["sweep"] = {**changed.tables.get("sweep", {}), "design": design}
+        changed.origins["sweep", "design"] = "the design"
     return changed
 
 

@@ -122,7 +122,7 @@ def means(
     named = keys or [key for key in result.keys if key != abscissa]
 
     def draw(axes: Axes, points: Sequence[Point]) -> None:
-        title = _with_unit(metric, result, against, labels)
+        title = metric_with_unit(metric, result, against, labels)
         if abscissa is None:
             axes.set_xlabel(title)
             _draw_rows(axes, result.keys, points, labels)
@@ -134,7 +134,7 @@ def means(
         if against is not None:
             (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
 
-    legend_title = escaped(labels[named[0]]) if len(named) == 1 and named[0] in labels else _legend_title(named)
+    legend_title = escaped(labels[named[0]]) if len(named) == 1 and named[0] in labels else title_of_legend(named)
     if ax is not None:
         figure = figure_of(ax, panels=list(panels), size=size)
         with in_style(style):
@@ -144,10 +144,10 @@ def means(
         return figure
     columns = min(MAX_ABREAST, len(panels))
     rows = -(-len(panels) // columns)
-    names = [] if abscissa is None else list(dict.fromkeys(_line_name(group, named, labels) for group in result.groups))
+    names = [] if abscissa is None else list(dict.fromkeys(line_name(group, named, labels) for group in result.groups))
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
     if size is None:
-        height += _legend_height(names, width)
+        height += height_of_legend(names, width)
     with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
         for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
@@ -158,7 +158,7 @@ def means(
             intervals = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
             over(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
-        _add_legend(figure, legend_title)
+        add_legend(figure, legend_title)
     return figure
 
 
@@ -268,11 +268,11 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
     )
     names = list(lines[metrics[0]]) if abscissa and has_legend else []
     width = 0.4 + 3.0 * columns
-    size = (width, 0.3 + height * rows + _legend_height(names, width))
+    size = (width, 0.3 + height * rows + height_of_legend(names, width))
     with styled(figsize=size, font=8.0) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
         for axes, metric in zip(panels.flat, metrics, strict=False):
-            axes.set_title(_with_unit(metric, result), loc="left")
+            axes.set_title(metric_with_unit(metric, result), loc="left")
             if abscissa is None:
                 _draw_rows(axes, result.keys, _points(result, metric, None))
             else:
@@ -288,7 +288,7 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
             if k + columns < len(metrics):
                 axes.set_xlabel("")
         if has_legend:
-            _add_legend(figure, _legend_title(line_keys))
+            add_legend(figure, title_of_legend(line_keys))
     return figure
 
 
@@ -296,17 +296,17 @@ def legend(result: SweepRuns) -> Figure | None:
     """Draw the legend of the figures of `multiples` on its own; None if their lines have no names."""
     abscissa = next(iter(swept_numbers(result)), None)
     line_keys = [key for key in result.keys if key != abscissa]
-    names = [name for group in result.groups if (name := _line_name(group, line_keys))] if abscissa else []
+    names = [name for group in result.groups if (name := line_name(group, line_keys))] if abscissa else []
     if not names:
         return None
     names = list(dict.fromkeys(names))
     width = MAX_ABREAST * 3.0
-    with styled(figsize=(width, _legend_height(names, width)), font=8.0) as figure:
+    with styled(figsize=(width, height_of_legend(names, width)), font=8.0) as figure:
         axes = figure.add_subplot()
         axes.set_axis_off()
         for k, name in enumerate(names):
-            axes.plot([], [], label=name, **_look(k))
-        _add_legend(figure, _legend_title(line_keys))
+            axes.plot([], [], label=name, **look_of(k))
+        add_legend(figure, title_of_legend(line_keys))
         axes.remove()
     return figure
 
@@ -327,13 +327,15 @@ def phase(
     one colour scale, and one number of decimals. For the arguments see `means`.
 
     Raises:
-        ValueError: if fewer than two keys take several numbers, the sweep has no such metric, the size is invalid, or
-            several panels do not fit into `ax`.
+        ValueError: if fewer than two keys take several numbers, or a design drew them, the sweep has no such metric,
+            the size is invalid, or several panels do not fit into `ax`.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = swept_numbers(result)
     if len(keys) < 2:
         raise ValueError(f"a heat map needs two keys that take several numbers, there are {len(keys)}")
+    if result.drawn_keys:
+        raise ValueError("a heat map needs a grid; the points of a design have `contour` and `scatter`")
     x, y = keys[:2]
     over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}
@@ -351,17 +353,17 @@ def phase(
 
     def draw(axes: Axes, panel: NDArray[np.float64]) -> None:
         _draw_map(axes, panel, colours, form)
-        axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
+        axes.set(xlabel=key_with_unit(x), ylabel=key_with_unit(y))
         axes.set_xticks(range(len(over[x])), map(text, over[x]))
         axes.set_yticks(range(len(over[y])), map(text, over[y]))
         _label(axes, xlabel, ylabel)
 
-    title = _with_unit(metric, result)
+    title = metric_with_unit(metric, result)
     if ax is not None:
         figure = figure_of(ax, panels=list(panels), size=size)
         with in_style(style):
             draw(ax, next(iter(panels.values())))
-            _add_colour_bar(figure, colours, [ax], title)
+            add_colour_bar(figure, colours, [ax], title)
         return figure
     usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
     width, height = usual if size is None else size_of(size)
@@ -374,11 +376,12 @@ def phase(
             axes.set_axis_off()
         for axes in shared.flat:
             axes.label_outer()
-        _add_colour_bar(figure, colours, shared.ravel().tolist(), title)
+        add_colour_bar(figure, colours, shared.ravel().tolist(), title)
     return figure
 
 
-def _add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes], title: str) -> None:
+def add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes], title: str) -> None:
+    """Add the colour scale of several panels to a figure, as vector graphics."""
     bar = figure.colorbar(colours, ax=axes, label=title, fraction=0.05, pad=0.03)
     bar.outline.set_visible(False)
     if bar.solids is not None:
@@ -424,7 +427,7 @@ def swept_numbers(result: SweepRuns) -> list[str]:
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
-def _with_unit(
+def metric_with_unit(
     metric: str,
     result: SweepRuns,
     against: Mapping[str, Any] | None = None,
@@ -451,7 +454,8 @@ def _label_or_text(name: str, labels: Mapping[str, str]) -> str:
     return escaped(labels[name]) if name in labels else _literal(name)
 
 
-def _key_with_unit(key: str) -> str:
+def key_with_unit(key: str) -> str:
+    """Return a key and its unit as the label of an axis."""
     unit = unit_of_key(key, Scenario)
     return _literal(f"{key} ({unit})" if unit else key)
 
@@ -479,14 +483,14 @@ def _draw_lines(
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         bars = sorted((places[value] + shift, estimate.mean, estimate.half_width) for value, estimate in points)
         x, y, error = zip(*bars, strict=True)
-        look = _look(k) | {"ls": "-" if is_number else "none"}
+        look = look_of(k) | {"ls": "-" if is_number else "none"}
         axes.errorbar(x, y, error, elinewidth=0.8, capsize=2, label=name, **look)
     if len(values) <= MAX_TICKS or not is_plain:
         count = min(len(values), MAX_TICKS) if is_number else len(values)
         ticks = [values[round(k * (len(values) - 1) / max(count - 1, 1))] for k in range(count)]
         ticks = _apart(axes, ticks, places)
         axes.set_xticks([places[value] for value in ticks], [_literal(text(value)) for value in ticks])
-    axes.set_xlabel(_key_with_unit(abscissa))
+    axes.set_xlabel(key_with_unit(abscissa))
 
 
 def _apart(axes: Axes, values: Sequence[Any], places: Mapping[Any, float]) -> list[Any]:
@@ -504,7 +508,7 @@ def _apart(axes: Axes, values: Sequence[Any], places: Mapping[Any, float]) -> li
     return kept if len(values) == 1 else [*kept, last]
 
 
-def _look(k: int) -> dict[str, Any]:
+def look_of(k: int) -> dict[str, Any]:
     """Return the colour and the mark of line k of a diagram."""
     return {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2}
 
@@ -534,13 +538,13 @@ def _lines(
     """
     lines: dict[str, list[tuple[Any, Estimate]]] = {}
     for group, estimate in points:
-        line = lines.setdefault(_line_name(group, by, labels), [])
+        line = lines.setdefault(line_name(group, by, labels), [])
         if estimate is not None:
             line.append((group.settings[abscissa], estimate))
     return lines
 
 
-def _line_name(group: Group, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})) -> str:
+def line_name(group: Group, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})) -> str:
     """Return the name of the line of a configuration: its values of the keys `by`."""
     return ", ".join(_named(key, group, labels, len(by) > 1) for key in by)
 
@@ -553,7 +557,7 @@ def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several:
     return _literal(f"{key} = {value}" if is_one_of_several else value)
 
 
-def _add_legend(figure: Figure, title: str | None) -> None:
+def add_legend(figure: Figure, title: str | None) -> None:
     """Add a legend below all panels, outside of their axes, if the lines have names; a single line is named, too."""
     width = figure.get_figwidth()
     if handles := _handles(figure.axes):
@@ -587,16 +591,26 @@ def _abreast(names: Sequence[str], width: float) -> int:
     return max(1, min(len(names), int(width / (0.6 + LEGEND_LETTER * longest))))
 
 
-def _legend_height(names: Sequence[str], width: float) -> float:
+def height_of_legend(names: Sequence[str], width: float) -> float:
     """Return the height, inches, of a legend with a title below a figure; 0 without names."""
     shown = [_wrapped(name, width) for name in names if name]
     lines = max((name.count("\n") + 1 for name in shown), default=0)
     return 0.3 + 0.15 * lines * -(-len(shown) // _abreast(shown, width)) if shown else 0.0
 
 
-def _legend_title(by: Sequence[str]) -> str | None:
+def title_of_legend(by: Sequence[str]) -> str | None:
     """Return the key whose values name the lines; None if there is no key, or if the names include several keys."""
-    return _key_with_unit(by[0]) if len(by) == 1 else None
+    return key_with_unit(by[0]) if len(by) == 1 else None
+
+
+def is_wide(values: Sequence[float]) -> bool:
+    """Return whether some ascending values are drawn on a logarithmic axis; see `WIDE`."""
+    positive = [value for value in values if 0.0 < value < inf]
+    return (
+        values[0] >= 0.0
+        and len(positive) > 2
+        and positive[-1] > max(WIDE * positive[0], 4.0 * positive[len(positive) // 2 - 1])
+    )
 
 
 def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
@@ -604,12 +618,7 @@ def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
 
     On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
     """
-    positive = [value for value in values if 0.0 < value < inf]
-    logarithmic = (
-        values[0] >= 0.0
-        and len(positive) > 2
-        and positive[-1] > max(WIDE * positive[0], 4.0 * positive[len(positive) // 2 - 1])
-    )
+    positive, logarithmic = [value for value in values if 0.0 < value < inf], is_wide(values)
     inner = positive if logarithmic else [value for value in values if isfinite(value)]
     places = {value: log10(value) if logarithmic else float(value) for value in inner}
     low, high = places[inner[0]], places[inner[-1]]
@@ -629,7 +638,7 @@ def _draw_rows(
     axes.errorbar(x, [row for row, _ in bars], xerr=error, fmt="o", **look)
     axes.set_yticks(range(len(names)), names, fontsize=7)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_ylabel(", ".join(map(_key_with_unit, keys)))
+    axes.set_ylabel(", ".join(map(key_with_unit, keys)))
 
 
 def _literal(name: str) -> str:

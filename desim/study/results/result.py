@@ -90,7 +90,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         self,
         y: str = SHOWN[0],
         *,
-        kind: Literal["means", "phase"] = "means",
+        kind: Literal["means", "phase", "scatter", "contour"] | None = None,
         x: str | None = None,
         by: str | Sequence[str] = (),
         against: Mapping[str, Any] | None = None,
@@ -113,7 +113,8 @@ class SweepResult(SweepRuns, HintedAttributes):
         Args:
             y: the name of the metric.
             kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
-                each configuration as a heat map, with a key on each axis.
+                each configuration as a heat map, with a key on each axis; scatter: the mean at each point of a design,
+                over each key; contour: bands of the mean over two keys. None = scatter for a design, else means.
             x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers.
             by: of means: the key or keys whose values name the lines; each combination of values of the other keys has
                 a panel. By default all keys but `x` name the lines, in one panel.
@@ -136,16 +137,26 @@ class SweepResult(SweepRuns, HintedAttributes):
             ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         """
         from desim.study.results import figures
+        from desim.study.results.design_figures import contour, scatter
 
-        if kind not in {"means", "phase"}:
-            raise ValueError(f"kind should be means or phase, got {kind!r}")
-        common: dict[str, Any] = {"xlabel": xlabel, "ylabel": ylabel, "size": size, "style": style, "ax": ax}
-        if kind == "means":
-            return figures.means(self, y, x=x, by=by, against=against, labels=labels, **common)
+        kinds = {"means": figures.means, "phase": figures.phase, "scatter": scatter, "contour": contour}
+        chosen = self.usual_kind if kind is None and not (x or by or against or labels) else kind or "means"
+        if chosen not in kinds:
+            raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {kind!r}")
+        labelled = {"xlabel": xlabel, "ylabel": ylabel}
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
-        if unfit := [name for name, value in of_means.items() if value is not None and len(value)]:
-            raise ValueError(f"a figure of phase has no option {unfit[0]!r}: it is one of means")
-        return figures.phase(self, y, **common)
+        options: dict[str, Any] = {"size": size, "style": style, "ax": ax}
+        if chosen == "means":
+            return figures.means(self, y, **of_means, **labelled, **options)  # type: ignore[arg-type]
+        others = of_means if chosen == "phase" else of_means | labelled
+        if unfit := [name for name, value in others.items() if value is not None and len(value)]:
+            raise ValueError(f"a figure of {chosen} has no option {unfit[0]!r}: it is one of means")
+        return kinds[chosen](self, y, **(options | labelled if chosen == "phase" else options))
+
+    @property
+    def usual_kind(self) -> Literal["means", "scatter"]:
+        """The kind of figure that suits: scatter if a design drew the numbers of several keys, else means."""
+        return "scatter" if self.drawn_keys else "means"
 
     @naming_arguments
     def table(

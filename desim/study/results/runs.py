@@ -201,8 +201,24 @@ class SweepRuns:
 
     @property
     def compared_by(self) -> str | None:
-        """The first key that has several values; None if there is none."""
-        return next((key for key in self.keys if len(self.values(key)) > 1), None)
+        """The first key that has several values, all else equal; None if there is none."""
+        return next((key for key in self.keys if self.first_along(key) != list(range(len(self.groups)))), None)
+
+    @property
+    def drawn_keys(self) -> list[str]:
+        """The keys of which a design drew numbers: no combination of two of them occurs with different points.
+
+        It is empty for a grid, in which each value of a key occurs with each value of another.
+        """
+        settings = [group.settings for group in self.groups]
+        counts = {key: len(values) for key in self.keys if len(values := {repr(one[key]) for one in settings}) > 1}
+        numeric = [key for key in counts if all(is_number(one[key]) for one in settings)]
+
+        def is_of_points(key: str, other: str) -> bool:
+            pairs = {(one[key], one[other]) for one in settings}
+            return len(pairs) <= 1.01 * max(counts[key], counts[other])
+
+        return [key for key in numeric if any(is_of_points(key, other) for other in numeric if other != key)]
 
     @property
     def _first_references(self) -> list[int]:

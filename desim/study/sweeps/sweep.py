@@ -20,6 +20,7 @@ from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
+from desim.scenario.sweep_table import Design
 from desim.scenario.toml import validate
 from desim.simulation.watchdog import checked_limit
 from desim.study.plan.config_hash import tables
@@ -72,6 +73,7 @@ class SweepPlan:
         reps: int | None = None,
         seed: int | None = None,
         metrics: Metrics | None = None,
+        design: Design | str | None = None,
     ) -> Self:
         """Return the plan given by a scenario's table `sweep` and key `seed`; arguments other than None replace these.
 
@@ -92,7 +94,7 @@ class SweepPlan:
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
         root = base.seed if seed is None else seed_of(seed)
-        added, chosen = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
+        added, chosen = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid, design))
         return cls(without_metrics(base), chosen, reps, root, base.sweep.seeds == "common", added)
 
     def __post_init__(self) -> None:
@@ -215,6 +217,7 @@ def sweep(
     executor: Executor | int | str = 1,
     *,
     seed: int | None = None,
+    design: Design | str | None = None,
     store: str | Path | None = None,
     until: tuple[str, float] | None = None,
     fail_fast: bool = False,
@@ -235,11 +238,14 @@ def sweep(
     Args:
         scenario: the scenario that is varied.
         grid: dotted keys of the scenario and the values that each takes: numbers, texts, arrays, tables, protocols, and
-            functions, even if defined in a notebook; None = the grid of `scenario.sweep`.
+            functions, even if defined in a notebook; or a range, "0:1:0.1", "log:0.01:1:5", or "0:1" with a design.
+            None = the grid of `scenario.sweep`.
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
         executor: a number of worker processes (0: the number of cores; 1: all runs in this process), the address of a
             Dask scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
+        design: which points of the ranges of the grid are run, "sobol:64" for instance (`desim.scenario.sweep_table`);
+            None = that of `scenario.sweep` with its grid, and no design with another grid.
         store: the file to which each batch of runs is added as it ends; successful runs in it are not repeated; None =
             no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
@@ -266,7 +272,7 @@ def sweep(
     """
     if timeout is not None:
         checked_limit(timeout)
-    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
+    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics, design)
     if until is not None:
         pair: Any = until
         if isinstance(pair, str) or len(pair) != 2:

@@ -112,18 +112,20 @@ def report(study: Study) -> str:
     """Return a self-contained HTML page about a sweep; needs jinja2 and matplotlib (the extra `plot`)."""
     from jinja2 import Environment
 
+    from desim.study.results.design_figures import contour, scatter
     from desim.study.results.figures import legend, multiples, phase, swept_numbers
 
     result, measured = study.result, study.measured
     panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
-    has_map = len(swept_numbers(result)) > 1 and MAPPED in measured
+    drawn = result.drawn_keys
+    has_map = (len(drawn) == 2 if drawn else len(swept_numbers(result)) > 1) and MAPPED in measured
     shown = [*SHOWN, *result.units]
     template = files("desim.view.pages").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"signs": _signs, "unit": lambda key: unit_of_key(key, Scenario)}
     failures = list(_failures(result))
     made = study.made
-    key = legend(result) if panels else None
+    key = legend(result) if panels and not drawn else None
     return environment.from_string(template).render(
         study=study,
         result=result,
@@ -139,11 +141,18 @@ def report(study: Study) -> str:
         asked=None if made is None else wanted(made, study.commands),
         origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
         panels=[
-            _inline(multiples(result, [panel], has_legend=False), f"panel-{panel}", words(panel)) for panel in panels
+            _inline(
+                scatter(result, panel) if drawn else multiples(result, [panel], has_legend=False),
+                f"panel-{panel}",
+                words(panel),
+            )
+            for panel in panels
         ],
         legend=_inline(key, "legend", "legend of the figures") if key else None,
         colours=[(name[1:].lower(), name, on_dark) for name, on_dark in ON_DARK.items()],
-        phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
+        phase=_inline((contour if drawn else phase)(result, MAPPED), "phase", f"{words(MAPPED)}, heat map")
+        if has_map
+        else None,
         waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
     )
 

@@ -1,0 +1,188 @@
+"""Figures of designs: a metric at scattered points, over each key, or as contours over two keys."""
+
+from collections.abc import Sequence
+from math import isfinite, log10
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
+from desim.analysis.statistics import Estimate
+from desim.config.trust import escaped
+from desim.study.plan.configurations import in_words
+from desim.study.results.figures import (
+    MAX_ABREAST,
+    add_colour_bar,
+    add_legend,
+    height_of_legend,
+    is_wide,
+    key_with_unit,
+    line_name,
+    look_of,
+    metric_with_unit,
+    swept_numbers,
+    title_of_legend,
+)
+from desim.study.results.runs import Group, SweepRuns
+
+LEVELS = 9
+"""The number of bands of contours."""
+Point = tuple[Group, Estimate]
+
+
+def scatter(
+    result: SweepRuns, metric: str, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+) -> Figure:
+    """Draw the mean of a metric at each point of a design, in a panel for each key of which numbers were drawn.
+
+    Points of one colour have equal values of the other keys. Vertical bars are 95 % intervals.
+
+    Args:
+        result: the result of a sweep.
+        metric: the name of the metric.
+        size: the width and perhaps the height, such as "16cm"; None = as the panels need.
+        style: a style of matplotlib on top of that of desim.
+        ax: the axes to draw on if there is one such key; None = a figure of its own.
+
+    Raises:
+        ValueError: if no key takes several numbers, the sweep has no such metric, the size is invalid, or several
+            panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    keys = result.drawn_keys or swept_numbers(result)
+    if not keys:
+        raise ValueError("a scatter plot needs a key that takes several numbers, there is none")
+    named = [key for key in result.keys if key not in keys and len(result.values(key)) > 1]
+    points = list(zip(result.groups, result.estimates(metric), strict=True))
+    lines: dict[str, list[Point]] = {}
+    for group, estimate in points:
+        lines.setdefault(line_name(group, named), []).append((group, estimate))
+    title = metric_with_unit(metric, result)
+
+    def draw(axes: Axes, key: str) -> None:
+        for k, (name, line) in enumerate(lines.items()):
+            at = [group.settings[key] for group, _ in line]
+            means, bars = [estimate.mean for _, estimate in line], [estimate.half_width for _, estimate in line]
+            look = look_of(k) | {"ls": "none", "ms": 3.0, "elinewidth": 0.5}
+            axes.errorbar(at, means, bars, label=name, **look)
+        _scale(axes, key, points)
+        axes.set_xlabel(key_with_unit(key))
+
+    if ax is not None:
+        figure = figure_of(ax, panels=keys, size=size)
+        with in_style(style):
+            draw(ax, keys[0])
+            ax.set_ylabel(title)
+        return figure
+    columns = min(MAX_ABREAST, len(keys))
+    rows = -(-len(keys) // columns)
+    usual = (4.8 if columns == 1 else 0.6 + 2.6 * columns, 0.5 + 2.6 * rows)
+    usual = usual[0], usual[1] + height_of_legend(list(lines), usual[0])
+    width, height = usual if size is None else size_of(size)
+    font = 9.0 if width >= NARROW else 8.0
+    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        for axes, key in zip(panels.flat, keys, strict=False):
+            draw(axes, key)
+        for axes in panels.flat[len(keys) :]:
+            axes.set_axis_off()
+        for row in panels:
+            row[0].set_ylabel(title)
+        if size is None:
+            figure.suptitle(escaped(f"{result.name}, 95 % intervals"), fontsize=9, **as_it_is(result.name))
+        if named:
+            add_legend(figure, title_of_legend(named))
+    return figure
+
+
+def contour(
+    result: SweepRuns, metric: str, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+) -> Figure:
+    """Draw the mean of a metric over two keys as coloured bands, between points that are joined to triangles.
+
+    Dots are the points. Each combination of values of the other keys has a panel; all share one colour scale. For the
+    arguments see `scatter`.
+
+    Raises:
+        ValueError: if not just two keys take the numbers of a design, or a grid has fewer than two keys that take
+            several numbers; a panel has fewer than three points, or all on a line; the sweep has no such metric, the
+            size is invalid, or several panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    drawn = result.drawn_keys
+    keys = drawn or swept_numbers(result)[:2]
+    if len(keys) != 2:
+        instead = "; `scatter` has a panel for each key" if keys else ""
+        raise ValueError(f"contours need two keys that take several numbers, there are {len(keys)}{instead}")
+    panels: dict[str, list[Point]] = {}
+    points = list(zip(result.groups, result.estimates(metric), strict=True))
+    for group, estimate in points:
+        if isfinite(estimate.mean):
+            others = {k: v for k, v in group.settings.items() if k not in keys and len(result.values(k)) > 1}
+            panels.setdefault(in_words(others), []).append((group, estimate))
+    if not panels:
+        raise ValueError(f"{metric}: no configuration has a value")
+    means = [estimate.mean for panel in panels.values() for _, estimate in panel]
+    colours = ScalarMappable(Normalize(min(means), max(means)), "cividis")
+    title = metric_with_unit(metric, result)
+    if ax is not None:
+        figure = figure_of(ax, panels=list(panels), size=size)
+        with in_style(style):
+            _draw_bands(ax, keys, next(iter(panels.values())), points, colours)
+            add_colour_bar(figure, colours, [ax], title)
+        return figure
+    columns = min(MAX_ABREAST, len(panels))
+    rows = -(-len(panels) // columns)
+    usual = (1.6 + 3.0 * columns, 0.8 + 2.4 * rows)
+    width, height = usual if size is None else size_of(size)
+    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
+            _draw_bands(axes, keys, panel, points, colours)
+            axes.set_title(escaped(settings), fontsize=8, parse_math=False)
+        for axes in shared.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes in shared.flat:
+            axes.label_outer()
+        add_colour_bar(figure, colours, shared.ravel().tolist(), title)
+    return figure
+
+
+def _draw_bands(
+    axes: Axes, keys: Sequence[str], panel: Sequence[Point], points: Sequence[Point], colours: ScalarMappable
+) -> None:
+    """Draw the bands of one panel; where an axis is logarithmic, triangles are chosen by the logarithms."""
+    from matplotlib.tri import Triangulation
+
+    places = []
+    for key in keys:
+        numbers = [float(group.settings[key]) for group, _ in panel]
+        places.append([log10(number) for number in numbers] if _is_log(key, points) else numbers)
+    spans = [(max(numbers) - min(numbers)) or 1.0 for numbers in places]
+    unit = [[number / span for number in numbers] for numbers, span in zip(places, spans, strict=True)]
+    if len(panel) < 3:
+        raise ValueError(f"contours need three points in each panel, there are {len(panel)}")
+    try:
+        triangles = Triangulation(*unit).triangles
+    except (RuntimeError, ValueError) as error:  # of qhull
+        raise ValueError("contours need points that do not lie on one line") from error
+    x, y = ([group.settings[key] for group, _ in panel] for key in keys)
+    low, high = colours.get_clim()
+    levels = np.linspace(low, high if high > low else low + 1.0, LEVELS + 1)
+    means = [estimate.mean for _, estimate in panel]
+    axes.tricontourf(Triangulation(x, y, triangles), means, levels=levels, norm=colours.norm, cmap=colours.get_cmap())
+    axes.plot(x, y, ls="none", marker="o", ms=2.0, color="white", mec="#111111", mew=0.5)
+    for axis, key in zip("xy", keys, strict=True):
+        _scale(axes, key, points, axis)
+    axes.set(xlabel=key_with_unit(keys[0]), ylabel=key_with_unit(keys[1]))
+
+
+def _is_log(key: str, points: Sequence[Point]) -> bool:
+    values = sorted({group.settings[key] for group, _ in points})
+    return values[0] > 0.0 and is_wide(values)
+
+
+def _scale(axes: Axes, key: str, points: Sequence[Point], axis: str = "x") -> None:
+    if _is_log(key, points):
+        (axes.set_xscale if axis == "x" else axes.set_yscale)("log")
