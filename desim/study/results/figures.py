@@ -700,10 +700,8 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
     places = list(range(len(names)))
     if cost.bounds is not None:
-        for place, name, bound in (
-            (last + 1.5, PERFECT, cost.bounds.perfect),
-            (last + 2.5, SILENT, cost.bounds.silent),
-        ):
+        bounds = {PERFECT: cost.bounds.perfect, SILENT: cost.bounds.silent}
+        for place, (name, bound) in enumerate(bounds.items(), start=last + 2):
             axes.bar(place, bound.mean, color=SKY, width=0.6)
             _mark(axes, place, 0.0, bound, ".2f")
             places.append(place)
