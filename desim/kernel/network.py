@@ -34,6 +34,7 @@ from desim.kernel.state.received_records import Records
 from desim.kernel.state.transmission import Lose
 from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.layer import TransportLayer
+from desim.kernel.walls.wall import Wall
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -168,6 +169,7 @@ class Network(ReceivingNodes):
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
         clocks: the clocks of the nodes, which tell the slots of a TDMA; if empty, all show the true time.
         inboxes: creates the inboxes, given the clock and the number of nodes.
+        walls: walls, of which those that block radio weaken it.
 
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
@@ -191,6 +193,7 @@ class Network(ReceivingNodes):
         predicate: Predicate | None = None,
         clocks: Sequence[NodeClock] = (),
         inboxes: Callable[[Clock, int], Inboxes] = Inboxes,
+        walls: Sequence[Wall] = (),
     ):
         links, seed = links or Links(), seed_of(seed)
         self.topology = topology = Topology(
@@ -201,6 +204,7 @@ class Network(ReceivingNodes):
             per_link=links.fading == "per_link",
             seed=seed,
             now=lambda: env.now / SECOND,
+            walls=walls,
         )
         sampler = LinkSampler(links, graph, seed, positions)
         self.estimates = Estimates(topology, links.medium, sampler)

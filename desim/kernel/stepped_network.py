@@ -52,6 +52,7 @@ from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.message_queue import MessageQueue
 from desim.kernel.state.transmission import Transmission
 from desim.kernel.stepped_positions import SteppedPositions
+from desim.kernel.walls.wall import Wall
 from desim.kernel.wandering_clock import node_clocks
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ class SteppedNetwork:
         trace: receives the events of messages and faults, and shows them to its watchers.
         horizon: the time until which plans draw faults, s.
         can_leave: whether nodes may `leave` and `join`. Every arrival is then decided when it is due, which is slower.
+        walls: walls, or tables `[[wall]]` as dicts; those that block radio weaken it.
 
     Raises:
         ValueError: if an argument is not valid, or arguments do not fit together.
@@ -137,9 +139,11 @@ class SteppedNetwork:
         trace: Trace | None = None,
         horizon: float | None = None,
         can_leave: bool = False,
+        walls: Iterable[Any] = (),
     ):
         self._links, self._nodes, self._numbers = _described(nodes, _links_of(links))
         self._faults, self._can_leave, self._horizon = _faults_of(faults), can_leave, _horizon(horizon)
+        self._walls = _walls_of(walls)
         is_plan = [not isinstance(fault, Fault | ClockSkew) for fault in self._faults]
         if horizon is None and any(is_plan):
             raise ValueError(f"{self._faults[is_plan.index(True)]!r} needs horizon=, the time until which it draws, s")
@@ -167,6 +171,7 @@ class SteppedNetwork:
                 fault_state=FaultState(self._positions, surprises=self._can_leave) if has_faults else None,
                 clocks=node_clocks(clock, entries, size, self._seed, self._horizon) if is_skewed(entries) else (),
                 inboxes=self._create_queue,
+                walls=self._walls,
             )
         inject(faults, clock, self._network, trace)
         self._network.watch_losses(self._lose)
@@ -470,7 +475,7 @@ class SteppedNetwork:
                 " flight are part of a running simulation. Copy it after reset(seed), or repeat its calls"
             )
         return _again, (
-            (self._nodes, self._numbers, self._links, self._faults, self._horizon, self._can_leave),
+            (self._nodes, self._numbers, self._links, self._faults, self._horizon, self._can_leave, self._walls),
             (self._seed, self._positions.array, self._trace),
         )
 
@@ -485,6 +490,7 @@ def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNet
         network._faults,
         network._horizon,
         network._can_leave,
+        network._walls,
     ) = configuration
     network._start(*start)
     return network
@@ -501,6 +507,19 @@ def _faults_of(faults: Any) -> tuple[Any, ...]:
     if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
         raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
     return _Faults(fault=tuple(faults)).fault
+
+
+class _Walls(Value):
+    """Walls as in a scenario file."""
+
+    wall: tuple[Wall, ...] = ()
+
+
+def _walls_of(walls: Any) -> tuple[Wall, ...]:
+    """Return walls, of which some may be given as dicts."""
+    if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
+        raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
+    return _Walls(wall=tuple(walls)).wall
 
 
 def _links_of(links: Any) -> Links:

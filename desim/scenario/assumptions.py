@@ -257,5 +257,6 @@ def initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
         network.reception,
         per_link=network.fading == "per_link",
         seed=scenario.seed,
+        walls=scenario.wall,
     )
     return topology.graph()

@@ -186,6 +186,7 @@ def _simulate(
         fault_state=FaultState(positions) if faults else None,
         predicate=announced_action,
         clocks=clocks,
+        walls=scenario.wall,
     )
     sensor = _sensor(scenario, state, network, clocks, env, seed)
     views: Sequence[View] = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views

@@ -15,7 +15,11 @@ from desim.kernel.core.seeds import pair_uniform
 from desim.kernel.models.interference import Frame, LoRaSignal, Overlap
 from desim.kernel.models.medium import LoRa, Radio
 from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.topology.radio_walls import stretched
 from desim.kernel.topology.topology import Topology
+
+FAR = 1e150
+"""Distance, m, that stands for an opaque wall: the power there is 0, and differences of levels are defined."""
 
 
 class Air:
@@ -40,6 +44,7 @@ class Air:
         self._interference = medium.reception
         traits = InterferenceTraits.of(medium.reception)
         self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
+        self._exponent = traits.exponent
         self._all = np.arange(topology.size)
         self.hears = None
         if isinstance(medium, LoRa) and (medium.is_tuned or type(medium).hears is not LoRa.hears):
@@ -131,7 +136,12 @@ class Air:
         return self._medium.signal(frame.src)
 
     def _distances(self, frame: Frame, nodes: Integers) -> Floats:
-        """Return the (k,) distances of nodes from the sender of a frame, m."""
+        """Return the (k,) distances of nodes from the sender of a frame, m, stretched by walls."""
         if self._positions is None:
             raise KeyedError(Problem("reception by power needs positions", "medium.reception"))
-        return distances(self._positions.of(np.append(frame.src, nodes)), 0)[1:]
+        places = self._positions.of(np.append(frame.src, nodes))
+        apart = distances(places, 0)[1:]
+        if (walls := self._topology.walls) is None:
+            return apart
+        decibels = walls.between(frame.src, nodes, places[:1], places[1:])
+        return np.asarray(np.minimum(stretched(apart, decibels, self._exponent), FAR))

@@ -13,6 +13,7 @@ from desim.kernel.core.seeds import ROOM
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import Access, CarrierSensing
 from desim.kernel.models.interference import Frame
+from desim.kernel.topology.radio_walls import stretched
 from desim.kernel.topology.topology import Topology
 
 
@@ -76,7 +77,12 @@ class CarrierSense:
         if self._range is None:
             return self._topology.neighbours(node)
         assert self._positions is not None
-        near = distances(self._positions(), node) <= self._range
+        places = self._positions()
+        apart = distances(places, node)
+        if (walls := self._topology.walls) is not None:
+            decibels = walls.between(node, np.arange(len(places)), places[node : node + 1], places)
+            apart = stretched(apart, decibels, self._topology.exponent)
+        near = apart <= self._range
         near[node] = False
         return near.nonzero()[0]
 

@@ -16,6 +16,8 @@ from desim.config.model import Positive, Probability, Value
 from desim.kernel.models.fading import RiceFactor, Shape, nakagami_quantiles, nakagami_survival, rice_survival
 from desim.kernel.models.traits import ReceptionTraits
 
+Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
+
 
 class ReceptionModel(Protocol):
     """A reception model: `reception(distances, range)` returns the (k,) reception probabilities at (k,) distances, m.
@@ -30,6 +32,9 @@ class Disk(Value):
     """Reception is certain within the range and impossible beyond it."""
 
     kind: Literal["disk"] = "disk"
+    exponent: Exponent = 3.0
+    """Path loss exponent n, by which walls shorten the range: a wall of A dB by the factor 10^(-A / (10 n)). It has no
+    other effect."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= R, else 0."""
@@ -54,6 +59,8 @@ class QuasiUnitDisk(Value):
     """
     p: Probability = 0.5
     """Probability of reception between q times the range and the range, in [0, 1]."""
+    exponent: Exponent = 3.0
+    """Path loss exponent n, by which walls shorten the range, as that of `disk`."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= q R, p where q R < d <= R, else 0."""
@@ -83,7 +90,7 @@ class LogDistance(Value):
     """
 
     kind: Literal["log_distance"] = "log_distance"
-    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    exponent: Exponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground.
 
     If in doubt, 3: a smaller one blurs the edge of the range, a larger one makes it sharp.
@@ -140,7 +147,7 @@ class Nakagami(Value):
 
     If in doubt, 1 without, and 3 with a line of sight.
     """
-    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    exponent: Exponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
@@ -166,7 +173,7 @@ class Rice(Value):
 
     If in doubt, 3; about 10 between aircraft in sight of each other.
     """
-    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    exponent: Exponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002

@@ -133,6 +133,8 @@ class InterferenceTraits(Traits):
     """The cause of the loss of a frame that others overlap, in traces and counts; see `events.CAUSES`."""
     lock: Flag = False
     """Whether a receiver locks on to the first frame that it hears, see `interference.CaptureEffect`."""
+    exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
+    """The path loss exponent n, by which walls stretch distances, as in `ReceptionTraits`."""
 
 
 class ReceptionTraits(Traits):
@@ -143,6 +145,8 @@ class ReceptionTraits(Traits):
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
     one: Annotated[Callable[[float, float], float] | None, Follows("__call__")] = None
     """`one(distance, range)` returns the probability at one distance, m, faster than `__call__`; None: `__call__`."""
+    exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
+    """The path loss exponent n: a wall of A dB has the effect of a distance that is 10^(A / (10 n)) times as long."""
 
 
 class FaultTraits(Traits):

@@ -4,6 +4,8 @@ Kept equal to a comparison of each distance with the range by
 `tests/kernel/test_topology.py::test_a_disk_holds_just_those_whose_distance_is_at_most_the_range`.
 """
 
+from math import inf
+
 import numpy as np
 
 from desim.config.answers import wrong_answer
@@ -38,6 +40,11 @@ class RangeCheck:
         self._one = ReceptionTraits.of(self._reception).one
         self._drawn: dict[int, Floats] = {}
         """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
+
+    @property
+    def exponent(self) -> float:
+        """The path loss exponent n by which walls shorten the range."""
+        return ReceptionTraits.of(self._reception).exponent
 
     @property
     def bound(self) -> float:
@@ -91,6 +98,23 @@ class RangeCheck:
             self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
         kept = self._drawn.get(src)
         return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
+
+
+class WalledRangeCheck(RangeCheck):
+    """A range check among walls: distances are stretched by walls, and infinite where a wall is opaque."""
+
+    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+        """Return (k,) booleans: which of the nodes `dst` receive a message."""
+        audible: Bools = apart < inf
+        if self._range == inf or self._is_certain:
+            return audible & (apart <= self._range)
+        received = np.zeros(len(dst), dtype=bool)
+        if audible.any():
+            of_pairs = [
+                value if value is None or isinstance(value, int) else value[audible] for value in (src, message)
+            ]
+            received[audible] = super().__call__(of_pairs[0], dst[audible], apart[audible], of_pairs[1])
+        return received
 
 
 def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:

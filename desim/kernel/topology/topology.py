@@ -1,7 +1,7 @@
 """The current topology: a static graph, restricted to the pairs of nodes that are within range of each other."""
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from math import inf
 
@@ -14,8 +14,10 @@ from desim.kernel.core.seeds import ROOM
 from desim.kernel.models.graphs import node_names
 from desim.kernel.models.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.models.reception import ReceptionModel
-from desim.kernel.topology.range_check import RangeCheck
+from desim.kernel.topology.radio_walls import RadioWalls, stretched
+from desim.kernel.topology.range_check import RangeCheck, WalledRangeCheck
 from desim.kernel.topology.spatial_hash import CellList
+from desim.kernel.walls.wall import Wall
 
 SMALL_NETWORK = 400
 """Number of nodes up to which computing all distances is faster than a cell list."""
@@ -41,9 +43,15 @@ class Topology:
         seed: the seed of the random draws.
         now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
             all positions.
+        walls: walls; those that block radio shorten the range of the lines that cross them.
+
+    Attributes:
+        walls: the walls that block radio; None if there are none.
+        exponent: with walls, the path loss exponent n by which they stretch distances.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite without positions.
+        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite, or a wall blocks
+            radio, without positions.
     """
 
     def __init__(
@@ -56,6 +64,7 @@ class Topology:
         per_link: bool = True,
         seed: int = 0,
         now: Callable[[], float] | None = None,
+        walls: Sequence[Wall] = (),
     ):
         self.size = size = len(graph)
         _check(graph)
@@ -67,8 +76,18 @@ class Topology:
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in sorted(graph)]
         )
         self._range = range
+        self.walls: RadioWalls | None = None
         self._received = RangeCheck(reception, range, per_link, seed, size)
-        self._positions = as_position_source(positions) if positions is not None and range < inf else None
+        has_walls = any("radio" in wall.blocks for wall in walls)
+        if has_walls and positions is None:
+            raise ValueError("walls that block radio need positions")
+        self._positions = (
+            as_position_source(positions) if positions is not None and (range < inf or has_walls) else None
+        )
+        if has_walls and self._positions is not None:
+            self.walls = RadioWalls(walls, self._positions, size)
+            self._received = WalledRangeCheck(reception, range, per_link, seed, size)
+            self.exponent = self._received.exponent
         if self._positions is not None:
             self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
 
@@ -121,16 +140,20 @@ class Topology:
         source = self._positions
         if source is None or not len(dst):
             return [True] * len(dst)
-        if len(dst) == 1 and times is None and isinstance(src, int) and isinstance(message, int):
+        if len(dst) == 1 and times is None and isinstance(src, int) and isinstance(message, int) and self.walls is None:
             node = int(dst[0])
             return [self._received.one(src, node, source.distance(src, node), message)]
         places = source.of if times is None else partial(source.at, times=times)
         receivers = np.asarray(dst)
         if isinstance(src, int):
-            apart = distances(places(np.append(src, receivers)), 0)[1:]
+            at = places(np.append(src, receivers))
+            apart, starts, ends = distances(at, 0)[1:], at[:1], at[1:]
         else:
-            x, y = (places(receivers) - places(src)).T
+            starts, ends = places(src), places(receivers)
+            x, y = (ends - starts).T
             apart = np.hypot(x, y)
+        if self.walls is not None:
+            apart = stretched(apart, self.walls.between(src, receivers, starts, ends), self.exponent)
         received: list[bool] = self._received(src, receivers, apart, message).tolist()
         return received
 
@@ -218,6 +241,9 @@ class Topology:
             index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
         apart = distances(places, index)
         apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
+        if self.walls is not None:
+            decibels = self.walls.between(node, candidates, places[index : index + 1], places)
+            apart = stretched(apart, decibels, self.exponent)
         received = self._received(node, candidates, apart, message)
         received[index] = False
         return candidates[received]

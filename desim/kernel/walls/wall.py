@@ -1,7 +1,7 @@
 """The walls of a scenario: `[[wall]]`, what each blocks, and the segments that block radio, sight or motion."""
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import inf
 from typing import Annotated, Any, Literal, Self
 
@@ -107,11 +107,10 @@ class Wall(Value):
             return [Outline(self.polygon, closed=True)]
         return wkt_outlines(self.wkt) if self.wkt is not None else svg_outlines(self.svg or "")
 
-    @cached_property
+    @property
     def shapes(self) -> tuple[Shape, ...]:
         """The shapes, in m; a hole of a polygon is a polygon of its own."""
-        offset = np.array(self.offset)
-        return tuple(Shape(np.array(corners) * self.scale + offset, closed) for corners, closed in self._outlines)
+        return _shapes_of(self)
 
     @cached_property
     def decibels(self) -> float:
@@ -131,6 +130,15 @@ class Wall(Value):
             which = f"polygons {contact.first} and {contact.second} touch each other"
             raise ValueError(f"{which}: {where}; give each a wall of its own")
         raise ValueError(f"a polygon should not cross or touch itself: {where}")
+
+
+@lru_cache(maxsize=256)  # not in the wall itself: arrays cannot be compared as the fields of a value are
+def _shapes_of(wall: Wall) -> tuple[Shape, ...]:
+    offset = np.array(wall.offset)
+    shapes = tuple(Shape(np.array(corners) * wall.scale + offset, closed) for corners, closed in wall._outlines)
+    for shape in shapes:
+        shape.corners.setflags(write=False)
+    return shapes
 
 
 def _check(outline: Outline, which: str) -> None:

@@ -1,0 +1,339 @@
+"""Walls: their shapes from numbers and texts, their materials, and which lines cross them."""
+
+from fractions import Fraction
+from math import exp, inf, nan, pi, sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.config.errors import KeyedError
+from desim.kernel.walls.crossings import (
+    Segments,
+    Shape,
+    crossings,
+    first_contact,
+    first_crossings,
+    gaps,
+    inside,
+    segments_of,
+)
+from desim.kernel.walls.materials import MATERIALS, slab_loss
+from desim.kernel.walls.wall import Wall, blocking
+
+SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
+
+
+def segments(*walls):
+    """Return walls (start, end) as segments."""
+    starts, ends = np.array([start for start, _ in walls]), np.array([end for _, end in walls])
+    return Segments(starts.reshape(-1, 2), ends.reshape(-1, 2), np.arange(len(walls)))
+
+
+def crossed(start, end, *walls, margin=0.0):
+    """Return how many walls a ray crosses."""
+    rays = np.array([start], dtype=float), np.array([end], dtype=float)
+    return int(crossings(*rays, segments(*walls), margin).sum())
+
+
+# Shapes.
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"polygon": [[0, 0], [4, 0], [4, 4], [0, 4]]},
+        {"wkt": "POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0))"},
+        {"wkt": "polygon((0 0,4 0,4 4,0 4,0 0))"},
+        {"wkt": "MULTIPOLYGON (((0 0, 4 0, 4 4, 0 4, 0 0)))"},
+        {"wkt": "GEOMETRYCOLLECTION (POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0)))"},
+        {"svg": "M 0 0 L 4 0 4 -4 0 -4 Z"},
+        {"svg": "M0,0H4V-4H0Z"},
+        {"svg": "m0 0h4v-4h-4z"},
+        {"svg": "M 0 0 L 4 0 L 4 -4 L 0 -4 L 0 0 Z"},
+        {"wkt": "POLYGON ((-10 10, -2 10, -2 18, -10 18, -10 10))", "scale": 0.5, "offset": [5, -5]},
+    ],
+)
+def test_one_polygon_is_the_same_however_it_is_written(keys):
+    (shape,) = Wall(**keys).shapes
+    assert shape.closed
+    assert shape.corners.tolist() == [list(corner) for corner in SQUARE]
+    assert [len(part) for part in shape.edges] == [4, 4]
+
+
+def test_a_text_may_have_several_lines_and_polygons_with_holes():
+    wkt = "MULTILINESTRING ((0 0, 1 0), (2 0, 3 0, 3 1))\nPOLYGON ((0 0, 9 0, 9 9, 0 9, 0 0), (3 3, 6 3, 6 6, 3 3))"
+    shapes = Wall(wkt=wkt).shapes
+    assert [(len(shape.corners), shape.closed) for shape in shapes] == [(2, False), (3, False), (4, True), (3, True)]
+    points = np.array([[1.0, 1.0], [5.0, 4.0], [3.1, 5.0], [10.0, 1.0]])
+    assert inside(points, shapes).tolist() == [True, False, True, False]
+    lines = Wall(svg="M 1 -1 l 1 0 0 -1 m 5 0 h 2 M 0 0 h 1 v 1 z l 3 3").shapes
+    assert [shape.corners.tolist() for shape in lines] == [
+        [[1, 1], [2, 1], [2, 2]],
+        [[7, 2], [9, 2]],
+        [[0, 0], [1, 0], [1, -1]],
+        [[0, 0], [3, -3]],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "shapes"),
+    [
+        ("LINESTRING (0 0, 1 1)\n# a comment\nPOLYGON ((0 0, 1 0, 1 1, 0 0))\n", "a.wkt", [(2, False), (3, True)]),
+        ("# corners\n0 0\n1,0\n1 1\n0 0\n\n\n2 2\n3 3\n", "a.txt", [(3, True), (2, False)]),
+        ('<svg><path id="a" d="M0 0H1"/><path d=\'M0 0H1V1z\' style="x"/></svg>', "a.svg", [(2, False), (3, True)]),
+    ],
+)
+def test_a_file_is_read_once_and_its_shapes_become_part_of_the_wall(tmp_path, content, name, shapes):
+    (tmp_path / name).write_text(content)
+    wall = Wall.model_validate({"file": name}, context={"folder": tmp_path})
+    (tmp_path / name).unlink()
+    assert [(len(shape.corners), shape.closed) for shape in wall.shapes] == shapes
+    assert wall.file is None
+    assert Wall(**wall.plain()) == wall
+
+
+BAD = {
+    "no shape": ({}, "exactly one of line, polygon, wkt, svg, file"),
+    "two shapes": ({"line": SQUARE, "svg": "M0 0H1"}, "has line and svg"),
+    "a point": ({"line": [[0, 0]]}, "at least 2 corners"),
+    "two corners": ({"polygon": SQUARE[:2]}, "at least 3 corners"),
+    "a corner twice": ({"line": [[0, 0], [1, 1], [1, 1]]}, r"\[1, 1\] comes twice"),
+    "a ring": ({"polygon": [*SQUARE, SQUARE[0]]}, "a polygon does not repeat its first corner"),
+    "crossing itself": ({"polygon": [[0, 0], [4, 4], [4, 0], [0, 4]]}, r"from \[0, 0\] to \[4, 4\] meets that"),
+    "touching itself": ({"polygon": [[0, 0], [4, 0], [2, 3], [2, 0], [0, 3]]}, "should not cross or touch itself"),
+    "no area": ({"polygon": [[0, 0], [2, 0], [1, 0]]}, "should not cross or touch itself"),
+    "rings that cross": (
+        {"wkt": "MULTIPOLYGON (((0 0, 2 0, 2 2, 0 0)), ((1 -1, 3 -1, 3 3, 1 -1)))"},
+        "polygons 0 and 1 touch each other.*give each a wall of its own",
+    ),
+    "too far": ({"wkt": "LINESTRING (0 0, 1e10 0)"}, "from -1e\\+09 to 1e\\+09"),
+    "not finite": ({"line": [[0, 0], [nan, 0]]}, "line"),
+    "a misspelt type": ({"wkt": "POLYGN ((0 0))"}, "did you mean 'POLYGON'"),
+    "a point in WKT": ({"wkt": "POINT (0 0)"}, "POINT is no line or polygon"),
+    "an open ring": ({"wkt": "POLYGON ((0 0, 1 0, 1 1))"}, "a ring should end where it begins"),
+    "three coordinates": ({"wkt": "LINESTRING (0 0 0, 1 1 1)"}, r"two numbers, x y \(has 3\)"),
+    "Z": ({"wkt": "LINESTRING Z (0 0 0, 1 1 1)"}, "more than two coordinates"),
+    "a missing bracket": ({"wkt": "LINESTRING (0 0, 1 1"}, r"'\)' should come here, not the end"),
+    "a decimal comma": ({"wkt": "LINESTRING (0 0, 1 a)"}, "'a' is not a number"),
+    "empty": ({"wkt": "  "}, "at least one of LINESTRING"),
+    "an empty geometry": ({"wkt": "POLYGON EMPTY"}, "at least one of LINESTRING"),
+    "a second line": ({"wkt": "LINESTRING (0 0, 1 1)\nLINE (0 0)"}, "WKT, line 2: LINE is no line or polygon"),
+    "a curve": ({"svg": "M 0 0 C 1 1 2 2 3 3"}, "C is a curve: in the editor, flatten it"),
+    "no M": ({"svg": "L 0 0"}, "should begin with M, not L"),
+    "one number": ({"svg": "M 0 0 L 1"}, "L should have 2 numbers"),
+    "a letter": ({"svg": "M 0 0 L 1 x"}, "x is no command"),
+    "no path": ({"svg": "M 0 0"}, "has no line"),
+    "a sign": ({"svg": "M 0 0 L 1 %"}, "is neither a command nor a number"),
+    "numbers first": ({"svg": "1 2 L 3 4"}, "should come before 1"),
+    "a missing file": ({"file": "no.wkt"}, "no.wkt cannot be read"),
+    "an unknown name": ({"line": SQUARE, "blocks": ["sound"]}, "'radio', 'sight' or 'motion'"),
+    "nothing": ({"line": SQUARE, "blocks": []}, "at least 1 item"),
+    "a name twice": ({"line": SQUARE, "blocks": ["sight", "sight"]}, "each name once"),
+    "a negative loss": ({"line": SQUARE, "loss": -1.0}, "loss: should be"),
+    "an unknown material": ({"line": SQUARE, "material": "stone"}, "'concrete', 'brick'"),
+    "loss and material": ({"line": SQUARE, "material": "brick", "loss": 3.0}, "a loss or a material, not both"),
+    "no thickness": ({"line": SQUARE, "material": "brick", "thickness": 0.0}, "thickness: should be greater than 0"),
+    "too low": ({"line": SQUARE, "material": "glass", "frequency": 50e6}, "glass is known from 0.1 to 100 GHz"),
+    "too high": ({"line": SQUARE, "material": "brick", "frequency": 60e9}, "brick is known from 0.4 to 40 GHz"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
+    keys, why = BAD[case]
+    with pytest.raises(KeyedError, match=why):
+        Wall(**keys)
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "why"),
+    [
+        ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
+        ("0 0\n1 1,5x\n", "a.txt", "line 2"),
+        ("\n", "a.txt", "has no shape"),
+        ('<svg><rect width="4"/></svg>', "a.svg", "<rect> is not read: convert objects to paths"),
+        ('<svg><path transform="scale(2)" d="M0 0H1"/></svg>', "a.svg", "transform is not read"),
+        ("<svg></svg>", "a.svg", "has no <path"),
+    ],
+)
+def test_a_file_that_is_not_read_is_named(tmp_path, content, name, why):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=f"{name}.*{why}"):
+        Wall.model_validate({"file": name}, context={"folder": tmp_path})
+
+
+def test_a_file_outside_of_the_folder_needs_trust(tmp_path):
+    with pytest.raises(ValueError, match="leads out of the folder"):
+        Wall.model_validate({"file": "../a.wkt"}, context={"folder": tmp_path})
+
+
+def test_keys_of_radio_have_no_effect_without_radio_or_without_a_material():
+    assert "thickness" in Wall(line=SQUARE).unused_fields
+    assert set(Wall(line=SQUARE, blocks=("sight",)).unused_fields) == {"loss", "material", "thickness", "frequency"}
+    assert not Wall(line=SQUARE, material="wood").unused_fields
+    assert [Wall(line=SQUARE, blocks=blocks).decibels for blocks in (("motion",), ("radio",))] == [0.0, inf]
+
+
+def test_the_edges_that_block_something_know_their_wall():
+    walls = [Wall(line=SQUARE, blocks=("sight",)), Wall(polygon=SQUARE), Wall(svg="M0 0H1M2 0H3")]
+    assert blocking(walls, "sight").owners.tolist() == [0, 0, 0, 1, 1, 1, 1, 2, 2]
+    assert blocking(walls, "radio").owners.tolist() == [1, 1, 1, 1, 2, 2]
+    assert not blocking(walls[:1], "radio")
+
+
+# Materials: Recommendation ITU-R P.2040-3.
+
+TABLE = [
+    ("concrete", 0.10, 4.84, 8.10),
+    ("concrete", 0.20, 7.49, 14.57),
+    ("brick", 0.24, 5.55, 6.63),
+    ("plasterboard", 0.025, 0.76, 1.24),
+    ("wood", 0.04, 0.58, 0.61),
+    ("glass", 0.006, 0.37, 1.91),
+]
+"""Material, thickness, m, and loss at 0.868 and 2.4 GHz, dB, computed outside of desim."""
+
+
+@pytest.mark.parametrize(("material", "thickness", "low", "high"), TABLE)
+def test_the_loss_of_a_slab_is_that_of_the_recommendation(material, thickness, low, high):
+    losses = [slab_loss(material, thickness, frequency) for frequency in (0.868e9, 2.4e9)]
+    assert losses == pytest.approx([low, high], abs=0.005001)
+    assert abs(slab_loss(material, 1.1 * thickness, 2.4e9) - high) > 0.01  # a slab that is a tenth thicker
+    wall = Wall(line=SQUARE, material=material, thickness=thickness, frequency=0.868e9)
+    assert wall.decibels == losses[0]
+
+
+def test_a_thick_slab_attenuates_as_its_material_and_a_thin_one_not_at_all():
+    """In a thick slab the loss per metre is 1636 c / sqrt(a) f^d / (1 + small), dB; metal is opaque in practice."""
+    per_metre = slab_loss("wood", 21.0, 10e9) - slab_loss("wood", 20.0, 10e9)
+    sigma, a = 0.0047 * 10**1.0718, 1.99
+    assert per_metre == pytest.approx(1636.0 * sigma / sqrt(a), rel=0.01)
+    assert all(slab_loss(name, 1e-6, 60e9 if name == "floorboard" else 2e9) >= 0.0 for name in MATERIALS)
+    assert slab_loss("glass", 1e-6, 2e9) < 1e-3
+    assert slab_loss("metal", 0.01, 2e9) > 1000.0
+
+
+# Crossings.
+
+
+def test_a_ray_crosses_a_wall_between_its_ends():
+    wall = (0, -1), (0, 1)
+    assert crossed((-1, 0), (1, 0), wall) == crossed((1, 0), (-1, 0), wall) == 1
+    assert crossed((-1, 0), (-0.5, 0), wall) == crossed((-1, 2), (1, 2), wall) == crossed((0, 2), (0, 3), wall) == 0
+    assert crossed((-1, 0), (-1, 0), wall) == 0
+
+
+@pytest.mark.parametrize("turn", range(8))
+def test_no_ray_slips_through_where_walls_meet(turn):
+    """A ray through the common corner of two walls on its two sides crosses one of them, and of a V both or none."""
+    turned = np.array([[0, 1], [-1, 0]]) if turn % 2 else np.eye(2)
+    turned = turned * (-1 if turn % 4 > 1 else 1)
+    points = np.array([[-2, 0], [2, 0], [0, 0], [1, 3], [-1, -3], [1, -2]]) @ turned
+    start, end, corner, above, below, below_too = points.tolist()
+    if turn > 3:
+        start, end = end, start
+    assert crossed(start, end, (corner, above), (corner, below)) == 1
+    assert crossed(start, end, (above, corner), (below, corner)) == 1
+    assert crossed(start, end, (below, corner), (corner, below_too)) in {0, 2}
+
+
+def test_a_path_may_touch_walls_with_a_margin():
+    wall = (0, 0), (0, 4)
+    assert crossed((-1, 0), (1, 0), wall, margin=1e-9) == 0  # past its end
+    assert crossed((-1, 1), (0, 1), wall, margin=1e-9) == 0  # up to it
+    assert crossed((0, -1), (0, 5), wall, margin=1e-9) == 0  # along it
+    assert crossed((-1, 1), (1, 1), wall, margin=1e-9) == 1
+    assert crossed((-1, 1), (1e-3, 1), wall, margin=1e-2) == 0
+    assert crossed((-1, 1), (1e-3, 1), wall, margin=1e-4) == 1
+
+
+GRID = st.tuples(st.integers(-6, 6), st.integers(-6, 6))
+
+
+def exact(start, end, first, second):
+    """Return whether a ray crosses a wall, in exact arithmetic: a point on a line is left of it."""
+    start, end = sorted([start, end])
+
+    def left(a, b, point):
+        (ax, ay), (bx, by), (x, y) = (tuple(map(Fraction, place)) for place in (a, b, point))
+        return (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
+
+    apart = left(start, end, first) != left(start, end, second)
+    return apart and left(first, second, start) != left(first, second, end)
+
+
+@given(GRID, GRID, st.lists(st.tuples(GRID, GRID).filter(lambda wall: wall[0] != wall[1]), min_size=1, max_size=5))
+def test_crossings_are_those_of_exact_arithmetic_and_do_not_depend_on_the_direction(start, end, walls):
+    rays = np.array([start, end], dtype=float), np.array([end, start], dtype=float)
+    answers = crossings(*rays, segments(*walls)).tolist()
+    assert answers[0] == answers[1] == [exact(start, end, *wall) for wall in walls]
+
+
+@given(st.lists(GRID, min_size=3, max_size=7, unique=True), GRID, GRID)
+def test_a_ray_that_leaves_a_polygon_crosses_its_edges_an_odd_number_of_times(corners, start, end):
+    ring = Shape(np.array(corners, dtype=float), closed=True)
+    edges = segments_of([(0, ring)])
+    ends = np.array([start, end]) + np.array([0.31, 0.17])  # not on an edge
+    odd = crossings(ends[:1], ends[1:], edges).sum() % 2 == 1
+    first, second = inside(ends, [ring])
+    assert odd == (first != second)
+
+
+def test_the_first_wall_on_the_way_is_found():
+    walls = segments(((5, -1), (5, 1)), ((2, -1), (2, 1)), ((8, 4), (8, 6)))
+    starts, ends = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 9.0]]), np.array([[10.0, 0.0], [0.0, 0.0], [9.0, 9.0]])
+    shares, which = first_crossings(starts, ends, walls)
+    assert shares.tolist() == [0.2, 0.5, inf]
+    assert which.tolist() == [1, 0, -1]
+    assert first_crossings(starts[2:], ends[2:], walls)[0].tolist() == [inf]
+
+
+def test_the_gap_is_the_distance_from_the_nearest_wall():
+    walls = segments(((0, 0), (4, 0)), ((0, 5), (4, 5)))
+    assert gaps(np.array([[2.0, 1.0], [-3.0, 4.0], [7.0, 9.0], [2.0, 0.0]]), walls).tolist() == [
+        1.0,
+        sqrt(10),
+        5.0,
+        0.0,
+    ]
+    assert gaps(np.zeros((1, 2)), segments()).tolist() == [inf]
+
+
+def test_edges_that_touch_are_found_among_many():
+    rng = np.random.default_rng(3)
+    places = rng.permutation(144)
+    rings = [
+        (k, Shape(np.array(SQUARE) * 0.25 + [3.0 * (place % 12), 3.0 * (place // 12)], closed=True))
+        for k, place in enumerate(places.tolist())
+    ]
+    assert first_contact(rings) is None
+    moved = rings[70][1].corners + rings[110][1].corners[0] - rings[70][1].corners[2]
+    contact = first_contact([*rings[:70], (70, Shape(moved, closed=True)), *rings[71:]])
+    assert (contact.first, contact.second) == (70, 110)
+
+
+def random_fields(fields, density, length, distance, seed):
+    """Return how many walls a line of a length crosses in each of many random fields of segments."""
+    rng = np.random.default_rng(seed)
+    low, high = np.array([-length / 2, -length / 2]), np.array([distance + length / 2, length / 2])
+    count = rng.poisson(fields * density * np.prod(high - low))
+    centres, angles = rng.uniform(low, high, size=(count, 2)), rng.uniform(0.0, pi, size=count)
+    halves = length / 2 * np.column_stack([np.cos(angles), np.sin(angles)])
+    walls = Segments(centres - halves, centres + halves, np.arange(count))
+    hit = crossings(np.zeros((1, 2)), np.array([[distance, 0.0]]), walls)[0]
+    return np.bincount(rng.integers(fields, size=count)[hit], minlength=fields)
+
+
+def test_the_number_of_random_walls_on_a_line_is_poisson():
+    """The mean is 2 density length d / pi = .636620, and P(0) = .529078; a density 8 % higher is told apart."""
+    fields = 40_000
+    mean = 2.0 * 0.01 * 5.0 * 20.0 / pi
+    error = sqrt(exp(-mean) * (1.0 - exp(-mean)) / fields)
+    numbers = random_fields(fields, 0.01, 5.0, 20.0, seed=1)
+    assert exp(-mean) == pytest.approx(0.529078, abs=1e-6)
+    assert abs((numbers == 0).mean() - exp(-mean)) < 3.0 * error
+    assert numbers.var() == pytest.approx(mean, abs=4.0 * sqrt((mean + 2.0 * mean**2) / fields))
+    denser = random_fields(fields, 0.0108, 5.0, 20.0, seed=1)
+    assert abs((denser == 0).mean() - exp(-mean)) > 3.0 * error
